@@ -1,0 +1,42 @@
+"""
+The dictionary: what the symbols, frames and units of this package mean.
+
+Frames
+------
+n
+    Navigation frame: north, east, down (NED) at the vehicle.
+b
+    Body frame of the IMU after its mount rotation: forward, right, down (FRD).
+e, i
+    Earth-centred Earth-fixed (WGS-84) and inertial frame.
+map, odom, base_link
+    REP-105 frames; ENU and FLU axes. They exist only in ``conversions`` and outwards.
+
+Names
+-----
+``C_nb``
+    Rotation matrix, body to navigation: ``v_n = C_nb @ v_b``.
+``quat_xyzw``
+    Unit quaternion of the same rotation, scalar last.
+``lla``
+    Latitude [rad], longitude [rad], height above the WGS-84 ellipsoid [m].
+``velocity_n``
+    Velocity over ground, NED axes [m/s].
+``specific_force_b``, ``angular_rate_b``
+    What an IMU measures: [m/s²], and [rad/s] relative to the inertial frame.
+``t_ns``
+    Integer nanoseconds, IMU clock. ``dt`` is a difference in float seconds.
+
+Error state (15), true minus estimated
+--------------------------------------
+``dp`` position [m, NED], ``dv`` velocity [m/s, NED], ``eps`` misalignment [rad, n frame] with
+``C_nb(true) = (I - [eps x]) C_nb(estimated)``, ``b_a`` accelerometer bias [m/s²], ``b_g`` gyroscope
+bias [rad/s], both in b. The slices are defined once, in ``core.state``.
+
+Noise
+-----
+``q``
+    Variance of the white noise of one IMU sample, [(m/s²)²] or [(rad/s)²].
+``psd``
+    Its power spectral density, ``q * dt``: this is Qc. The paper's text uses q itself there.
+"""

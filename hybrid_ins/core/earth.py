@@ -1,0 +1,165 @@
+"""
+WGS-84: radii of curvature, normal gravity, Earth and transport rate, and local frames.
+
+Written in terms of ``np`` functions and marked jitable: the same text serves arrays of epochs and,
+with scalars, the compiled filter step.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., sections 2.4 and 5.3-5.4.
+.. [2] NGA.STND.0036, *World Geodetic System 1984*, 2014.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+SEMI_MAJOR_AXIS = 6378137.0  # m
+FLATTENING = 1.0 / 298.257223563
+SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)
+ECCENTRICITY_SQ = FLATTENING * (2.0 - FLATTENING)
+EARTH_RATE = 7.292115e-5  # rad/s
+GM = 3.986004418e14  # m^3/s^2
+GRAVITY_EQUATOR = 9.7803253359  # m/s^2
+SOMIGLIANA = 0.00193185265241
+GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GM
+
+
+@register_jitable
+def radii(lat):  # type: ignore[no-untyped-def]
+    """
+    Meridian and transverse radii of curvature (R_M, R_N) [m] at latitude [rad]; [1]_ eq. 2.105-6.
+    """
+    w = 1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2
+    transverse = SEMI_MAJOR_AXIS / np.sqrt(w)
+    return transverse * (1.0 - ECCENTRICITY_SQ) / w, transverse
+
+
+@register_jitable
+def normal_gravity(lat, height):  # type: ignore[no-untyped-def]
+    """
+    North and down component of normal gravity [m/s²] at (lat [rad], height [m]).
+
+    Somigliana's formula on the ellipsoid, carried up to second order in height; [1]_ eq. 2.134,
+    2.139 and 2.140. The north component comes from the plumb line's curvature.
+    """
+    sin_sq = np.sin(lat) ** 2
+    on_ellipsoid = (
+        GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin_sq) / np.sqrt(1.0 - ECCENTRICITY_SQ * sin_sq)
+    )
+    down = on_ellipsoid * (
+        1.0
+        - 2.0 / SEMI_MAJOR_AXIS
+        * (1.0 + FLATTENING * (1.0 - 2.0 * sin_sq) + GRAVITY_RATIO) * height
+        + 3.0 / SEMI_MAJOR_AXIS**2 * height**2
+    )
+    north = -8.08e-9 * height * np.sin(2.0 * lat)
+    return north, down
+
+
+@register_jitable
+def earth_rate_n(lat):  # type: ignore[no-untyped-def]
+    """North and down component of the Earth's rotation rate [rad/s]; [1]_ eq. 2.123."""
+    return EARTH_RATE * np.cos(lat), -EARTH_RATE * np.sin(lat)
+
+
+@register_jitable
+def transport_rate_n(lat, height, velocity_north, velocity_east):  # type: ignore[no-untyped-def]
+    """Rotation rate of NED over the Earth (north, east, down) [rad/s]; [1]_ eq. 5.44."""
+    meridian, transverse = radii(lat)
+    north = velocity_east / (transverse + height)
+    return north, -velocity_north / (meridian + height), -north * np.tan(lat)
+
+
+def lla_to_ecef(lla: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Earth-fixed coordinates, shape (..., 3) [m], of lla, shape (..., 3); [1]_ eq. 2.112."""
+    lat, lon, height = lla[..., 0], lla[..., 1], lla[..., 2]
+    transverse = radii(lat)[1]
+    horizontal = (transverse + height) * np.cos(lat)
+    return np.stack(
+        (
+            horizontal * np.cos(lon),
+            horizontal * np.sin(lon),
+            ((1.0 - ECCENTRICITY_SQ) * transverse + height) * np.sin(lat),
+        ),
+        axis=-1,
+    )
+
+
+def ecef_to_lla(ecef: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Geodetic lla, shape (..., 3), of Earth-fixed coordinates, shape (..., 3) [m].
+
+    Bowring's formula ([1]_ eq. 2.113) followed by two Newton-like refinements: exact to rounding
+    from the deepest mine to orbit.
+    """
+    x, y, z = ecef[..., 0], ecef[..., 1], ecef[..., 2]
+    p = np.hypot(x, y)
+    theta = np.arctan2(z * SEMI_MAJOR_AXIS, p * SEMI_MINOR_AXIS)
+    for _ in range(3):
+        second_eccentricity_sq = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)
+        lat = np.arctan2(
+            z + second_eccentricity_sq * SEMI_MINOR_AXIS * np.sin(theta) ** 3,
+            p - ECCENTRICITY_SQ * SEMI_MAJOR_AXIS * np.cos(theta) ** 3,
+        )
+        theta = np.arctan2((1.0 - FLATTENING) * np.sin(lat), np.cos(lat))
+    transverse = radii(lat)[1]
+    height = (
+        p * np.cos(lat) + z * np.sin(lat)
+        - transverse * (1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2)
+    )
+    return np.stack((lat, np.arctan2(y, x), height), axis=-1)
+
+
+def C_en(lla: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix, shape (3, 3), from NED at ``lla`` (3,) to Earth-fixed; [1]_ eq. 2.150."""
+    sin_lat, cos_lat = np.sin(lla[0]), np.cos(lla[0])
+    sin_lon, cos_lon = np.sin(lla[1]), np.cos(lla[1])
+    return np.array(
+        [
+            [-sin_lat * cos_lon, -sin_lon, -cos_lat * cos_lon],
+            [-sin_lat * sin_lon, cos_lon, -cos_lat * sin_lon],
+            [cos_lat, 0.0, -sin_lat],
+        ]
+    )
+
+
+class LocalFrame:
+    """
+    The tangent frame, NED axes, at a datum: the Cartesian plane that maps are drawn in.
+
+    Parameters
+    ----------
+    datum_lla : ndarray, shape (3,)
+        Latitude [rad], longitude [rad], ellipsoidal height [m].
+    """
+
+    def __init__(self, datum_lla: NDArray[np.float64]) -> None:
+        self.datum_lla = np.asarray(datum_lla, float)
+        self._origin_e = lla_to_ecef(self.datum_lla)
+        self.C_en = C_en(self.datum_lla)
+
+    def position(self, lla: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Position [m], NED axes at the datum, shape (..., 3), of lla, shape (..., 3)."""
+        return (lla_to_ecef(np.asarray(lla, float)) - self._origin_e) @ self.C_en
+
+    def lla(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Inverse of `position`."""
+        return ecef_to_lla(self._origin_e + np.asarray(position, float) @ self.C_en.T)
+
+    def C_from_n(self, lla: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rotation matrix, shape (3, 3), from NED at ``lla`` (3,) to NED at the datum."""
+        return self.C_en.T @ C_en(lla)
+
+
+def curvature_scale(lla: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Metres of north, east and down per unit of latitude, longitude and height, shape (3,).
+
+    Small differences only: ``dp_n = curvature_scale(lla) * dlla``.
+    """
+    meridian, transverse = radii(lla[0])
+    return np.array([meridian + lla[2], (transverse + lla[2]) * np.cos(lla[0]), -1.0])
