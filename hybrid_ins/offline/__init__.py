@@ -1,0 +1,1 @@
+"""Programs and their parts that work on files: no middleware, no real time."""
