@@ -1,0 +1,91 @@
+"""Build and dependencies; what package.xml already states (the version above all) is read there."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+ROOT = Path(__file__).resolve().parent
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+NAME = MANIFEST.findtext("name")
+
+RUNTIME = [
+    "numba>=0.58",
+    "numpy>=1.26",
+    "onnxruntime>=1.17",
+    "PyYAML>=6.0",
+    "rosbags>=0.11",
+    "scipy>=1.11",
+    "tqdm>=4.60",
+]
+
+EXTRAS = {
+    # ROS 2 Jazzy for machines without a ROS installation. Pinned: the newest versions of these
+    # wheels belong to another distribution.
+    "ros": [
+        "ros-jazzy-common-interfaces==5.3.6",
+        "ros-jazzy-rclpy==7.1.6",
+        "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+    ],
+    "plot": ["matplotlib>=3.6"],
+    "test": [
+        "colcon-core",
+        "colcon-package-selection",
+        "colcon-ros",
+        "hypothesis",
+        "mypy",
+        "pytest",
+        "pytest-cov",
+        "pytest-timeout",
+        "ruff",
+        # colcon builds ament_python packages with commands that newer setuptools and wheel dropped
+        "setuptools<80",
+        "wheel==0.45.1",
+    ],
+    "train": ["onnx", "torch==2.13.0"],
+}
+
+PROGRAMS = {
+    "ins_node": "node",
+    "ins_play": "player",
+    "ins_convert": "offline.quadrotor",
+    "ins_simulate": "offline.simulation",
+    "ins_replay": "offline.replay",
+    "ins_calibrate": "offline.calibration",
+    "ins_evaluate": "offline.evaluation",
+}
+
+
+def shared_files(*folders: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield each file below the folders, after the directory it is installed to."""
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.is_file() and path.suffix != ".pyc":
+                name = path.relative_to(ROOT)
+                yield f"share/{NAME}/{name.parent}", [str(name)]
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext("version"),
+    description=MANIFEST.findtext("description"),
+    author=MANIFEST.findtext("author"),
+    maintainer=MANIFEST.findtext("maintainer"),
+    maintainer_email=MANIFEST.find("maintainer").get("email"),
+    license=MANIFEST.findtext("license"),
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared_files("config", "launch", "models"),
+    ],
+    python_requires=">=3.10",
+    install_requires=RUNTIME,
+    extras_require=EXTRAS,
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [f"{name} = {NAME}.{module}:main" for name, module in PROGRAMS.items()],
+    },
+)
