@@ -25,6 +25,7 @@ EARTH_RATE = 7.292115e-5  # rad/s
 GM = 3.986004418e14  # m^3/s^2
 GRAVITY_EQUATOR = 9.7803253359  # m/s^2
 SOMIGLIANA = 0.00193185265241
+NORTH_GRADIENT = -8.08e-9  # 1/s²
 GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GM
 
 
@@ -46,18 +47,27 @@ def normal_gravity(lat, height):  # type: ignore[no-untyped-def]
     Somigliana's formula on the ellipsoid, carried up to second order in height; [1]_ eq. 2.134,
     2.139 and 2.140. The north component comes from the plumb line's curvature.
     """
+    surface, slope, curve = _gravity_polynomial(lat)
+    return NORTH_GRADIENT * height * np.sin(2.0 * lat), surface + (slope + curve * height) * height
+
+
+@register_jitable
+def gravity_gradient(lat, height):  # type: ignore[no-untyped-def]
+    """Change of normal gravity's north and down component per metre of height [1/s²]."""
+    _, slope, curve = _gravity_polynomial(lat)
+    return NORTH_GRADIENT * np.sin(2.0 * lat), slope + 2.0 * curve * height
+
+
+@register_jitable
+def _gravity_polynomial(lat):  # type: ignore[no-untyped-def]
+    """Coefficients of the down component in powers of height; [1]_ eq. 2.134 and 2.139."""
     sin_sq = np.sin(lat) ** 2
-    on_ellipsoid = (
+    surface = (
         GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin_sq) / np.sqrt(1.0 - ECCENTRICITY_SQ * sin_sq)
     )
-    down = on_ellipsoid * (
-        1.0
-        - 2.0 / SEMI_MAJOR_AXIS
-        * (1.0 + FLATTENING * (1.0 - 2.0 * sin_sq) + GRAVITY_RATIO) * height
-        + 3.0 / SEMI_MAJOR_AXIS**2 * height**2
-    )
-    north = -8.08e-9 * height * np.sin(2.0 * lat)
-    return north, down
+    flattening = 1.0 + FLATTENING * (1.0 - 2.0 * sin_sq) + GRAVITY_RATIO
+    return surface, -2.0 * surface * flattening / SEMI_MAJOR_AXIS, 3.0 * surface / (
+        SEMI_MAJOR_AXIS**2)
 
 
 @register_jitable

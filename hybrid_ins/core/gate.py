@@ -1,0 +1,104 @@
+"""
+Which measurements are believed, and the way back when belief itself went wrong.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, section 5.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.measurements import Measurement
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """
+    What became of one measurement.
+
+    Attributes
+    ----------
+    measurement : Measurement
+        The one that was judged.
+    accepted : bool
+        It was fused.
+    reason : str
+        Why not, or what was done besides fusing; empty for a plain fusion.
+    age : float
+        How far it lay behind the IMU when it was decided [s].
+    nis : float
+        Normalised innovation squared; NaN when it did not get that far.
+    threshold : float
+        What the NIS was held against.
+    sigma : ndarray, shape (m,)
+        Standard deviations used for the measurement, NED [m or m/s].
+    reset : bool
+        The state was opened for this measurement, see `Gate`.
+    """
+
+    measurement: Measurement
+    accepted: bool
+    reason: str
+    age: float
+    nis: float
+    threshold: float
+    sigma: Array
+    reset: bool = False
+
+    @classmethod
+    def refused(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
+        """Return the verdict on a measurement that never met the state."""
+        return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
+
+
+class Gate:
+    """
+    Chi-square test of the innovation, with a limit on how long it may say no.
+
+    Measurements that are refused without interruption for ``patience`` seconds are taken for
+    right and the state for wrong: the next one opens the state (`Verdict.reset`).
+
+    Parameters
+    ----------
+    thresholds : mapping of int to float
+        Largest NIS that is fused, by the number of components.
+    patience : float
+        [s].
+    """
+
+    def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
+        self._thresholds = thresholds
+        self._patience_ns = int(patience * 1e9)
+        self._refusing_since: dict[str, int] = {}
+
+    def __copy__(self) -> Gate:
+        twin = object.__new__(Gate)
+        twin.__dict__.update(self.__dict__, _refusing_since=dict(self._refusing_since))
+        return twin
+
+    def judge(self, measurement: Measurement, R: Array, nis: float, age: float) -> Verdict:
+        """Decide on a measurement with covariance ``R``, shape (m, m), and innovation's NIS."""
+        threshold = self._thresholds[len(R)]
+        sigma = np.sqrt(np.diag(R))
+        kind, t_ns = measurement.kind, measurement.t_ns
+        if nis <= threshold:
+            self._refusing_since.pop(kind, None)
+            return Verdict(measurement, True, "", age, nis, threshold, sigma)
+        since = self._refusing_since.setdefault(kind, t_ns)
+        if t_ns - since < self._patience_ns:
+            return Verdict(
+                measurement, False, "innovation beyond the gate", age, nis, threshold, sigma)
+        del self._refusing_since[kind]
+        return Verdict(
+            measurement, True,
+            f"refused for {(t_ns - since) * 1e-9:.1f} s: state opened to the measurement",
+            age, nis, threshold, sigma, reset=True)

@@ -1,0 +1,346 @@
+"""
+The error-state filter in time: IMU samples forward, measurements at their own stamps.
+
+A measurement that is ahead of the IMU waits; one that is behind is put where it belongs by
+restoring the last rewind point before it and running the buffered samples and measurements again,
+so that the result is that of an in-order run.
+"""
+
+from __future__ import annotations
+
+import bisect
+import copy
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core import propagation
+from hybrid_ins.core.attitude import matrix_from_quat
+from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.kalman import correct, innovation
+from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.noise import Correction, NoiseModel, ProcessNoise
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DP,
+    DV,
+    LAST_F,
+    LAST_W,
+    N_NAV,
+    PSD,
+    QUAT,
+    NavState,
+    covariance,
+    pack,
+)
+
+Array = NDArray[np.float64]
+NO_ROWS = np.empty((0, N_NAV))
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """
+    What shapes the filter besides its noise.
+
+    Attributes
+    ----------
+    covariance_interval : float
+        The covariance is propagated once this much time is pending [s]; 0: at every sample.
+    max_delay : float
+        Oldest measurement that is still fused, by rewinding [s].
+    """
+
+    covariance_interval: float = 0.01
+    max_delay: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseEstimate:
+    """Levels that a regressor read off the IMU; None when it could not tell."""
+
+    t_ns: int  # ns, end of its window
+    q: Array | None  # (6,) per-sample variances
+    kind: ClassVar[str] = "noise estimate"
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseChange:
+    """Another noise model, from its stamp on."""
+
+    t_ns: int
+    noise: NoiseModel
+    kind: ClassVar[str] = "noise change"
+
+
+Event = Measurement | NoiseEstimate | NoiseChange
+
+
+@dataclass(slots=True)
+class _RewindPoint:
+    """All that changes in a filter, after its first ``n_done`` events."""
+
+    t_ns: int
+    n_done: int
+    nav: Array
+    noise: NoiseModel
+    gate: Gate
+    corrected_ns: int
+
+
+class InsFilter:
+    """
+    A 15-state error-state EKF for INS/GNSS that runs at the IMU's rate.
+
+    Parameters
+    ----------
+    initial : NavState
+        State and covariance at ``t_ns``.
+    t_ns : int
+        Stamp of the last IMU sample before the first to be processed [ns].
+    sample : ndarray, shape (6,)
+        That sample: specific force [m/s²] and angular rate [rad/s], b.
+    noise, process : NoiseModel, ProcessNoise
+        Levels, and their way to Qc.
+    gate : Gate
+        Decides which measurements are fused.
+    ring : ImuRing
+        Holds the recent IMU samples; its owner pushes each sample before `process_imu`.
+    settings : FilterSettings
+        See there.
+
+    Attributes
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        The flat state after the last sample.
+    t_ns : int
+        Its stamp [ns].
+    verdicts : deque of Verdict
+        One for each measurement submitted, in order of decision; the owner empties it.
+    """
+
+    def __init__(
+        self,
+        initial: NavState,
+        t_ns: int,
+        sample: Array,
+        noise: NoiseModel,
+        process: ProcessNoise,
+        gate: Gate,
+        ring: ImuRing,
+        settings: FilterSettings,
+    ) -> None:
+        self.nav = initial.to_flat()
+        self.nav[LAST_F], self.nav[LAST_W] = sample[:3], sample[3:]
+        self.t_ns = t_ns
+        self.noise = noise
+        self.process = process
+        self.gate = gate
+        self.ring = ring
+        self.verdicts: deque[Verdict] = deque()
+        self._interval = settings.covariance_interval - 1e-6
+        self._horizon_ns = int(settings.max_delay * 1e9)
+        self._spacing_ns = max(self._horizon_ns // 4, 50_000_000)
+        self._corrected_ns = t_ns
+        self._pending: list[Event] = []
+        self._done: list[Event] = []  # those after the oldest rewind point
+        self._n_done = 0  # all there ever were
+        self._points: list[_RewindPoint] = []
+        self.nav[PSD] = process.psd(noise.levels())
+        self._remember()
+        self._schedule()
+
+    @property
+    def state(self) -> NavState:
+        """Copy of the state after the last sample, its covariance up to date."""
+        nav = self.nav.copy()
+        propagation.flush(nav)
+        return NavState.from_flat(nav)
+
+    def process_imu(
+        self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
+    ) -> None:
+        """
+        Advance to an IMU sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b.
+
+        The stamp must be younger than ``self.t_ns``.
+        """
+        if t_ns >= self._next_ns:
+            sample = np.array([(t_ns, (fx, fy, fz), (wx, wy, wz))], SAMPLE_DTYPE)
+            self._advance(sample, NO_ROWS)
+            return
+        propagation.step(
+            self.nav, (t_ns - self.t_ns) * 1e-9, fx, fy, fz, wx, wy, wz, self._interval
+        )
+        self.t_ns = t_ns
+
+    def process_imu_block(self, samples: NDArray[np.void], rows: Array = NO_ROWS) -> None:
+        """
+        Advance over many IMU samples (``SAMPLE_DTYPE``); the result is that of `process_imu`.
+
+        ``rows``, shape (N, N_NAV), receives the flat state after each sample; empty: none.
+        """
+        self._advance(samples, rows)
+
+    def submit(self, event: Event) -> None:
+        """
+        Take a measurement or a change of the noise: now, when the IMU gets there, or by rewinding.
+
+        Its verdict appears in ``verdicts`` once it is decided.
+        """
+        if event.t_ns > self.t_ns:
+            bisect.insort(self._pending, event, key=_order)
+            self._schedule()
+        elif event.t_ns == self.t_ns and (not self._done or _order(event) >= _order(self._done[-1])):
+            self._apply(event)
+        elif self.t_ns - event.t_ns <= self._horizon_ns and self._rewind(event):
+            pass
+        elif isinstance(event, NoiseEstimate | NoiseChange):
+            self._apply(replace(event, t_ns=self.t_ns))
+        else:
+            self.verdicts.append(Verdict.refused(event, "too old", self.age(event)))
+
+    def age(self, event: Event) -> float:
+        """Return how far ``event`` lies behind the last IMU sample [s]."""
+        return (self.t_ns - event.t_ns) * 1e-9
+
+    def _advance(self, samples: NDArray[np.void], rows: Array) -> None:
+        """Run samples and whatever is pending between them, in the order of their stamps."""
+        stamps = samples["t_ns"]
+        start, end = 0, int(stamps[-1])
+        while self._pending and self._pending[0].t_ns <= end:
+            event = self._pending.pop(0)
+            stop = int(np.searchsorted(stamps, event.t_ns, side="right"))
+            self._run(samples[start:stop], rows[start:stop])
+            if event.t_ns > self.t_ns:
+                self._run(self._between(event.t_ns, samples[stop]), NO_ROWS)
+            self._apply(event)
+            start = stop
+        self._run(samples[start:], rows[start:])
+        if self.t_ns - self._points[-1].t_ns >= self._spacing_ns:
+            self._remember()
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Set when `process_imu` has to do more than a step."""
+        self._next_ns = self._points[-1].t_ns + self._spacing_ns
+        if self._pending:
+            self._next_ns = min(self._next_ns, self._pending[0].t_ns)
+
+    def _run(self, samples: NDArray[np.void], rows: Array) -> None:
+        """Run samples with nothing between them."""
+        if len(samples) == 0:
+            return
+        stamps = samples["t_ns"]
+        dt = np.diff(stamps, prepend=self.t_ns) * 1e-9
+        readings = np.concatenate((samples["f"], samples["w"]), axis=1)
+        propagation.run(self.nav, dt, readings, self._interval, rows)
+        self.t_ns = int(stamps[-1])
+
+    def _between(self, t_ns: int, following: NDArray[np.void]) -> NDArray[np.void]:
+        """Return the IMU sample at ``t_ns`` on the line from the last sample to the following."""
+        fraction = (t_ns - self.t_ns) / (int(following["t_ns"]) - self.t_ns)
+        f = self.nav[LAST_F] + fraction * (following["f"] - self.nav[LAST_F])
+        w = self.nav[LAST_W] + fraction * (following["w"] - self.nav[LAST_W])
+        return np.array([(t_ns, f, w)], SAMPLE_DTYPE)
+
+    def _apply(self, event: Event) -> None:
+        """Take an event into the state at its own stamp, which is the present one."""
+        self._remember()
+        self._done.append(event)
+        self._n_done += 1
+        propagation.flush(self.nav)
+        if isinstance(event, NoiseChange):
+            self.noise = event.noise
+        elif isinstance(event, NoiseEstimate):
+            self.noise.refresh(event.q)
+        else:
+            self._fuse(event)
+        self.nav[PSD] = self.process.psd(self.noise.levels())
+
+    def _fuse(self, measurement: Measurement) -> None:
+        z, H, R = measurement.linearise(self.nav)
+        S, nis = innovation(self.nav, z, H, R)
+        verdict = self.gate.judge(measurement, R, nis, self.age(measurement))
+        self.verdicts.append(verdict)
+        if not verdict.accepted:
+            return
+        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
+        if verdict.reset:
+            open_state(self.nav, z, H, interval)
+        dx = correct(self.nav, z, H, R)
+        self._corrected_ns = measurement.t_ns
+        C_nb = matrix_from_quat(self.nav[QUAT])
+        self.noise.learn(Correction(measurement.t_ns, z, S, H, dx, C_nb, interval))
+
+    def _remember(self) -> None:
+        """Keep a rewind point, and drop those that no measurement may reach any more."""
+        self._points.append(_RewindPoint(
+            self.t_ns, self._n_done, self.nav[:N_NAV].copy(), copy.copy(self.noise),
+            copy.copy(self.gate), self._corrected_ns,
+        ))
+        oldest = self.t_ns - self._horizon_ns
+        while len(self._points) > 1 and self._points[1].t_ns < oldest:
+            del self._points[0]
+        del self._done[: len(self._done) - (self._n_done - self._points[0].n_done)]
+
+    def _rewind(self, late: Event) -> bool:
+        """Put a late event where it belongs; False when that is out of reach."""
+        at = bisect.bisect_left(self._points, late.t_ns, key=lambda point: point.t_ns) - 1
+        if at < 0:
+            return False
+        point = self._points[at]
+        samples = self.ring.after(point.t_ns)
+        if len(samples) == self.ring.capacity:
+            return False
+        samples = samples[: np.searchsorted(samples["t_ns"], self.t_ns, side="right")]
+        keep = len(self._done) - (self._n_done - point.n_done)
+        waiting, again = self._pending, self._done[keep:]
+        del self._points[at:], self._done[keep:]
+        self.nav[:N_NAV] = point.nav
+        self.t_ns, self._n_done, self._corrected_ns = point.t_ns, point.n_done, point.corrected_ns
+        self.noise, self.gate = point.noise, point.gate
+        self._remember()
+        decided = len(self.verdicts)
+        self._pending = sorted([*again, late], key=_order)
+        self._advance(samples, NO_ROWS)
+        self._pending = waiting
+        self._schedule()
+        while len(self.verdicts) > decided:
+            verdict = self.verdicts.pop()
+            if verdict.measurement is late:
+                own = verdict
+        if not isinstance(late, NoiseEstimate | NoiseChange):
+            self.verdicts.append(own)
+        return True
+
+
+def open_state(nav: Array, z: Array, H: Array, interval: float) -> None:
+    """
+    Widen the covariance so that an innovation ``z`` far outside it is believed.
+
+    Position takes all of it; velocity what would have led there since the last correction.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state with nothing pending; its covariance is changed in place.
+    z, H : ndarray, shape (m,), (m, 15)
+        Innovation and measurement matrix.
+    interval : float
+        Time since the last correction [s].
+    """
+    P = covariance(nav)
+    spread = np.abs(H[:, :6]).T @ np.abs(z)
+    P[DP, DP] += np.diag(spread[:3] ** 2)
+    P[DV, DV] += np.diag((spread[:3] / max(interval, 1.0)) ** 2 + spread[3:] ** 2)
+    pack(P, nav[COVARIANCE])
+
+
+def _order(event: Event) -> tuple[int, str]:
+    """Events are taken by stamp, those of one stamp by kind."""
+    return event.t_ns, event.kind

@@ -1,0 +1,154 @@
+"""
+What aiding sensors measure, as innovation z, matrix H of the error state and covariance R.
+
+A measurement is a small frozen record that knows its own model: the filter asks it to linearise
+and does not know which kind it holds. With errors as true minus estimated, z is measured minus
+predicted. A component the sensor did not give (NaN) is left out. Records are valid by
+construction: `conversions` refuses what is not.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 14.3.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hybrid_ins.core.earth import earth_rate_n, radii
+from hybrid_ins.core.state import BIAS_G, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
+from hybrid_ins.core.strapdown import rotation
+
+Array = NDArray[np.float64]
+_OPTIONS = {"cache": True, "error_model": "numpy"}
+
+
+@njit(**_OPTIONS)
+def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
+    """
+    Antenna position: z [m, NED], shape (3,), and H, shape (3, 15); [1]_ eq. 14.102-14.114.
+
+    Parameters
+    ----------
+    lla_fix : ndarray, shape (3,)
+        Measured antenna position; a NaN height gives a NaN in z.
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b.
+    """
+    lla = nav[LLA]
+    C = np.empty(9)
+    rotation(nav[QUAT], C)
+    lever_n = C.reshape(3, 3) @ lever_b
+    meridian, transverse = radii(lla[0])
+    z = np.empty(3)
+    z[0] = (lla_fix[0] - lla[0]) * (meridian + lla[2]) - lever_n[0]
+    dlon = lla_fix[1] - lla[1]
+    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
+    z[1] = dlon * (transverse + lla[2]) * np.cos(lla[0]) - lever_n[1]
+    z[2] = lla[2] - lla_fix[2] - lever_n[2]
+    H = np.zeros((3, N_ERROR))
+    for i in range(3):
+        H[i, i] = 1.0
+    _set_cross(H, 6, lever_n)
+    return z, H
+
+
+@njit(**_OPTIONS)
+def velocity_model(nav, velocity_fix, lever_b):  # type: ignore[no-untyped-def]
+    """
+    Antenna velocity over ground: z [m/s, NED], shape (3,), and H, shape (3, 15); [1]_ eq. 14.103.
+
+    Parameters as in `position_model`; the lever arm moves with the last angular rate.
+    """
+    C = np.empty(9)
+    rotation(nav[QUAT], C)
+    C_nb = C.reshape(3, 3)
+    ie_n, ie_d = earth_rate_n(nav[LLA][0])
+    rate_b = nav[LAST_W] - nav[BIAS_G] - C_nb.T @ np.array([ie_n, 0.0, ie_d])
+    swing_n = C_nb @ np.cross(rate_b, lever_b)
+    H = np.zeros((3, N_ERROR))
+    for i in range(3):
+        H[i, 3 + i] = 1.0
+    _set_cross(H, 6, swing_n)
+    lever = np.zeros((3, 3))
+    _set_cross(lever, 0, lever_b)
+    H[:, 12:15] = C_nb @ lever
+    return velocity_fix - nav[VELOCITY] - swing_n, H
+
+
+@njit(**_OPTIONS)
+def _set_cross(matrix, column, v):  # type: ignore[no-untyped-def]
+    """Write [v x] into three columns of ``matrix``."""
+    matrix[0, column + 1], matrix[0, column + 2] = -v[2], v[1]
+    matrix[1, column], matrix[1, column + 2] = v[2], -v[0]
+    matrix[2, column], matrix[2, column + 1] = -v[1], v[0]
+
+
+class Measurement(Protocol):
+    """
+    What the filter asks of an aiding measurement.
+
+    Attributes
+    ----------
+    kind : str
+        What it measures; measurements of one stamp are fused in the order of their kinds.
+    t_ns : int
+        When it was true, IMU clock [ns].
+    """
+
+    kind: ClassVar[str]
+
+    @property
+    def t_ns(self) -> int: ...
+
+    def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
+        """Return z (m,), H (m, 15) and R (m, m) at a flat state of the same time."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFix:
+    """A GNSS position of the antenna."""
+
+    t_ns: int  # ns, IMU clock
+    lla: Array  # (3,) rad, rad, m; the height is NaN where the receiver gave none
+    covariance_n: Array  # (3, 3) m², NED
+    lever_b: Array  # (3,) m, antenna relative to the IMU
+
+    kind: ClassVar[str] = "position"
+
+    def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
+        """See `Measurement.linearise`."""
+        z, H = position_model(nav, self.lla, self.lever_b)
+        return _given(z, H, self.covariance_n)
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityFix:
+    """A GNSS velocity of the antenna over ground."""
+
+    t_ns: int  # ns, IMU clock
+    velocity_n: Array  # (3,) m/s, NED; the down component is NaN where there is none
+    covariance_n: Array  # (3, 3) (m/s)², NED
+    lever_b: Array  # (3,) m, antenna relative to the IMU
+
+    kind: ClassVar[str] = "velocity"
+
+    def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
+        """See `Measurement.linearise`."""
+        z, H = velocity_model(nav, self.velocity_n, self.lever_b)
+        return _given(z, H, self.covariance_n)
+
+
+def _given(z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:
+    """Return the rows of a measurement whose innovation is a number."""
+    given = np.flatnonzero(np.isfinite(z))
+    if len(given) == len(z):
+        return z, H, R
+    return z[given], H[given], np.ascontiguousarray(R[np.ix_(given, given)])

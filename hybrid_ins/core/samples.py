@@ -1,0 +1,67 @@
+"""
+IMU samples in bulk, and the ring that keeps the recent ones.
+
+All stamps are integer nanoseconds on the IMU's clock; all vectors are in the b frame.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
+
+
+class ImuRing:
+    """
+    The last ``capacity`` IMU samples, in order: for rewinding and for the noise regressor.
+
+    Parameters
+    ----------
+    capacity : int
+        Number of samples kept.
+    """
+
+    def __init__(self, capacity: int = 8192) -> None:
+        self.count = 0
+        self.capacity = capacity
+        self._samples = np.zeros(capacity, SAMPLE_DTYPE)
+        self._bytes = memoryview(self._samples.view(np.uint8))
+        self._pack = struct.Struct("=q6d").pack_into
+        self._size = SAMPLE_DTYPE.itemsize
+
+    def push(
+        self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
+    ) -> None:
+        """Append a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b frame."""
+        offset = (self.count % self.capacity) * self._size
+        self._pack(self._bytes, offset, t_ns, fx, fy, fz, wx, wy, wz)
+        self.count += 1
+
+    def extend(self, samples: NDArray[np.void]) -> None:
+        """Append many samples, an array of ``SAMPLE_DTYPE``."""
+        kept = samples[-self.capacity:]
+        start = self.count + len(samples) - len(kept)
+        self._samples[(start + np.arange(len(kept))) % self.capacity] = kept
+        self.count += len(samples)
+
+    def latest(self, n: int) -> NDArray[np.void]:
+        """Copy of the last ``n`` samples (fewer if fewer came), oldest first."""
+        n = min(n, self.count, self.capacity)
+        return self._samples[(self.count - n + np.arange(n)) % self.capacity]
+
+    def after(self, t_ns: int) -> NDArray[np.void]:
+        """Copy of the samples that are younger than ``t_ns``, oldest first."""
+        n = 32
+        while True:
+            tail = self.latest(n)
+            if len(tail) < n or tail["t_ns"][0] <= t_ns:
+                return tail[np.searchsorted(tail["t_ns"], t_ns, side="right"):]
+            n *= 4
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self.count = 0

@@ -1,0 +1,127 @@
+"""
+Where everything is: the error state's slices and the layout of the flat state the kernels work on.
+
+One float64 vector holds the whole state of a filter, so that a compiled call has one argument, a
+snapshot is one copy and a rewind is one assignment. ``nav[NAVIGATION]`` is what a navigator knows;
+``nav[COVARIANCE]`` is the upper triangle of P, row by row, symmetric by construction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Error state, shape (15,), true minus estimated.
+N_ERROR = 15
+DP = slice(0, 3)
+DV = slice(3, 6)
+EPS = slice(6, 9)
+B_A = slice(9, 12)
+B_G = slice(12, 15)
+
+# Noise input, shape (12,).
+N_NOISE = 12
+W_A = slice(0, 3)
+W_G = slice(3, 6)
+W_AB = slice(6, 9)
+W_GB = slice(9, 12)
+
+# The flat state: what a snapshot holds (N_NAV), and behind it the kernels' scratch.
+LLA = slice(0, 3)  # rad, rad, m
+VELOCITY = slice(3, 6)  # m/s, n
+QUAT = slice(6, 10)  # C_nb, xyzw
+BIAS_A = slice(10, 13)  # m/s², b
+BIAS_G = slice(13, 16)  # rad/s, b
+NAVIGATION = slice(0, 16)
+LAST_F = slice(16, 19)  # the last IMU sample, as measured
+LAST_W = slice(19, 22)
+PSD = slice(22, 34)  # Qc's diagonal
+PENDING_DT = 34  # time, integrated f_n and C_nb since the covariance was last propagated
+PENDING_F = slice(35, 38)
+PENDING_C = slice(38, 47)
+COVARIANCE = slice(47, 47 + N_ERROR * (N_ERROR + 1) // 2)
+N_NAV = COVARIANCE.stop
+SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
+SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
+N_FLAT = SCRATCH.stop
+
+PACKED_ROWS, PACKED_COLUMNS = np.triu_indices(N_ERROR)
+DIAGONAL = np.array([i * N_ERROR - i * (i - 1) // 2 for i in range(N_ERROR)])
+
+
+@register_jitable
+def unpack(packed, full):  # type: ignore[no-untyped-def]
+    """Write the symmetric matrix ``full`` (15, 15) from its upper triangle ``packed`` (120,)."""
+    k = 0
+    for i in range(N_ERROR):
+        for j in range(i, N_ERROR):
+            full[i, j] = packed[k]
+            full[j, i] = packed[k]
+            k += 1
+
+
+@register_jitable
+def pack(full, packed):  # type: ignore[no-untyped-def]
+    """Write the upper triangle ``packed`` (120,) of the mean of ``full`` and its transpose."""
+    k = 0
+    for i in range(N_ERROR):
+        for j in range(i, N_ERROR):
+            packed[k] = 0.5 * (full[i, j] + full[j, i])
+            k += 1
+
+
+@dataclass(frozen=True, slots=True)
+class NavState:
+    """
+    What the filter knows at one instant, in words.
+
+    Attributes
+    ----------
+    lla : ndarray, shape (3,)
+        Latitude [rad], longitude [rad], ellipsoidal height [m] of the IMU.
+    velocity_n : ndarray, shape (3,)
+        NED velocity [m/s].
+    quat_xyzw : ndarray, shape (4,)
+        C_nb.
+    bias_a, bias_g : ndarray, shape (3,)
+        Accelerometer [m/s²] and gyroscope [rad/s] bias, b frame.
+    P : ndarray, shape (15, 15)
+        Error covariance, in the order of the error state.
+    """
+
+    lla: Array
+    velocity_n: Array
+    quat_xyzw: Array
+    bias_a: Array
+    bias_g: Array
+    P: Array
+
+    @classmethod
+    def from_flat(cls, nav: Array) -> NavState:
+        """Copy the state out of a flat vector."""
+        P = np.empty((N_ERROR, N_ERROR))
+        unpack(nav[COVARIANCE], P)
+        return cls(
+            nav[LLA].copy(), nav[VELOCITY].copy(), nav[QUAT].copy(),
+            nav[BIAS_A].copy(), nav[BIAS_G].copy(), P,
+        )
+
+    def to_flat(self) -> Array:
+        """Return a flat vector, shape (N_FLAT,), of this state with nothing pending."""
+        nav = np.zeros(N_FLAT)
+        nav[LLA], nav[VELOCITY], nav[QUAT] = self.lla, self.velocity_n, self.quat_xyzw
+        nav[BIAS_A], nav[BIAS_G] = self.bias_a, self.bias_g
+        pack(np.asarray(self.P, float), nav[COVARIANCE])
+        return nav
+
+
+def covariance(nav: Array) -> Array:
+    """Return P, shape (15, 15), of a flat state."""
+    P = np.empty((N_ERROR, N_ERROR))
+    unpack(nav[COVARIANCE], P)
+    return P
