@@ -1,156 +1,300 @@
-"""Bags: the only module that knows how recordings lie on the disk.
+"""
+Recordings: the only module that knows how they lie on the disk.
 
-Reads rosbag2 (MCAP, SQLite3) and ROS 1 recordings, writes rosbag2 MCAP. Topic names are absolute
-inside; look-ups take them with or without the leading slash. Times are integer nanoseconds.
+Reads rosbag2 (MCAP, SQLite3) and ROS 1 bags, writes rosbag2 MCAP. Inside, every message is ROS 2:
+CDR bytes, or an object of the Jazzy definitions that ship with `rosbags`; definitions embedded in a
+bag are never compiled. Topic names are absolute; look-ups take them with or without the leading
+slash. Times are integer nanoseconds.
 """
 
-from collections.abc import Iterator
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from heapq import merge
+from operator import itemgetter
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Rosbag2Reader
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from hybrid_ins.errors import InputError
+from hybrid_ins.offline import mcap_file
+from hybrid_ins.offline.mcap_file import Channel, McapReader, McapWriter, Record
+from hybrid_ins.wire import ImuDecoder, imu_records
 
-Message = Any
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+Message: TypeAlias = Any  # its class depends on the topic
+
+IMU = "sensor_msgs/msg/Imu"
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+_ROS1_TYPES = get_typestore(Stores.ROS1_NOETIC)
+_METADATA = "metadata.yaml"
+_METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ImuTable:
-    """All samples of one Imu topic, in the bag's order."""
+    """All samples of one Imu topic in the order of the recording."""
 
-    stamp_ns: NDArray[np.int64]  # (N,) header stamps, IMU clock
-    log_ns: NDArray[np.int64]  # (N,) when the recorder got them
-    specific_force: NDArray[np.float64]  # (N, 3) m/s2, sensor frame (FLU), as in the message
-    angular_rate: NDArray[np.float64]  # (N, 3) rad/s, sensor frame (FLU), as in the message
+    stamp_ns: NDArray[np.int64]  # (N,) header stamps: IMU clock
+    log_ns: NDArray[np.int64]  # (N,) recorder's clock
+    specific_force: NDArray[np.float64]  # (N, 3) m/s2, axes of the message (FLU)
+    angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
 
 
 def new_message(type_name: str) -> Message:
-    """Make a zero message of a ROS 2 type such as ``"nav_msgs/msg/Odometry"``.
-
-    Nested messages are there, fixed-size arrays are NumPy arrays of zeros, sequences are empty.
     """
-    return _TYPES.types[type_name](
-        *(_zero(description) for _, description in _TYPES.fielddefs[type_name][1])
-    )
+    Make a message of a standard ROS 2 type, such as ``"nav_msgs/msg/Odometry"``.
+
+    Numbers are 0, texts empty, fixed-size arrays NumPy zeros, sequences empty; nested messages are
+    there and every attribute can be set.
+    """
+    fields = _TYPES.fielddefs[type_name][1]
+    return _TYPES.types[type_name](*(_zero(description) for _, description in fields))
 
 
 def _zero(description: Any) -> Any:
     kind, detail = description
     if kind == Nodetype.BASE:
-        name = detail[0]
-        return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(name, 0)
+        return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(detail[0], 0)
     if kind == Nodetype.NAME:
         return new_message(detail)
     element, length = detail
     length = 0 if kind == Nodetype.SEQUENCE else length
     if element[0] == Nodetype.BASE and element[1][0] != "string":
-        return np.zeros(length, {"byte": "uint8", "char": "uint8"}.get(*(element[1][0],) * 2))
+        name = element[1][0]
+        return np.zeros(length, "uint8" if name in ("byte", "char") else name)
     return [_zero(element) for _ in range(length)]
 
 
 class BagReader:
-    """A recording: rosbag2 directory, single ``.mcap`` or ``.db3`` file, ROS 1 ``.bag``."""
+    """
+    A recording: rosbag2 directory, single ``.mcap`` or ``.db3`` file, or ROS 1 ``.bag``.
+
+    A recording that breaks off is read as far as it goes, with a warning; topics of types that are
+    not standard, or not CDR, are left out.
+
+    Attributes
+    ----------
+    path : Path
+        Where it lies.
+    topics : dict
+        Type name by topic: ``{"/imu/data": "sensor_msgs/msg/Imu"}``.
+    start_ns, end_ns : int
+        Log times of the first and the last message.
+
+    Raises
+    ------
+    InputError
+        There is nothing readable at `path`.
+
+    """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        if not self.path.exists():
-            raise InputError(f"{self.path}: no such bag")
-        try:
-            self._reader = AnyReader([self.path], default_typestore=_TYPES)
-            self._reader.open()
-        except Exception as error:
-            raise InputError(f"{self.path}: not a readable bag: {error}") from error
-        self.topics: dict[str, str] = {
-            _absolute(name): info.msgtype or "" for name, info in self._reader.topics.items()
-        }
-        self.start_ns: int = self._reader.start_time
-        self.end_ns: int = self._reader.end_time
+        self._source = _open(self.path)
+        channels = {c: n for c, n in self._source.counts.items() if _is_readable(c)}
+        self.topics: dict[str, str] = {c.topic: c.type_name for c in reversed(channels)}
+        self._counts: dict[str, int] = {}
+        for channel, count in channels.items():
+            self._counts[channel.topic] = self._counts.get(channel.topic, 0) + count
+        self.start_ns: int = self._source.start_ns
+        self.end_ns: int = self._source.end_ns
+        if not any(self._source.counts.values()):
+            self.close()
+            raise InputError(f"{self.path}: holds no messages: record it again")
 
-    def __enter__(self) -> "BagReader":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._reader.close()
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._source.close()
 
     def count(self, topic: str) -> int:
-        """Count the messages on `topic` (0 where the bag has no such topic)."""
-        return sum(c.msgcount for c in self._connections(topic))
+        """Return the number of messages on `topic`, 0 where there is no such topic."""
+        return self._counts.get(_absolute(topic), 0)
 
-    def messages(self, *topics: str) -> Iterator[tuple[str, int, Message]]:
-        """Yield (topic, log time [ns], message) in log order; all topics if none is named."""
-        connections = self._connections(*topics)
-        if not connections:
-            return
-        for connection, log_ns, data in self._reader.messages(connections):
-            yield (
-                _absolute(connection.topic),
-                log_ns,
-                self._reader.deserialize(data, connection.msgtype),
-            )
+    def require(self, topic: str, type_name: str, option: str) -> str:
+        """
+        Check that a topic is there and of the right type.
+
+        Parameters
+        ----------
+        topic
+            With or without the leading slash.
+        type_name
+            Type that its messages must have.
+        option
+            The program's option that names another topic, for the error line.
+
+        Returns
+        -------
+        str
+            The absolute topic name.
+
+        Raises
+        ------
+        InputError
+            It is not; the text lists the topics of that type.
+
+        """
+        topic = _absolute(topic)
+        found = self.topics.get(topic)
+        if found == type_name:
+            return topic
+        wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
+        others = [name for name, other in self.topics.items() if other == type_name]
+        way_out = (
+            f"choose {' or '.join(sorted(others))} with {option}"
+            if others
+            else f"no topic is {type_name}; it has {', '.join(sorted(self.topics)) or 'none'}"
+        )
+        raise InputError(f"{self.path}: {wrong}: {way_out}")
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Yield (topic, log time [ns], CDR bytes) in log order; all topics if none is named."""
-        connections = self._connections(*topics)
-        if not connections:
-            return
-        for connection, log_ns, data in self._reader.messages(connections):
-            if not self._reader.is2:
-                data = bytes(_TYPES.ros1_to_cdr(data, connection.msgtype))
-            yield _absolute(connection.topic), log_ns, data
+        """
+        Yield (topic, log time [ns], CDR bytes) in log order; of all topics if none is named.
 
-    def imu(self, topic: str = "/imu/data") -> ImuTable:
-        """Read all of an Imu topic at once."""
-        rows = [
-            (
-                m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec,
-                log_ns,
-                (m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z),
-                (m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z),
-            )
-            for _, log_ns, m in self.messages(topic)
-        ]
-        if not rows:
-            raise InputError(f"{self.path}: no messages on {topic}")
-        stamps, logs, forces, rates = zip(*rows, strict=True)
+        Topics that the recording does not have yield nothing: see `require`.
+        """
+        for log_ns, channel, data in self._records(topics):
+            yield channel.topic, log_ns, data
+
+    def messages(self, *topics: str) -> Iterator[tuple[str, int, Message]]:
+        """Yield (topic, log time [ns], message object), otherwise like `raw`."""
+        for log_ns, channel, data in self._records(topics):
+            yield channel.topic, log_ns, self._decoded(log_ns, channel, data)
+
+    def imu(self, topic: str = "/imu/data", option: str = "--imu-topic") -> ImuTable:
+        """
+        Read a whole Imu topic at once.
+
+        Parameters
+        ----------
+        topic
+            An Imu topic.
+        option
+            See `require`.
+
+        Returns
+        -------
+        ImuTable
+
+        Raises
+        ------
+        InputError
+            There is no such topic, or a message is damaged.
+
+        """
+        records = list(self._records([self.require(topic, IMU, option)]))
+        log_ns = np.array([record[0] for record in records], np.int64)
+        try:
+            table = imu_records([record[2] for record in records])
+        except (ValueError, IndexError):
+            return self._imu_one_by_one(records, log_ns)
         return ImuTable(
-            np.array(stamps, np.int64), np.array(logs, np.int64), np.array(forces), np.array(rates)
+            table["seconds"].astype(np.int64) * 1_000_000_000 + table["nanoseconds"],
+            log_ns,
+            np.ascontiguousarray(table["specific_force"]),
+            np.ascontiguousarray(table["angular_rate"]),
         )
 
-    def _connections(self, *topics: str) -> list[Any]:
-        wanted = {_absolute(t) for t in topics}
-        return [
-            c for c in self._reader.connections if not wanted or _absolute(c.topic) in wanted
-        ]
+    def _imu_one_by_one(self, records: list[Record], log_ns: NDArray[np.int64]) -> ImuTable:
+        """Read Imu messages whose layout varies: changing frame_id, byte order, damage."""
+        decoder = ImuDecoder()
+        stamps = np.empty(len(records), np.int64)
+        vectors = np.empty((2, len(records), 3))
+        for row, record in enumerate(records):
+            stamps[row], *vectors[:, row] = self._imu_row(record, decoder)
+        return ImuTable(stamps, log_ns, vectors[0], vectors[1])
+
+    def _imu_row(
+        self, record: Record, decoder: ImuDecoder
+    ) -> tuple[int, tuple[float, float, float], tuple[float, float, float]]:
+        try:
+            fields = decoder.decode(record[2])
+        except ValueError:
+            message = self._decoded(*record)
+            stamp, a, w = (
+                message.header.stamp,
+                message.linear_acceleration,
+                message.angular_velocity,
+            )
+            stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+            return stamp_ns, (a.x, a.y, a.z), (w.x, w.y, w.z)
+        return fields.stamp_ns, fields.specific_force, fields.angular_rate
+
+    def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
+        wanted = {_absolute(topic) for topic in topics} or self.topics.keys()
+        return self._source.records(lambda c: c.topic in wanted and _is_readable(c))
+
+    def _decoded(self, log_ns: int, channel: Channel, data: bytes) -> Message:
+        try:
+            return _TYPES.deserialize_cdr(data, channel.type_name)
+        except Exception as error:  # whatever a damaged message provokes
+            raise InputError(
+                f"{self.path}: the message on {channel.topic} at {log_ns} ns is no"
+                f" {channel.type_name} ({error}): leave the topic out or record it again"
+            ) from None
 
 
 class BagWriter:
-    """A new rosbag2 recording in MCAP: a directory, or a single file for a path ``*.mcap``."""
+    """
+    A new rosbag2 recording in MCAP: a directory, or one file where the path ends in ``.mcap``.
+
+    As a context manager it is completed however the block ends. After an exception or Ctrl-C the
+    bag holds everything written so far, and a warning says that it ends early; without a message
+    written nothing is left. Killed outright it can still be read up to its last megabyte.
+
+    Parameters
+    ----------
+    path
+        The bag. Directories above it are made.
+    overwrite
+        Replace what is there, provided that it is a bag.
+
+    Raises
+    ------
+    InputError
+        `path` exists and may not be overwritten.
+
+    """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
         self.path = Path(path)
-        if self.path.exists() and not overwrite:
-            raise InputError(f"{self.path} exists: choose another name or allow overwriting it")
-        if self.path.exists():
-            import shutil
+        self._is_file = self.path.suffix == ".mcap"
+        _make_way(self.path, overwrite)
+        if self._is_file:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            file = self.path
+        else:
+            self.path.mkdir(parents=True)
+            file = self.path / f"{self.path.resolve().name}_0.mcap"
+        self._writer = McapWriter(file, "hybrid_ins")
+        self._numbers: dict[tuple[str, str], int] = {}
 
-            shutil.rmtree(self.path) if self.path.is_dir() else self.path.unlink()
-        self._single = self.path.suffix == ".mcap"
-        directory = self.path.with_suffix("") if self._single else self.path
-        self._writer = Writer(directory, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
-        self._connections: dict[str, Any] = {}
-
-    def __enter__(self) -> "BagWriter":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -160,30 +304,277 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+        if kind is None:
+            return
+        count = self._writer.counts.total()
+        if not count:
+            shutil.rmtree(self.path) if not self._is_file else self.path.unlink()
+        else:
+            seconds = (self._writer.end_ns - self._writer.start_ns) / 1e9
+            _log.warning("%s: ends early, after %d messages (%.1f s)", self.path, count, seconds)
 
     def close(self) -> None:
-        """Complete the bag."""
+        """Complete the bag; closing twice is harmless."""
         self._writer.close()
-        if self._single:
-            import shutil
-
-            directory = self.path.with_suffix("")
-            (directory / f"{directory.name}.mcap").rename(self.path)
-            shutil.rmtree(directory)
+        if not self._is_file:
+            (self.path / _METADATA).write_text(yaml.safe_dump(self._metadata(), sort_keys=False))
 
     def write(self, topic: str, message: Message, log_ns: int) -> None:
-        """Append a message made by `new_message` (or read from a bag)."""
+        """
+        Append a message object.
+
+        Parameters
+        ----------
+        topic
+            With or without the leading slash.
+        message
+            Made by `new_message` or read by `BagReader.messages`.
+        log_ns
+            Time of the recording.
+
+        """
         type_name = message.__msgtype__
-        self.write_raw(topic, type_name, bytes(_TYPES.serialize_cdr(message, type_name)), log_ns)
+        data = bytes(_TYPES.serialize_cdr(message, type_name, little_endian=True))
+        self.write_raw(topic, type_name, data, log_ns)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_ns: int) -> None:
-        """Append an already serialised (CDR) message."""
-        topic = _absolute(topic)
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
-                topic, type_name, typestore=_TYPES
+        """Append a serialised (CDR) message of a standard type; otherwise like `write`."""
+        number = self._numbers.get((topic, type_name))
+        if number is None:
+            number = self._numbers[topic, type_name] = self._number(_absolute(topic), type_name)
+        self._writer.write(number, log_ns, data)
+
+    def _number(self, topic: str, type_name: str) -> int:
+        for (known_topic, known_type), number in self._numbers.items():
+            if _absolute(known_topic) == topic:
+                if known_type != type_name:
+                    raise ValueError(f"{topic} holds {known_type}, not {type_name}")
+                return number
+        if type_name not in _TYPES.fielddefs:
+            raise ValueError(f"{topic}: {type_name} is no standard message type")
+        return self._writer.add_channel(
+            Channel(topic, type_name, "cdr"),
+            _TYPES.generate_msgdef(type_name, ros_version=2)[0],
+            {"offered_qos_profiles": "", "topic_type_hash": _TYPES.hash_rihs01(type_name)},
+        )
+
+    def _metadata(self) -> dict[str, Any]:
+        """Return what ``metadata.yaml`` of a rosbag2 directory says, in version 9."""
+        writer = self._writer
+        span = {
+            "duration": {"nanoseconds": writer.end_ns - writer.start_ns},
+            "starting_time": {"nanoseconds_since_epoch": writer.start_ns},
+            "message_count": writer.counts.total(),
+        }
+        topics = {
+            number: {
+                "name": _absolute(topic),
+                "type": type_name,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [],
+                "type_description_hash": _TYPES.hash_rihs01(type_name),
+            }
+            for (topic, type_name), number in self._numbers.items()
+        }
+        information = {
+            "version": 9,
+            "storage_identifier": "mcap",
+            **span,
+            "topics_with_message_count": [
+                {"topic_metadata": topic, "message_count": writer.counts[number]}
+                for number, topic in topics.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [writer.path.name],
+            "files": [{"path": writer.path.name, **span}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+        return {"rosbag2_bagfile_information": information}
+
+
+class _Source(Protocol):
+    """One or several files of a recording."""
+
+    counts: dict[Channel, int]
+    start_ns: int
+    end_ns: int
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]: ...
+
+    def close(self) -> None: ...
+
+
+class _Files:
+    """The files of a recording that was split."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._sources: list[_Source] = []
+        try:
+            for path in paths:
+                self._sources.append(_open(path))
+        except BaseException:
+            self.close()
+            raise
+        self.counts: dict[Channel, int] = {}
+        for source in self._sources:
+            for channel, count in source.counts.items():
+                self.counts[channel] = self.counts.get(channel, 0) + count
+        filled = [source for source in self._sources if any(source.counts.values())]
+        self.start_ns = min((source.start_ns for source in filled), default=0)
+        self.end_ns = max((source.end_ns for source in filled), default=0)
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
+        return merge(*(source.records(wanted) for source in self._sources), key=itemgetter(0))
+
+    def close(self) -> None:
+        for source in self._sources:
+            source.close()
+
+
+class _RosbagsFile:
+    """Every other recording, read by `rosbags`."""
+
+    def __init__(self, path: Path, reader: Ros1Reader | Rosbag2Reader) -> None:
+        self.path = path
+        self._reader = reader
+        try:
+            reader.open()
+        except Exception as error:  # a damaged file provokes anything
+            raise self._unreadable(error) from None
+        self._is_ros1 = isinstance(reader, Ros1Reader)
+        self._channels = {c.id: self._channel(c) for c in reader.connections}
+        self.counts = {
+            self._channels[number]: sum(
+                c.msgcount for c in reader.connections if self._channels[c.id] == channel
             )
-        self._writer.write(self._connections[topic], log_ns, data)
+            for number, channel in self._channels.items()
+        }
+        self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
+        connections = [c for c in self._reader.connections if wanted(self._channels[c.id])]
+        if not connections:
+            return
+        stream = self._reader.messages(connections)
+        while True:
+            try:
+                connection, log_ns, data = next(stream)
+                channel = self._channels[connection.id]
+                if self._is_ros1:
+                    data = bytes(_TYPES.ros1_to_cdr(data, channel.type_name))
+            except StopIteration:
+                return
+            except SerdeError as error:
+                raise InputError(f"{self.path}: a message on {channel.topic}: {error}") from None
+            except Exception as error:  # a damaged file provokes anything
+                raise self._unreadable(error) from None
+            yield log_ns, channel, data
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def _channel(self, connection: Any) -> Channel:
+        encoding = "cdr" if self._is_ros1 else connection.ext.serialization_format
+        if self._is_ros1 and not _translates(connection.msgtype, connection.digest):
+            encoding = "ros1"
+        return Channel(_absolute(connection.topic), connection.msgtype, encoding)
+
+    def _unreadable(self, error: Exception) -> InputError:
+        reason = str(error).strip().rstrip(".") or type(error).__name__
+        return InputError(
+            f"{self.path}: cannot be read ({reason});"
+            " fetch the bag again from where it was recorded"
+        )
+
+
+def _open(path: Path) -> _Source:
+    """Find out from the content, not from the name, what a recording is."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or directory")
+    if path.is_dir():
+        return _open_directory(path)
+    if not path.is_file():
+        raise InputError(f"{path}: is neither a file nor a directory")
+    with path.open("rb") as file:
+        head = file.read(16)
+    if not head:
+        raise InputError(f"{path}: is empty (0 bytes): record it again")
+    if head.startswith(mcap_file.MAGIC):
+        return McapReader(path)
+    if head.startswith(b"SQLite format 3\0"):
+        if path.suffix != ".db3":
+            raise InputError(f"{path}: is an SQLite3 bag: rename it to {path.stem}.db3")
+        return _RosbagsFile(path, Rosbag2Reader(path))
+    if head.startswith(b"#ROSBAG V"):
+        return _RosbagsFile(path, Ros1Reader(path))
+    raise InputError(
+        f"{path}: is not a bag: give a rosbag2 directory, an .mcap or .db3 file or a ROS 1 .bag"
+    )
+
+
+def _open_directory(path: Path) -> _Source:
+    metadata = path / _METADATA
+    names: list[str] = []
+    trouble = "its metadata.yaml names no file"
+    try:
+        information = _read_metadata(metadata)
+        if information.get("compression_mode", "").lower() not in ("", "none"):
+            return _RosbagsFile(path, Rosbag2Reader(path))
+        names = [Path(name).name for name in information["relative_file_paths"]]
+    except FileNotFoundError:
+        trouble = "the recording was not completed: no metadata.yaml"
+    except (yaml.YAMLError, RecursionError, UnicodeError, LookupError, TypeError, AttributeError):
+        trouble = "its metadata.yaml is damaged"
+    if not names:
+        found = [*path.glob(f"{path.resolve().name}_*.*")]
+        names = sorted(file.name for file in found if file.suffix in (".mcap", ".db3"))
+        if not names:
+            raise InputError(f"{path}: is no rosbag2 directory ({trouble}): give a bag's directory")
+        _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
+    missing = [name for name in names if not (path / name).is_file()]
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(missing)}: copy the whole bag")
+    files = [path / name for name in names]
+    return _open(files[0]) if len(files) == 1 else _Files(files)
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    # The loader written in C is faster and crashes on deep nesting.
+    with path.open("rb") as file:
+        content = file.read(_METADATA_LIMIT + 1)
+    if len(content) > _METADATA_LIMIT:
+        raise LookupError
+    information = yaml.load(content, yaml.SafeLoader)["rosbag2_bagfile_information"]
+    return dict(information)
+
+
+def _make_way(path: Path, overwrite: bool) -> None:
+    if not path.exists():
+        return
+    if not overwrite:
+        raise InputError(f"{path} exists: give another name, or --overwrite to replace it")
+    if path.is_file():
+        path.unlink()
+        return
+    strangers = [p for p in path.iterdir() if p.suffix not in (".mcap", ".db3", ".yaml")]
+    if strangers:
+        raise InputError(f"{path} holds more than a bag ({strangers[0].name}): not overwritten")
+    shutil.rmtree(path)
+
+
+def _is_readable(channel: Channel) -> bool:
+    return channel.encoding == "cdr" and channel.type_name in _TYPES.fielddefs
+
+
+def _translates(type_name: str, md5sum: str) -> bool:
+    """Say whether a ROS 1 type is the well-known one, so that its bytes can become CDR."""
+    return (
+        type_name in _TYPES.fielddefs
+        and type_name in _ROS1_TYPES.fielddefs
+        and _ROS1_TYPES.generate_msgdef(type_name)[1] == md5sum
+    )
 
 
 def _absolute(topic: str) -> str:

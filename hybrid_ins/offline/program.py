@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import NoReturn, TypeVar
 
 from tqdm import tqdm
@@ -55,7 +56,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         SIGTERM. Anything else that the body raises is a defect and keeps its traceback.
 
     """
-    name = getattr(args, "program_name", os.path.basename(sys.argv[0]))
+    name = getattr(args, "program_name", Path(sys.argv[0]).name)
     try:
         previous = signal.signal(signal.SIGTERM, _raise_terminated)
     except ValueError:  # not in the main thread: whoever runs us keeps the signals
