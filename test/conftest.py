@@ -1,0 +1,30 @@
+"""What the tests share: the recorded flights, a ROS domain of their own, child processes."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from processes import Processes, isolated_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Before anything imports rclpy: whatever runs beside these tests neither hears nor disturbs them.
+os.environ.update(isolated_ros())
+
+
+@pytest.fixture(scope="session")
+def flights() -> Path:
+    """The folder of recorded quadrotor flights (HYBRID_INS_DATA, or shared/ beside the project)."""
+    default = ROOT.parent / "shared" / "data" / "quadrotor"
+    folder = Path(os.environ.get("HYBRID_INS_DATA", default))
+    if not (folder / "Horizontal").is_dir():
+        pytest.skip(f"no recorded flights in {folder} (set HYBRID_INS_DATA to where they are)")
+    return folder
+
+
+@pytest.fixture
+def processes() -> Iterator[Processes]:
+    """Child processes that end with the test."""
+    with Processes() as running:
+        yield running
