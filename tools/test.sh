@@ -6,7 +6,7 @@
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-tools/setup.sh plot test
+bash tools/setup.sh plot test
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
 export PATH=$PWD/.venv/bin:$PATH
 
