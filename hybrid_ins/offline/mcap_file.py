@@ -282,10 +282,11 @@ class McapWriter:
         self._chunk_indexes: list[bytes] = []
         self._pending: list[tuple[int, int, bytes]] = []
         self._pending_size = 0
-        self._file = path.open("xb")
-        header = _prefixed(b"ros2") + _prefixed(library.encode())
-        self._file.write(MAGIC + _record(_HEADER, header))
-        self._end = self._file.tell()
+        self._file = path.open("xb", buffering=0)  # an interrupted write leaves nothing behind
+        self._end = 0
+        header = MAGIC + _record(_HEADER, _prefixed(b"ros2") + _prefixed(library.encode()))
+        self._put(header)
+        self._end = len(header)
 
     def add_channel(self, channel: Channel, definition: str, metadata: dict[str, str]) -> int:
         """
@@ -418,10 +419,11 @@ class McapWriter:
         self._file.close()
 
     def _put(self, data: bytes) -> None:
+        rest = memoryview(data)
         try:
             self._file.seek(self._end)
-            self._file.write(data)
-            self._file.flush()
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
 
