@@ -186,8 +186,9 @@ class TestPip:
     def test_installed_wheel_has_programs_and_finds_its_files(
         self, wheel: Path, tmp_path: Path
     ) -> None:
-        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-        run(*pip, "--prefix", tmp_path, wheel)
+        # without --ignore-installed pip would take the package out of the running environment
+        offline = ["--ignore-installed", "--no-deps", "--no-index"]
+        run(sys.executable, "-m", "pip", "install", *offline, "--prefix", tmp_path, wheel)
         libraries = next(tmp_path.rglob("hybrid_ins/resources.py")).parents[1]
         code = "from hybrid_ins.resources import share_path; print(share_path('package.xml'))"
 
