@@ -34,6 +34,7 @@ EXTRAS = {
         "colcon-package-selection",
         "colcon-ros",
         "hypothesis",
+        "mcap",
         "mypy",
         "pytest",
         "pytest-cov",
