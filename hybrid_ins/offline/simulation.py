@@ -1,352 +1,303 @@
-"""
-Simulated truth, IMU and GNSS on the rotating Earth, and the program ``ins_simulate``.
-
-``sample`` turns a trajectory into exact truth, ``corrupt`` turns truth into what an imperfect IMU
-reports, ``fixes`` into what a receiver reports. All three work on whole arrays and need no files,
-for Monte Carlo runs::
-
-    rng = np.random.default_rng(seed)
-    flight = quadrotor_flight(60.0)
-    imu = corrupt(sample(flight, sample_times(60.0, 200.0)), ImuErrors(), rng)
-    gnss = fixes(sample(flight, sample_times(60.0, 5.0)), rng)
-
-References
-----------
-.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
-       2nd ed., sections 4.4 (IMU errors) and 5.4 (navigation equations).
-.. [2] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
-       2022, Table I and appendix B.
-"""
+"""The program ``ins_simulate``: a simulated drive or flight as a bag, with its truth."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
-from hybrid_ins.core import earth
-from hybrid_ins.core.attitude import matrix_from_quat, quat_from_rpy
-from hybrid_ins.offline.trajectories import Trajectory
+from hybrid_ins.core.attitude import quat_from_rpy, quat_multiply
+from hybrid_ins.errors import InputError
+from hybrid_ins.offline import flight_bag, options, program
+from hybrid_ins.offline.bags import new_message
+from hybrid_ins.offline.flight_bag import EPOCH_NS, Entry, GnssRecord, ImuRecord, TruthRecord
+from hybrid_ins.offline.sensors import (
+    RTK_STD,
+    ImuData,
+    ImuErrors,
+    corrupt,
+    fixes,
+    sample,
+    sample_times,
+)
+from hybrid_ins.offline.tracks import Track
+from hybrid_ins.offline.trajectories import (
+    Trajectory,
+    aircraft_flight,
+    car_drive,
+    quadrotor_flight,
+    random_motion,
+    static,
+)
 
-Array = NDArray[np.float64]
+_FLU = np.array([1.0, -1.0, -1.0])  # from and to FRD
+ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
+MOST_SAMPLES = 5_000_000  # about 4 GB of memory
+MONITOR_RATE = 10.0  # Hz, of the true biases and noise variances in the bag
 
-MPU9250_ACCELEROMETER_STD = 0.02  # m/s2 per sample, the paper's Table I
-MPU9250_GYROSCOPE_STD = 0.002  # rad/s per sample
-RTK_STD = (0.1, 0.1, 0.02**0.5)  # m: north, east, down
-
-
-@dataclass(frozen=True)
-class Truth:
-    """Exact states of a body, and what a perfect IMU at its origin measures at those epochs."""
-
-    t: Array  # (N,) s
-    lla: Array  # (N, 3) rad, rad, m
-    velocity_n: Array  # (N, 3) m/s
-    quat_xyzw: Array  # (N, 4) of C_nb
-    specific_force_b: Array  # (N, 3) m/s2
-    angular_rate_b: Array  # (N, 3) rad/s, relative to the inertial frame
-
-    @property
-    def C_nb(self) -> Array:
-        """Rotation matrices, body to navigation, shape (N, 3, 3)."""
-        return matrix_from_quat(self.quat_xyzw)
-
-    @property
-    def angular_rate_eb_b(self) -> Array:
-        """Angular rate relative to the Earth, body axes, shape (N, 3) [rad/s]."""
-        return self.angular_rate_b - to_body(self.C_nb, _earth_rate_n(self.lla[:, 0]))
-
-
-@dataclass(frozen=True)
-class Tone:
-    """One vibration, a sine of random phase on each axis."""
-
-    frequency: float  # Hz
-    accelerometer: ArrayLike = 0.0  # m/s2, amplitude, scalar or (3,)
-    gyroscope: ArrayLike = 0.0  # rad/s, amplitude, scalar or (3,)
+TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
+    "quadrotor": quadrotor_flight,
+    "car": car_drive,
+    "aircraft": aircraft_flight,
+    "random": random_motion,
+    "static": static,
+}
 
 
-@dataclass(frozen=True)
-class ImuErrors:
-    """
-    What is wrong with an IMU; all vectors in the sensor's own axes (FRD), scalars mean all axes.
-
-    The defaults are white noise and bias of an MPU-9250. In order of application: the mount turns
-    body into sensor axes, then scale factor and g-sensitivity, then bias and everything random.
-    """
-
-    accelerometer_std: ArrayLike = MPU9250_ACCELEROMETER_STD  # m/s2, white, per sample
-    gyroscope_std: ArrayLike = MPU9250_GYROSCOPE_STD  # rad/s, white, per sample
-    accelerometer_bias: ArrayLike = (0.05, -0.03, 0.04)  # m/s2, at the first sample
-    gyroscope_bias: ArrayLike = (0.002, -0.003, 0.001)  # rad/s, at the first sample
-    accelerometer_bias_walk: ArrayLike = 1e-3  # m/s2 per sqrt(s)
-    gyroscope_bias_walk: ArrayLike = 5e-5  # rad/s per sqrt(s)
-    noise_schedule: Sequence[tuple[float, float]] = ()  # (from s, multiplier of the white noise)
-
-    accelerometer_scale: ArrayLike = 0.0  # relative error of the scale factor
-    gyroscope_scale: ArrayLike = 0.0
-    mount_rpy: ArrayLike = (0.0, 0.0, 0.0)  # rad, attitude of the sensor's axes in the body's
-    g_sensitivity: ArrayLike = 0.0  # rad/s per m/s2, scalar or (3, 3)
-    accelerometer_coloured_std: ArrayLike = 0.0  # m/s2, first-order Gauss-Markov noise
-    gyroscope_coloured_std: ArrayLike = 0.0  # rad/s
-    coloured_time: float = 0.05  # s, its correlation time
-    tones: Sequence[Tone] = ()
-
-    def noise_multiplier(self, t: Array) -> Array:
-        """Factor on the white noise's standard deviation at times `t`, by `noise_schedule`."""
-        starts, factors = np.array([(-np.inf, 1.0), *sorted(self.noise_schedule)]).T
-        multiplier: Array = factors[np.searchsorted(starts, t, side="right") - 1]
-        return multiplier
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``ins_simulate``."""
+    return program.run(_simulate, _parser().parse_args(argv))
 
 
-@dataclass(frozen=True)
-class ImuData:
-    """What an IMU reports (FRD, the sensor's axes), and what was wrong with it."""
+def _parser() -> argparse.ArgumentParser:
+    p = program.parser(
+        "ins_simulate",
+        """Simulate a drive or flight with IMU, GNSS and truth, and write it as an MCAP bag.
 
-    t: Array  # (N,) s
-    specific_force: Array  # (N, 3) m/s2
-    angular_rate: Array  # (N, 3) rad/s
-    accelerometer_bias: Array  # (N, 3) m/s2, in force at each sample
-    gyroscope_bias: Array  # (N, 3) rad/s
-    accelerometer_std: Array  # (N, 3) m/s2, white noise in force at each sample
-    gyroscope_std: Array  # (N, 3) rad/s
+The defaults are Table I of Or & Klein (2022): a 60 s quadrotor flight, an MPU-9250 at 1 kHz,
+5 Hz GNSS with the variances 0.01, 0.01 and 0.02 m2, from 32.1 N 34.8 E. It stands still for 4 s.
 
-
-@dataclass(frozen=True)
-class GnssData:
-    """What a receiver reports."""
-
-    t: Array  # (M,) s, when the fixes were true
-    lla: Array  # (M, 3) rad, rad, m
-    position_std: Array  # (3,) m: north, east, down
-    velocity_n: Array | None = None  # (M, 3) m/s, where the receiver reports it
-    velocity_std: Array | None = None  # (3,) m/s
-
-
-def sample_times(
-    duration: float, rate: float, outages: Sequence[tuple[float, float]] = ()
-) -> Array:
-    """
-    Multiples of ``1 / rate`` in [0, duration] [s], but for those in an outage.
-
-    An outage is (start, length) [s]; its start is out, its end is in.
-    """
-    times = np.arange(int(np.floor(duration * rate + 1e-9)) + 1) / rate
-    return times[~in_outage(times, outages)]
-
-
-def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Which of the times [s] lie in one of the outages (start, length) [s]."""
-    out = np.zeros(times.shape, bool)
-    for start, length in outages:
-        out |= (times > start - 1e-9) & (times < start + length - 1e-9)
-    return out
-
-
-def sample(trajectory: Trajectory, times: ArrayLike) -> Truth:
-    """
-    Evaluate a trajectory, and the perfect IMU carried along it.
-
-    Nothing is integrated: position and its two derivatives, attitude and its first come from the
-    splines, and the navigation equations ([1]_ eq. 5.19, 5.27, 5.54; [2]_ eq. 35-37) are solved
-    for specific force and angular rate.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    times : array_like, shape (N,)
-        [s], within the trajectory's duration.
-
-    Returns
-    -------
-    Truth
-
-    """
-    t = np.asarray(times, float)
-    displacement = trajectory.displacement
-    lla, lla_rate, lla_acceleration = _curvilinear(
-        trajectory.start_lla, *(displacement(t, order) for order in range(3))
+The bag holds /imu/data, /gnss/fix, /gnss/velocity (on request), /truth/odometry in the map whose
+origin is the first fix, that origin on /truth/datum, and what the filter estimates besides:
+/truth/imu/bias, /truth/q/accelerometer, /truth/q/gyroscope.
+Vectors are given in the bag's axes: forward, left, up.""",
+        "ins_simulate flight --outage 30 10 --noise-schedule 0:1,20:5,40:1 --seed 3",
     )
-    lat, _, height = lla.T
-    lat_rate, lon_rate, height_rate = lla_rate.T
-    meridian, transverse = earth.radii(lat)
-    sin_lat, cos_lat = np.sin(lat), np.cos(lat)
-    curvature = earth.ECCENTRICITY_SQ * sin_lat * cos_lat / (1 - earth.ECCENTRICITY_SQ * sin_lat**2)
-    meridian_rate = 3.0 * meridian * curvature * lat_rate + height_rate
-    transverse_rate = transverse * curvature * lat_rate + height_rate
-
-    velocity_n = np.stack(
-        (
-            (meridian + height) * lat_rate,
-            (transverse + height) * cos_lat * lon_rate,
-            -height_rate,
-        ),
-        axis=-1,
+    p.add_argument("out", metavar="OUT", type=Path, help="bag: a directory, or a file *.mcap")
+    motion = p.add_argument_group("motion")
+    motion.add_argument(
+        "--trajectory", choices=TRAJECTORIES, default="quadrotor", help="[%(default)s]"
     )
-    acceleration_n = np.stack(
-        (
-            (meridian + height) * lla_acceleration[:, 0] + meridian_rate * lat_rate,
-            (transverse + height) * cos_lat * lla_acceleration[:, 1]
-            + (transverse_rate * cos_lat - (transverse + height) * sin_lat * lat_rate) * lon_rate,
-            -lla_acceleration[:, 2],
-        ),
-        axis=-1,
+    motion.add_argument(
+        "--variant",
+        type=options.count,
+        metavar="N",
+        help="vary the manoeuvres by this number [the nominal motion]",
     )
-    earth_rate_n = _earth_rate_n(lat)
-    transport_rate_n = np.stack(
-        earth.transport_rate_n(lat, height, velocity_n[:, 0], velocity_n[:, 1]), axis=-1
+    motion.add_argument(
+        "--duration", type=options.positive, default=60.0, metavar="S", help="[%(default)g s]"
     )
-    specific_force_n = acceleration_n + np.cross(2.0 * earth_rate_n + transport_rate_n, velocity_n)
-    gravity_north, gravity_down = earth.normal_gravity(lat, height)
-    specific_force_n[:, 0] -= gravity_north
-    specific_force_n[:, 2] -= gravity_down
-
-    rpy, rpy_rate = trajectory.rpy(t), trajectory.rpy(t, 1)
-    quat_xyzw = quat_from_rpy(*rpy.T)
-    C_nb = matrix_from_quat(quat_xyzw)
-    return Truth(
-        t=t,
-        lla=lla,
-        velocity_n=velocity_n,
-        quat_xyzw=quat_xyzw,
-        specific_force_b=to_body(C_nb, specific_force_n),
-        angular_rate_b=_rate_of_rpy(rpy, rpy_rate) + to_body(C_nb, earth_rate_n + transport_rate_n),
+    motion.add_argument(
+        "--start",
+        type=options.number,
+        nargs=3,
+        metavar=("LAT", "LON", "H"),
+        help="first position [32.1 deg, 34.8 deg, 0 m; aircraft 1000 m]",
     )
-
-
-def corrupt(truth: Truth, errors: ImuErrors, rng: np.random.Generator) -> ImuData:
-    """
-    Add an IMU's errors to its perfect readings ([1]_ eq. 4.16-4.17).
-
-    Each kind of error draws from its own child of `rng`: switching one off or on leaves the others
-    as they were, so that runs can be compared in pairs. Needs evenly spaced epochs.
-    """
-    t, count = truth.t, truth.t.size
-    dt = (t[-1] - t[0]) / (count - 1) if count > 1 else 0.0
-    C_bs = matrix_from_quat(quat_from_rpy(*np.asarray(errors.mount_rpy, float)))
-    true_force, true_rate = truth.specific_force_b @ C_bs, truth.angular_rate_b @ C_bs
-    specific_force = true_force * (1.0 + np.asarray(errors.accelerometer_scale))
-    angular_rate = true_rate * (1.0 + np.asarray(errors.gyroscope_scale))
-    angular_rate += true_force @ (np.asarray(errors.g_sensitivity, float) * np.eye(3)).T
-
-    white_rng, walk_rng, coloured_rng, tone_rng = rng.spawn(4)
-    multiplier = errors.noise_multiplier(t)[:, None]
-    accelerometer_std = multiplier * np.broadcast_to(errors.accelerometer_std, 3)
-    gyroscope_std = multiplier * np.broadcast_to(errors.gyroscope_std, 3)
-    specific_force += accelerometer_std * white_rng.standard_normal((count, 3))
-    angular_rate += gyroscope_std * white_rng.standard_normal((count, 3))
-
-    accelerometer_bias = _random_walk(
-        errors.accelerometer_bias, errors.accelerometer_bias_walk, count, dt, walk_rng
+    motion.add_argument(
+        "--heading",
+        type=options.number,
+        default=0.0,
+        metavar="DEG",
+        help="of the nose at the start, clockwise from north [%(default)g]",
     )
-    gyroscope_bias = _random_walk(
-        errors.gyroscope_bias, errors.gyroscope_bias_walk, count, dt, walk_rng
+    motion.add_argument(
+        "--truth-rate", type=options.positive, default=100.0, metavar="HZ", help="[%(default)g]"
     )
-    decay = np.exp(-dt / errors.coloured_time)
-    specific_force += accelerometer_bias + _gauss_markov(
-        errors.accelerometer_coloured_std, decay, count, coloured_rng
+    sensor = p.add_argument_group("IMU")
+    nominal = ImuErrors()
+    sensor.add_argument(
+        "--imu-rate", type=options.positive, default=1000.0, metavar="HZ", help="[%(default)g]"
     )
-    angular_rate += gyroscope_bias + _gauss_markov(
-        errors.gyroscope_coloured_std, decay, count, coloured_rng
+    for quantity, unit in (("accelerometer", "m/s2"), ("gyroscope", "rad/s")):
+        sensor.add_argument(
+            f"--{quantity}-std",
+            type=options.not_negative,
+            default=getattr(nominal, f"{quantity}_std"),
+            metavar="STD",
+            help=f"white noise of a sample, {unit} [%(default)g]",
+        )
+        bias = getattr(nominal, f"{quantity}_bias")
+        sensor.add_argument(
+            f"--{quantity}-bias",
+            type=options.number,
+            nargs=3,
+            default=bias,
+            metavar=("X", "Y", "Z"),
+            help=f"at the start, {unit} [{' '.join(map(str, bias))}]",
+        )
+        sensor.add_argument(
+            f"--{quantity}-bias-walk",
+            type=options.not_negative,
+            default=getattr(nominal, f"{quantity}_bias_walk"),
+            metavar="STD",
+            help=f"random walk of the bias, {unit} per sqrt(s) [%(default)g]",
+        )
+    sensor.add_argument(
+        "--noise-schedule",
+        type=_schedule,
+        default=(),
+        metavar="S:FACTOR,...",
+        help="from each time on, multiply the white noise's STD by the factor",
     )
-    for tone in errors.tones:
-        angle = 2.0 * np.pi * (tone.frequency * t[:, None] + tone_rng.uniform(size=(2, 1, 3)))
-        specific_force += np.asarray(tone.accelerometer) * np.sin(angle[0])
-        angular_rate += np.asarray(tone.gyroscope) * np.sin(angle[1])
-    return ImuData(
-        t=t,
-        specific_force=specific_force,
-        angular_rate=angular_rate,
-        accelerometer_bias=accelerometer_bias,
-        gyroscope_bias=gyroscope_bias,
-        accelerometer_std=accelerometer_std,
-        gyroscope_std=gyroscope_std,
+    sensor.add_argument(
+        "--mount-rpy",
+        type=options.number,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("R", "P", "Y"),
+        help="degrees that turn base_link's axes into the IMU's (imu.mount_rpy) [0 0 0]",
     )
+    sensor.add_argument(
+        "--orientation",
+        action="store_true",
+        help="fill the orientation like an AHRS: off by a constant of 1, 1, 3 degrees (1 sigma)",
+    )
+    receiver = p.add_argument_group("GNSS")
+    receiver.add_argument(
+        "--gnss-rate", type=options.positive, default=5.0, metavar="HZ", help="[%(default)g]"
+    )
+    options.add_gnss_noise(receiver, RTK_STD)
+    receiver.add_argument(
+        "--gnss-velocity",
+        type=options.positive,
+        nargs="?",
+        const=0.05,
+        metavar="STD",
+        help="write /gnss/velocity, too, with this noise, m/s [0.05]",
+    )
+    options.add_outage(receiver)
+    receiver.add_argument(
+        "--lever-arm",
+        type=options.number,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("X", "Y", "Z"),
+        help="antenna in base_link (gnss.antenna_position), m [0 0 0]",
+    )
+    receiver.add_argument(
+        "--time-offset",
+        type=options.number,
+        default=0.0,
+        metavar="S",
+        help="IMU clock minus reference clock, which stamps fixes and truth [%(default)g]",
+    )
+    p.add_argument("--seed", type=options.count, default=0, metavar="N", help="of all noise [0]")
+    p.add_argument("--overwrite", action="store_true", help="replace OUT where it exists")
+    return p
 
 
-def fixes(
-    truth: Truth,
-    rng: np.random.Generator,
-    position_std: ArrayLike = RTK_STD,
-    lever_arm_b: ArrayLike = (0.0, 0.0, 0.0),
-    velocity_std: ArrayLike | None = None,
-) -> GnssData:
-    """
-    Report the antenna's position, and its velocity, at the epochs of `truth`, with white noise.
+def _simulate(args: argparse.Namespace) -> None:
+    outages = options.outages(args.outage)
+    samples = args.duration * max(args.imu_rate, args.gnss_rate, args.truth_rate)
+    if not 2.0 <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"--duration {args.duration:g} s makes {samples:.3g} samples: 2 to {MOST_SAMPLES:g} fit"
+        )
+    trajectory = _trajectory(args)
+    errors = ImuErrors(
+        accelerometer_std=args.accelerometer_std,
+        gyroscope_std=args.gyroscope_std,
+        accelerometer_bias=args.accelerometer_bias * _FLU,
+        gyroscope_bias=args.gyroscope_bias * _FLU,
+        accelerometer_bias_walk=args.accelerometer_bias_walk,
+        gyroscope_bias_walk=args.gyroscope_bias_walk,
+        noise_schedule=args.noise_schedule,
+        mount_rpy=np.radians(args.mount_rpy) * _FLU,
+    )
+    imu_rng, gnss_rng, orientation_rng = np.random.default_rng(args.seed).spawn(3)
+    motion = sample(trajectory, sample_times(args.duration, args.imu_rate))
+    imu = corrupt(motion, errors, imu_rng)
+    gnss = fixes(
+        sample(trajectory, sample_times(args.duration, args.gnss_rate)),
+        gnss_rng,
+        args.gnss_noise,
+        args.lever_arm * _FLU,
+        args.gnss_velocity,
+    ).without(outages)
 
-    Parameters
-    ----------
-    truth : Truth
-        Sampled at the fixes' epochs.
-    rng : Generator
-    position_std : array_like, shape (3,)
-        North, east, down [m].
-    lever_arm_b : array_like, shape (3,)
-        From the IMU to the antenna, FRD [m].
-    velocity_std : array_like, shape (3,), optional
-        North, east, down [m/s]; None for a receiver that reports no velocity.
-    """
-    position_rng, velocity_rng = rng.spawn(2)
-    position_std = np.broadcast_to(np.asarray(position_std, float), 3)
-    lever_arm_b = np.asarray(lever_arm_b, float)
-    C_nb = truth.C_nb
-    offset_n = C_nb @ lever_arm_b + position_std * position_rng.standard_normal((truth.t.size, 3))
-    lla = truth.lla + offset_n / earth.curvature_scale(truth.lla.T).T
-
-    velocity_n = None
-    if velocity_std is not None:
-        velocity_std = np.broadcast_to(np.asarray(velocity_std, float), 3)
-        noise = velocity_std * velocity_rng.standard_normal((truth.t.size, 3))
-        turning_b = np.cross(truth.angular_rate_eb_b, lever_arm_b)
-        velocity_n = truth.velocity_n + (C_nb @ turning_b[..., None])[..., 0] + noise
-    return GnssData(truth.t, lla, position_std, velocity_n, velocity_std)
-
-
-def to_body(C_nb: Array, vectors_n: Array) -> Array:
-    """Turn vectors (N, 3) from n to b by the matrices (N, 3, 3)."""
-    turned: Array = np.einsum("nij,ni->nj", C_nb, vectors_n)
-    return turned
-
-
-def _curvilinear(
-    start_lla: Array, displacement: Array, velocity: Array, acceleration: Array
-) -> tuple[Array, Array, Array]:
-    per_metre = 1.0 / earth.curvature_scale(start_lla)
-    return start_lla + displacement * per_metre, velocity * per_metre, acceleration * per_metre
-
-
-def _earth_rate_n(lat: Array) -> Array:
-    north, down = earth.earth_rate_n(lat)
-    return np.stack((north, np.zeros_like(north), down), axis=-1)
-
-
-def _rate_of_rpy(rpy: Array, rpy_rate: Array) -> Array:
-    """Angular rate, body axes, of changing Euler angles ([2]_ eq. 36)."""
-    (sin_roll, sin_pitch, _), (cos_roll, cos_pitch, _) = np.sin(rpy).T, np.cos(rpy).T
-    roll_rate, pitch_rate, yaw_rate = rpy_rate.T
-    return np.stack(
-        (
-            roll_rate - sin_pitch * yaw_rate,
-            cos_roll * pitch_rate + sin_roll * cos_pitch * yaw_rate,
-            cos_roll * cos_pitch * yaw_rate - sin_roll * pitch_rate,
-        ),
-        axis=-1,
+    offset_ns = round(args.time_offset * 1e9)
+    gnss_record = GnssRecord(
+        _stamps(gnss.t) - offset_ns,
+        gnss.lla,
+        gnss.position_std,
+        gnss.velocity_n,
+        gnss.velocity_std,
+    )
+    truth = sample(trajectory, sample_times(args.duration, args.truth_rate))
+    track = Track.from_navigation(
+        _stamps(truth.t) - offset_ns,
+        truth.lla,
+        truth.velocity_n,
+        truth.quat_xyzw,
+        datum_lla=flight_bag.first_datum(gnss_record),
+    )
+    imu_record = ImuRecord(_stamps(imu.t), imu.specific_force, imu.angular_rate)
+    if args.orientation:
+        error = quat_from_rpy(*(ORIENTATION_STD * orientation_rng.standard_normal(3)))
+        mount = quat_from_rpy(*np.asarray(errors.mount_rpy))
+        imu_record = replace(
+            imu_record,
+            quat_xyzw=quat_multiply(motion.quat_xyzw, quat_multiply(error, mount)),
+            attitude_std=ORIENTATION_STD,
+        )
+    flight_bag.write_flight(
+        args.out,
+        imu_record,
+        gnss_record,
+        TruthRecord(track, truth.angular_rate_eb_b),
+        log_offset_ns=offset_ns,
+        others=[_hidden_entries(imu, args.imu_rate)],
+        overwrite=args.overwrite,
+    )
+    print(
+        f"{args.out}: {args.trajectory}, {args.duration:g} s;"
+        f" {imu.t.size} IMU samples at {args.imu_rate:g} Hz,"
+        f" {gnss.t.size} fixes at {args.gnss_rate:g} Hz,"
+        f" {truth.t.size} epochs of truth at {args.truth_rate:g} Hz"
     )
 
 
-def _random_walk(
-    first: ArrayLike, walk: ArrayLike, count: int, dt: float, rng: np.random.Generator
-) -> Array:
-    steps = np.asarray(walk, float) * np.sqrt(dt) * rng.standard_normal((count, 3))
-    steps[0] = first
-    return np.cumsum(steps, axis=0)
+def _trajectory(args: argparse.Namespace) -> Trajectory:
+    motion: dict[str, object] = {"heading": np.radians(args.heading)}
+    if args.start is not None:
+        lat, lon, height = args.start
+        if not (abs(lat) <= 89.0 and abs(lon) <= 360.0 and abs(height) <= 20_000.0):
+            raise InputError(
+                f"--start {lat:g} {lon:g} {height:g}: give latitude [deg, within 89], longitude"
+                " [deg] and height [m, within 20000]"
+            )
+        motion["start_lla"] = np.array([np.radians(lat), np.radians(lon), height])
+    if args.trajectory != "static":
+        motion["seed"] = args.variant
+    return TRAJECTORIES[args.trajectory](args.duration, **motion)
 
 
-def _gauss_markov(std: ArrayLike, decay: float, count: int, rng: np.random.Generator) -> Array:
-    drive = np.asarray(std, float) * rng.standard_normal((count, 3))
-    drive[1:] *= np.sqrt(1.0 - decay**2)  # the first value is drawn from the steady state
-    coloured: Array = lfilter([1.0], [1.0, -decay], drive, axis=0)
-    return coloured
+def _hidden_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
+    """Messages of what no sensor tells: the true biases and noise variances, sensor axes (FLU)."""
+    bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
+    noise = new_message("geometry_msgs/msg/Vector3Stamped")
+    for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
+        stamp_ns = int(_stamps(imu.t[row]))
+        flight_bag.stamp(bias, stamp_ns, "imu_link")
+        flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] * _FLU)
+        flight_bag.set_vector(bias.accel.accel.angular, imu.gyroscope_bias[row] * _FLU)
+        yield stamp_ns, 4, "/truth/imu/bias", bias
+        flight_bag.stamp(noise, stamp_ns, "imu_link")
+        for name in ("accelerometer", "gyroscope"):
+            flight_bag.set_vector(noise.vector, getattr(imu, f"{name}_std")[row] ** 2)
+            yield stamp_ns, 5, f"/truth/q/{name}", noise
+
+
+def _stamps(t: ArrayLike) -> NDArray[np.int64]:
+    return np.rint(np.asarray(t) * 1e9).astype(np.int64) + EPOCH_NS
+
+
+def _schedule(text: str) -> tuple[tuple[float, float], ...]:
+    try:
+        pairs = [tuple(map(float, pair.split(":"))) for pair in text.split(",")]
+        if all(len(p) == 2 and np.isfinite(p).all() and p[1] >= 0.0 for p in pairs):
+            return tuple((start, factor) for start, factor in pairs)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(
+        f"{text!r}: write START:FACTOR,START:FACTOR,... as in 0:1,20:5"
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
