@@ -1,0 +1,299 @@
+"""
+Train a noise regressor; write the ONNX file and its model card.
+
+One run makes everything from a seed: data, training, `NAME.onnx`, `NAME.md`. The same seed on the
+same machine gives the same file, also when the run was interrupted and resumed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import regressor_card
+import regressor_networks as networks
+
+from hybrid_ins.errors import InputError
+from hybrid_ins.offline import noise_data, program
+from hybrid_ins.regressor import FORMAT, Regressor
+
+Loss = Callable[[Sequence[Tensor]], Tensor]
+
+PAPER_TEXT = """\
+The regressor of Or & Klein, "A Hybrid Model and Learning-Based Adaptive Navigation Filter" (IEEE
+TIM 2022, section III-C), rebuilt: three one-dimensional convolutions (5 filters of 20, 3 of 10, 3
+of 5), leaky ReLU 0.01, layer normalisation over (channel, length), global average pooling, linear
+layers 100-80-50-20-1. Trained as in the paper: Adam 1e-3, batches of 500, 30 epochs, rate x 0.1
+after 20, squared error, 80 % of its data set drawn at random.
+
+Input: one channel's raw window a row, float32 (channels, window) in m/s² or rad/s. Output: noise
+variance of one sample, in those units squared.
+
+**Limits.** It knows q from 0.001 to 0.025, white noise and the paper's motion; outside it is
+wrong by orders of magnitude (tables below). It is here as the baseline. Use the plateau model."""
+
+PLATEAU_TEXT = """\
+Estimates the low-frequency plateau of a channel's noise, as the variance per sample of the white
+noise with that plateau, at the window's end: what navigation integrates. For white noise it is
+the variance. Vibration tones, steps, manoeuvres and bias do not count.
+
+Inside the graph: centre, divide by the largest magnitude, energies of fixed unit-gain bands (DCT
+under several tapers and trend removals, the window's last half and quarter, differences over
+tenths of it), and a small network that sees only ratios of these energies and answers with their
+weights and one factor. So the model is offset-invariant and scale-equivariant whatever its
+weights.
+
+Input: one channel's raw window a row, float32 (channels, window) in any unit. Output: variance of
+one sample in that unit squared. Subtract its mean in double precision before: float32 cannot
+hold small noise on it.
+
+Trained on synthetic windows only (`hybrid_ins.offline.noise_data.randomised_set`), never on the
+paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
+repeated samples, clipping, quantisation.
+
+**Limits.** Noise whose floor hides between motion and vibration without a gap cannot be seen.
+Repeated samples are undone: the estimate is that of the readings before repetition. A window that
+ends less than about 20 samples after a change of level shows the old level. Floor the result at
+LSB²/12."""
+
+
+class Recipe(NamedTuple):
+    """What training needs to know."""
+
+    network: nn.Module
+    inputs: tuple[Tensor, ...]
+    loss: Loss
+    batch: int
+    epochs: int
+    rates: Callable[[int], float]
+    """Learning rate of an epoch."""
+
+
+def paper_recipe(args: argparse.Namespace) -> tuple[Recipe, noise_data.Windows]:
+    """Return the paper's recipe and the test share of its data."""
+    duration = 8.0 if args.quick else noise_data.PAPER_DURATION_S
+    data = noise_data.paper_set(args.seed, args.window, duration_s=duration)
+    train, test = noise_data.random_split(data, args.seed)
+    network = networks.PaperNet(args.window)
+    # In units of 0.01, which Adam does not see but single precision does.
+    labels = torch.from_numpy(train.variance.astype(np.float32))
+
+    def loss(batch: Sequence[Tensor]) -> Tensor:
+        readings, variance = batch
+        return ((network(readings) - variance) * 100.0).square().mean()
+
+    epochs = args.epochs or (2 if args.quick else 30)
+    readings = torch.from_numpy(train.readings)
+    return (
+        Recipe(network, (readings, labels), loss, 500, epochs, lambda e: 1e-3 if e < 20 else 1e-4),
+        test,
+    )
+
+
+def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> Recipe:
+    """Return our recipe: energies computed once, errors of log q weighed by the network's doubt."""
+    network = networks.PlateauNet(args.window)
+    total = args.windows or (4000 if args.quick else 1_200_000)
+    chunk = 4000
+    parts: list[tuple[Tensor, Tensor, Tensor]] = []
+    for index in tqdm(range(total // chunk), desc="windows", disable=not sys.stderr.isatty()):
+        seed = args.seed * 1_000_003 + index
+        data = noise_data.randomised_set(seed, chunk, args.window, backgrounds=backgrounds)
+        with torch.no_grad():
+            energies, repeats, scale = network.energies(torch.from_numpy(data.readings))
+        target = torch.from_numpy(np.log(data.variance)).float() - 2.0 * torch.log(scale)
+        parts.append((energies, repeats, target))
+    energies, repeats, target = (torch.cat(columns) for columns in zip(*parts, strict=True))
+
+    def loss(batch: Sequence[Tensor]) -> Tensor:
+        energies, repeats, target = batch
+        level, coarse, doubt = network.log_level(energies, repeats)
+        # Errors count relative to what the window allows: 10 % on a clean one weighs as much as a
+        # factor of two where motion and vibration cover the floor.
+        scale = torch.exp(doubt).clamp_min(0.02)
+        nothing = torch.zeros_like(level)
+        miss = nn.functional.huber_loss((level - target) / scale, nothing, delta=1.5)
+        guide = nn.functional.huber_loss(coarse, target, delta=0.3)
+        return torch.log(scale).mean() + miss + 0.1 * guide
+
+    epochs = args.epochs or (2 if args.quick else 60)
+
+    def rate(epoch: int) -> float:
+        return float(3e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)) + 1e-5)
+
+    return Recipe(network, (energies, repeats, target), loss, 2000, epochs, rate)
+
+
+def fit(recipe: Recipe, checkpoint: Path, resume: bool, seed: int) -> None:
+    """Train in place; the state after each epoch is kept in `checkpoint` until the end."""
+    optimiser = torch.optim.Adam(recipe.network.parameters())
+    first = 0
+    if resume and checkpoint.is_file():
+        saved = torch.load(checkpoint, weights_only=True)
+        recipe.network.load_state_dict(saved["network"])
+        optimiser.load_state_dict(saved["optimiser"])
+        first = int(saved["epoch"])
+    size = len(recipe.inputs[0])
+    progress = tqdm(range(first, recipe.epochs), desc="epochs", disable=not sys.stderr.isatty())
+    for epoch in progress:
+        # The order depends on seed and epoch alone, so that a resumed run is the same run.
+        order = np.random.default_rng((seed, epoch)).permutation(size)
+        for group in optimiser.param_groups:
+            group["lr"] = recipe.rates(epoch)
+        losses = []
+        for start in range(0, size, recipe.batch):
+            rows = torch.from_numpy(order[start : start + recipe.batch])
+            loss = recipe.loss([column[rows] for column in recipe.inputs])
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            losses.append(loss.detach())
+        progress.set_postfix(loss=f"{torch.stack(losses).mean().item():.3e}")
+        torch.save(
+            {
+                "network": recipe.network.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "epoch": epoch + 1,
+            },
+            checkpoint,
+        )
+
+
+def background_windows(bags: Sequence[str], topic: str, window: int) -> np.ndarray | None:
+    """Return windows (M, N) of the recordings' IMU channels, half overlapping."""
+    if not bags:
+        return None
+    # Only here: training without recordings needs no bag reader.
+    from hybrid_ins.offline.bags import BagReader
+
+    rows: list[np.ndarray] = []
+    for path in bags:
+        with BagReader(path) as bag:
+            imu = bag.imu(topic)
+        readings = np.hstack((imu.specific_force, imu.angular_rate))
+        for start in range(0, len(readings) - window + 1, window // 2):
+            piece = readings[start : start + window].T
+            rows.extend(row for row in piece if np.isfinite(row).all() and np.ptp(row) > 0.0)
+        if not rows:
+            raise InputError(f"{path}: no window of {window} IMU samples on {topic}")
+    return np.asarray(rows, dtype=np.float32)
+
+
+def train(args: argparse.Namespace) -> int:
+    """Do what the command line asks for."""
+    torch.set_num_threads(args.threads)
+    torch.use_deterministic_algorithms(True)
+    torch.manual_seed(args.seed)
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    name = args.name or args.model
+    checkpoint = out / f"{name}.checkpoint.pt"
+    test: noise_data.Windows | None = None
+    if args.model == "paper":
+        recipe, test = paper_recipe(args)
+    else:
+        backgrounds = background_windows(args.background, args.topic, args.window)
+        recipe = plateau_recipe(args, backgrounds)
+    fit(recipe, checkpoint, args.resume, args.seed)
+    rates = noise_data.RATE_RANGE_HZ
+    metadata = {
+        "hybrid_ins.format": FORMAT,
+        "hybrid_ins.name": name,
+        "hybrid_ins.window": str(args.window),
+        "hybrid_ins.rate_min": f"{rates[0]:g}",
+        "hybrid_ins.rate_max": f"{rates[1]:g}",
+        "hybrid_ins.centred": "0" if args.model == "paper" else "1",
+        "hybrid_ins.input": "one channel a row, m/s^2 or rad/s, oldest sample first",
+        "hybrid_ins.output": f"{'variance' if args.model == 'paper' else 'plateau'} per sample",
+        "hybrid_ins.seed": str(args.seed),
+    }
+    recipe.network.eval()
+    if isinstance(recipe.network, networks.PaperNet):
+        model = networks.onnx_paper(recipe.network, metadata)
+    else:
+        assert isinstance(recipe.network, networks.PlateauNet)
+        model = networks.onnx_plateau(recipe.network, metadata)
+    path = out / f"{name}.onnx"
+    onnx.save(model, path)
+    regressor = Regressor.load(path)
+    regressor_card.write_card(
+        path.with_suffix(".md"),
+        regressor,
+        title=f"{name}.onnx",
+        text=PAPER_TEXT if args.model == "paper" else PLATEAU_TEXT,
+        command=_command(args),
+        paper_test=test,
+        quick=args.quick,
+    )
+    checkpoint.unlink(missing_ok=True)
+    print(f"{path}\n{path.with_suffix('.md')}")
+    return 0
+
+
+def _command(args: argparse.Namespace) -> str:
+    """Return the command to write in the card: choices, but no path of this machine."""
+    words = ["python tools/train_regressor.py", f"--model {args.model}", f"--seed {args.seed}"]
+    for option in ("window", "windows", "epochs"):
+        value = getattr(args, option)
+        if value and value != _parser().get_default(option):
+            words.append(f"--{option} {value}")
+    if args.quick:
+        words.append("--quick")
+    if args.background:
+        words.append("--background " + " ".join(Path(bag).name for bag in args.background))
+    return " ".join(words)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="train_regressor",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="""\
+examples:
+  python tools/train_regressor.py --model plateau
+  python tools/train_regressor.py --model plateau --name my_robot --background flight1.mcap drive2/
+needs: pip install torch onnx onnxruntime scipy tqdm""",
+    )
+    parser.add_argument("--model", choices=("plateau", "paper"), required=True)
+    parser.add_argument("--name", help="name of the files; default: the model's")
+    parser.add_argument("--out", default="models", help="folder to write to (default: models)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--window", type=int, default=200, help="samples N in a window")
+    parser.add_argument("--windows", type=int, help="windows to train on (plateau)")
+    parser.add_argument("--epochs", type=int)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="a few seconds, to see that it works")
+    parser.add_argument("--resume", action="store_true", help="go on from the last epoch kept")
+    parser.add_argument(
+        "--background",
+        nargs="+",
+        default=[],
+        metavar="BAG",
+        help="recordings whose motion and vibration to train on (plateau)",
+    )
+    parser.add_argument("--topic", default="/imu/data", help="IMU topic in the recordings")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    args = _parser().parse_args(argv)
+    if args.model == "paper" and args.background:
+        _parser().error("--background is for --model plateau")
+    return program.run(train, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
