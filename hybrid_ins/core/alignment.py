@@ -1,0 +1,243 @@
+"""
+The first state: level from gravity, position and velocity from the fixes, heading from a source.
+
+Works standing and in slow flight: levelling averages the specific force over a window, turned into
+the window's last attitude by the gyroscopes, and is told apart from motion only by its uncertainty.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 5.6.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.attitude import (
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_from_rpy,
+    rpy_from_quat,
+)
+from hybrid_ins.core.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.80665  # m/s²
+STANDING_FORCE_STD = 0.3  # m/s², of the windowed specific force
+STANDING_RATE_STD = 0.02  # rad/s
+TILT_STD_STANDING = 0.02  # rad
+TILT_STD_MOVING = 0.1  # rad
+CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
+FIX_WINDOW = 1.5  # s, of fixes that give the first velocity
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentSettings:
+    """
+    How to begin.
+
+    Attributes
+    ----------
+    heading_source : str
+        parameter, imu, course, or auto (course once it moves).
+    yaw, yaw_std : float
+        Heading of b from north [rad] for ``parameter``, its uncertainty (also of ``imu``).
+    course_min_speed : float
+        [m/s].
+    window : float
+        IMU time that levelling averages [s].
+    bias_a_std, bias_g_std : float
+        Uncertainty of the biases [m/s², rad/s].
+    """
+
+    heading_source: str
+    yaw: float
+    yaw_std: float
+    course_min_speed: float
+    window: float
+    bias_a_std: float
+    bias_g_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A first state: what `InsFilter` begins with."""
+
+    state: NavState
+    t_ns: int
+    sample: Array  # (6,) the IMU sample at t_ns
+
+
+class Alignment:
+    """
+    Collects what the first state needs, and says what is missing.
+
+    Parameters
+    ----------
+    settings : AlignmentSettings
+        See there.
+    ring : ImuRing
+        Recent IMU samples; its owner fills it.
+
+    Attributes
+    ----------
+    waiting_for : str
+        What the last attempt lacked, in words for the user.
+    """
+
+    def __init__(self, settings: AlignmentSettings, ring: ImuRing) -> None:
+        self._settings = settings
+        self._ring = ring
+        self._fixes: deque[PositionFix] = deque(maxlen=64)
+        self._velocity: VelocityFix | None = None
+        self._imu_yaw: float | None = None
+        self._hand: tuple[float, float] | None = None
+        self.waiting_for = "IMU samples"
+
+    def observe(self, measurement: Measurement) -> None:
+        """Take a fix or a GNSS velocity."""
+        if isinstance(measurement, PositionFix):
+            self._fixes.append(measurement)
+        elif isinstance(measurement, VelocityFix):
+            self._velocity = measurement
+
+    def observe_yaw(self, yaw: float) -> None:
+        """Take the heading [rad from north] of the IMU's own orientation."""
+        self._imu_yaw = yaw
+
+    def set_yaw(self, yaw: float, std: float) -> None:
+        """Take a heading [rad from north] given by hand; it goes before every other source."""
+        self._hand = (yaw, std)
+
+    def attempt(self) -> Start | None:
+        """Return the first state at the last IMU sample, or None and set ``waiting_for``."""
+        if self._ring.count == 0:
+            self.waiting_for = "IMU samples"
+            return None
+        now = int(self._ring.latest(1)["t_ns"][0])
+        window_ns = int(self._settings.window * 1e9)
+        samples = self._ring.after(now - window_ns - 1)
+        if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
+            self.waiting_for = f"{self._settings.window:g} s of IMU samples for levelling"
+            return None
+        recent = [f for f in self._fixes if now - f.t_ns < 2 * FIX_WINDOW * 1e9]
+        if not recent:
+            self.waiting_for = "a GNSS fix"
+            return None
+        roll, pitch, tilt_std, rate = self._level(samples)
+        motion = self._motion(recent, now)
+        if motion is None:
+            self.waiting_for = "a second GNSS fix, for the first velocity"
+            return None
+        lla, p_cov, velocity_n, v_cov = motion
+        heading = self._heading(velocity_n, v_cov)
+        if heading is None:
+            return None
+        yaw, yaw_std = heading
+        quat = quat_from_rpy(roll, pitch, yaw)
+        C_nb = matrix_from_quat(quat)
+        standing = tilt_std == TILT_STD_STANDING
+        ie_n, ie_d = earth_rate_n(lla[0])
+        bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d]) if standing else np.zeros(3)
+        bias_g_std = 0.1 * STANDING_RATE_STD if standing else self._settings.bias_g_std
+        P = np.zeros((N_ERROR, N_ERROR))
+        P[DP, DP], P[DV, DV] = p_cov, v_cov
+        P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
+        P[B_A, B_A] = np.eye(3) * self._settings.bias_a_std**2
+        P[B_G, B_G] = np.eye(3) * min(bias_g_std, self._settings.bias_g_std) ** 2
+        last = samples[-1]
+        return Start(
+            NavState(lla, velocity_n, quat, np.zeros(3), bias_g, P),
+            now, np.concatenate((last["f"], last["w"])))
+
+    def _level(self, samples: NDArray[np.void]) -> tuple[float, float, float, Array]:
+        """Roll, pitch [rad], their uncertainty, and the mean rate; [1]_ eq. 5.101."""
+        force, rate = samples["f"], samples["w"]
+        standing = bool(
+            np.all(force.std(axis=0) < STANDING_FORCE_STD)
+            and np.all(rate.std(axis=0) < STANDING_RATE_STD)
+            and np.all(np.abs(rate.mean(axis=0)) < 3.0 * STANDING_RATE_STD))
+        # Attitude of every sample relative to the last, from the gyroscopes backwards.
+        dt = np.diff(samples["t_ns"]) * 1e-9
+        C_last = np.eye(3)
+        total = force[-1].copy()
+        for k in range(len(dt) - 1, -1, -1):
+            turn = matrix_from_quat(quat_from_rotvec(-0.5 * (rate[k] + rate[k + 1]) * dt[k]))
+            C_last = C_last @ turn
+            total += C_last @ force[k]
+        up = -total / np.linalg.norm(total)
+        # g_b points along -f: roll and pitch of the frame whose down axis that is.
+        roll = math.atan2(up[1], up[2])
+        pitch = math.atan2(-up[0], math.hypot(up[1], up[2]))
+        return roll, pitch, TILT_STD_STANDING if standing else TILT_STD_MOVING, rate.mean(axis=0)
+
+    def _motion(self, fixes: list[PositionFix], now: int) -> (
+            tuple[Array, Array, Array, Array] | None):
+        """Position and velocity now with covariances, from fixes (and a GNSS velocity)."""
+        last = fixes[-1]
+        lla = last.lla.copy()
+        if not math.isfinite(lla[2]):
+            heights = [f.lla[2] for f in fixes if math.isfinite(f.lla[2])]
+            lla[2] = heights[-1] if heights else 0.0
+        scale = curvature_scale(lla)
+        p_cov = last.covariance_n.copy()
+        if not np.isfinite(p_cov[2, 2]) or not math.isfinite(last.lla[2]):
+            p_cov[2, :] = p_cov[:, 2] = 0.0
+            p_cov[2, 2] = 100.0**2
+        if self._velocity is not None and abs(now - self._velocity.t_ns) < 1e9:
+            velocity_n = np.nan_to_num(self._velocity.velocity_n)
+            v_cov = np.diag(np.maximum(np.nan_to_num(np.diag(self._velocity.covariance_n)), 0.01))
+        else:
+            window = [f for f in fixes if last.t_ns - f.t_ns <= FIX_WINDOW * 1e9]
+            span = (last.t_ns - window[0].t_ns) * 1e-9
+            if span < 0.3:
+                older = [f for f in fixes if f not in window]
+                if not older:
+                    return None
+                window = [older[-1], last]
+                span = (last.t_ns - window[0].t_ns) * 1e-9
+            t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in window])
+            offsets = np.nan_to_num(np.array([(f.lla - last.lla) * scale for f in window]))
+            centred = t - t.mean()
+            velocity_n = centred @ offsets / (centred @ centred)
+            # The slope is the velocity of the window's middle: what an acceleration of a few
+            # metres per second squared may have changed since is not known.
+            v_cov = np.diag(np.diag(p_cov)) / (centred @ centred) + np.eye(3) * (0.5 * span) ** 2
+        age = (now - last.t_ns) * 1e-9
+        p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * age**2) ** 2
+        return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
+
+    def _heading(self, velocity_n: Array, v_cov: Array) -> tuple[float, float] | None:
+        """Heading [rad from north] and its uncertainty, or None and ``waiting_for``."""
+        settings = self._settings
+        if self._hand is not None:
+            return self._hand
+        if settings.heading_source == "parameter":
+            return settings.yaw, settings.yaw_std
+        if settings.heading_source == "imu":
+            if self._imu_yaw is None:
+                self.waiting_for = "an orientation in the IMU messages (heading_source is imu)"
+                return None
+            return self._imu_yaw, settings.yaw_std
+        speed = math.hypot(velocity_n[0], velocity_n[1])
+        if speed < settings.course_min_speed:
+            self.waiting_for = (f"motion for the heading: {speed:.1f} m/s over ground, "
+                                f"{settings.course_min_speed:g} needed")
+            return None
+        course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
+        return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
+
+
+def yaw_of(quat_xyzw: Array) -> float:
+    """Heading [rad from north] of an attitude C_nb."""
+    return float(rpy_from_quat(quat_xyzw)[2])

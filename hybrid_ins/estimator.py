@@ -1,0 +1,429 @@
+"""
+What the node and ``ins_replay`` share: messages in, the navigator inside, messages out.
+
+Owns no topic, no file and no clock: time is the stamps of the IMU samples. Whoever owns it feeds
+it, and takes what it has to say from ``outbox`` and, at IMU rate, from ``odometry``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from hybrid_ins import conversions, parameters
+from hybrid_ins.conversions import FLIP, OUTPUTS, GnssInput, MapFrame, Message, NewMessage, Refused
+from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings, NoiseChange
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.noise import ConstantNoise, NoiseModel, ProcessNoise
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.core.state import N_NAV
+from hybrid_ins.wire import ImuFields
+
+Array = NDArray[np.float64]
+Log = Callable[[str, str], None]
+
+REPORT_NS = 100_000_000  # biases, variances and the filtered fix
+DIAGNOSTICS_NS = 1_000_000_000
+BLOCK = 256  # samples that a recorded stretch is processed in
+N_ODOMETRY = 85
+DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
+
+
+class Estimator:
+    """
+    An INS/GNSS estimator for ROS messages.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters, see `parameters.check_all`.
+    new_message : callable
+        Returns an empty message of a type name such as ``nav_msgs/msg/Odometry``.
+    log : callable
+        Called with a level (info, warn, error) and a line for the user.
+
+    Attributes
+    ----------
+    outbox : deque of (str, Message)
+        Topic and message, for the owner to publish and remove.
+    odometry : ndarray, shape (85,)
+        What an Odometry message says after the last sample (`conversions.odometry_values`).
+    counts : Counter
+        Everything refused, by name.
+    ever_aligned : bool
+        The filter ran at some time.
+    """
+
+    def __init__(self, values: Mapping[str, Any], new_message: NewMessage, log: Log) -> None:
+        self.values = dict(values)
+        self.outbox: deque[tuple[str, Message]] = deque()
+        self.odometry = np.zeros(N_ODOMETRY)
+        self._new = new_message
+        self._log = log
+        self._map: MapFrame | None = None
+        self._mount = conversions.mount_matrix(values["imu.mount_rpy"])
+        self._arm_b = FLIP @ np.array(values["imu.position"])
+        self._gnss = GnssInput.from_parameters(values)
+        self._limits = (values["imu.max_specific_force"], values["imu.max_angular_rate"])
+        self.navigator = Navigator(
+            AlignmentSettings(
+                values["alignment.heading_source"],
+                conversions.yaw_ned_from_enu(values["alignment.yaw"]),
+                values["alignment.yaw_std"], values["alignment.course_min_speed"],
+                values["alignment.window"], values["imu.accelerometer_bias_std"],
+                values["imu.gyroscope_bias_std"]),
+            FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
+            self._make_noise, self._make_process, self._make_gate, values["imu.max_gap"])
+        self.counts: Counter[str] = self.navigator.counts
+        self._report_ns = 0
+        self._diagnostics_ns = 0
+        self._fused_ns = 0
+        self._accepted = 0
+        self._aligned = False
+        self.ever_aligned = False
+        if values["datum"]:
+            lat, lon, height = values["datum"]
+            self._set_datum(np.array([math.radians(lat), math.radians(lon), height]), 1)
+
+    # Parameters become parts of the filter.
+
+    def _make_noise(self) -> NoiseModel:
+        q_a, q_g = self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]
+        return ConstantNoise(np.array([q_a] * 3 + [q_g] * 3))
+
+    def _make_process(self, period: float) -> ProcessNoise:
+        walk_a = self.values["imu.accelerometer_bias_walk"]
+        walk_g = self.values["imu.gyroscope_bias_walk"]
+        return ProcessNoise(
+            np.array([walk_a**2] * 3 + [walk_g**2] * 3), period,
+            self.values["noise.units"] == "consistent")
+
+    def _make_gate(self) -> Gate:
+        probability = self.values["gnss.gate_probability"]
+        return Gate({m: float(chi2.ppf(probability, m)) for m in (1, 2, 3)},
+                    self.values["gnss.patience"])
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Take checked values of run-time parameters without losing the state."""
+        self.values.update(changes)
+        self._gnss = GnssInput.from_parameters(self.values)
+        running = self.navigator.filter
+        if running is not None:
+            running.process = self._make_process(running.process.period)
+            running.gate = self._make_gate()
+            if any(name.startswith("noise.") for name in changes):
+                running.submit(NoiseChange(running.t_ns, self._make_noise()))
+
+    # Messages in.
+
+    @property
+    def aligned(self) -> bool:
+        """The filter runs and odometry is valid."""
+        return self._map is not None and self.navigator.filter is not None
+
+    def imu_message(self, imu: ImuFields) -> bool:
+        """Take one Imu message; True when ``odometry`` was renewed."""
+        if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
+            self._refuse("imu/data", Refused(
+                "imu: no reading", "covariance[0] is -1: the message says that it carries no "
+                "acceleration or no angular rate"))
+            return False
+        if self.wants_orientation and imu.orientation_cov0 != -1.0:
+            self.orientation(imu.orientation_xyzw)
+        return self.imu(imu.stamp_ns, imu.specific_force, imu.angular_rate)
+
+    def imu(
+        self,
+        t_ns: int,
+        force: tuple[float, float, float],
+        rate: tuple[float, float, float],
+    ) -> bool:
+        """
+        Take one Imu message's readings, in its own axes (FLU unless mounted otherwise).
+
+        Returns True when ``odometry`` was renewed.
+        """
+        fx, fy, fz = force
+        wx, wy, wz = rate
+        most_f, most_w = self._limits
+        # A NaN fails every comparison.
+        if not (-most_f <= fx <= most_f and -most_f <= fy <= most_f and -most_f <= fz <= most_f
+                and -most_w <= wx <= most_w and -most_w <= wy <= most_w
+                and -most_w <= wz <= most_w and t_ns > 0):
+            self._refuse_imu(t_ns, force, rate)
+            return False
+        m = self._mount
+        if not self.navigator.imu(
+                t_ns,
+                m[0, 0] * fx + m[0, 1] * fy + m[0, 2] * fz,
+                m[1, 0] * fx + m[1, 1] * fy + m[1, 2] * fz,
+                m[2, 0] * fx + m[2, 1] * fy + m[2, 2] * fz,
+                m[0, 0] * wx + m[0, 1] * wy + m[0, 2] * wz,
+                m[1, 0] * wx + m[1, 1] * wy + m[1, 2] * wz,
+                m[2, 0] * wx + m[2, 1] * wy + m[2, 2] * wz):
+            return False
+        if t_ns >= self._report_ns or self.navigator.verdicts:
+            self._report(t_ns)
+        running = self.navigator.filter
+        if running is None or self._map is None:
+            return False
+        conversions.odometry_values(
+            running.nav, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance,
+            self.odometry)
+        return True
+
+    def imu_block(
+        self, t_ns: NDArray[np.int64], force: Array, rate: Array
+    ) -> list[tuple[NDArray[np.int64], Array]]:
+        """
+        Take many samples, shapes (N,), (N, 3), (N, 3); the result is that of `imu` one by one.
+
+        Returns the stamps and odometry values, (n,) and (n, 85), of each stretch in which the
+        filter ran.
+        """
+        done: list[tuple[NDArray[np.int64], Array]] = []
+        k = 0
+        while k < len(t_ns):
+            if not self.aligned or not self._steady(t_ns[k:k + 1], force[k:k + 1], rate[k:k + 1]):
+                if self.imu(int(t_ns[k]), tuple(force[k]), tuple(rate[k])):
+                    done.append((t_ns[k:k + 1], self.odometry[None].copy()))
+                k += 1
+                continue
+            stop = k + 1 + int(np.searchsorted(t_ns[k + 1:k + BLOCK], self._report_ns))
+            while not self._steady(t_ns[k:stop], force[k:stop], rate[k:stop]):
+                stop = k + max(1, (stop - k) // 2)
+            done.append((t_ns[k:stop], self._run(t_ns[k:stop], force[k:stop], rate[k:stop])))
+            k = stop
+        return done
+
+    def _steady(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> bool:
+        """No sample of a stretch is in any way remarkable."""
+        gaps = np.diff(t_ns, prepend=self.navigator.last_ns)
+        most_f, most_w = self._limits
+        return bool(
+            np.all((gaps > 0) & (gaps <= self.navigator.max_gap_ns))
+            and np.all(np.abs(force) <= most_f) and np.all(np.abs(rate) <= most_w))
+
+    def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Array:
+        assert self._map is not None and self.navigator.filter is not None
+        samples = np.empty(len(t_ns), SAMPLE_DTYPE)
+        samples["t_ns"] = t_ns
+        samples["f"], samples["w"] = force @ self._mount.T, rate @ self._mount.T
+        rows = np.empty((len(t_ns), N_NAV))
+        self.navigator.imu_block(samples, rows)
+        values = np.empty((len(t_ns), N_ODOMETRY))
+        conversions.odometry_block(
+            rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
+        self.odometry[:] = values[-1]
+        end = int(t_ns[-1])
+        if end >= self._report_ns or self.navigator.verdicts:
+            self._report(end)
+        return values
+
+    def orientation(self, quat_xyzw: tuple[float, float, float, float]) -> None:
+        """Take the orientation of an Imu message; it matters only for the first heading."""
+        if self.navigator.filter is None:
+            yaw = conversions.imu_yaw(quat_xyzw, self._mount)
+            if yaw is not None:
+                self.navigator.alignment.observe_yaw(yaw)
+
+    @property
+    def wants_orientation(self) -> bool:
+        """The Imu messages' orientation is of use now."""
+        return (self.navigator.filter is None
+                and self.values["alignment.heading_source"] == "imu")
+
+    def fix(self, message: Message) -> None:
+        """Take a sensor_msgs/NavSatFix."""
+        fix = self._gnss.position(message)
+        if isinstance(fix, Refused):
+            self._refuse("gnss/fix", fix)
+            return
+        if self._map is None:
+            lla = np.nan_to_num(fix.lla)
+            self._set_datum(lla, fix.t_ns)
+        self.navigator.measure(fix)
+        self._tell_verdicts()
+
+    def velocity(self, message: Message) -> None:
+        """Take a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
+        velocity = self._gnss.velocity(message)
+        if isinstance(velocity, Refused):
+            self._refuse("gnss/velocity", velocity)
+            return
+        self.navigator.measure(velocity)
+        self._tell_verdicts()
+
+    def initial_pose(self, message: Message) -> None:
+        """Take a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
+        yaw = conversions.initial_yaw(message)
+        if isinstance(yaw, Refused):
+            self._refuse("initialpose", yaw)
+            return
+        self.reset()
+        self.navigator.alignment.set_yaw(*yaw)
+
+    def reset(self) -> None:
+        """Forget the state and align anew; the map stays where it is."""
+        self.navigator.reset()
+        self._aligned = False
+        self._report_ns = self._diagnostics_ns = 0
+
+    # What goes wrong.
+
+    def _refuse_imu(
+        self, t_ns: int, force: tuple[float, float, float], rate: tuple[float, float, float]
+    ) -> None:
+        if t_ns <= 0:
+            refused = Refused("imu: zero stamp", "header.stamp is zero: the driver must stamp")
+        elif not np.all(np.isfinite((*force, *rate))):
+            refused = Refused("imu: not finite", "NaN or inf in the reading")
+        elif max(map(abs, force)) > self._limits[0]:
+            refused = Refused(
+                "imu: absurd acceleration",
+                f"{max(map(abs, force)):.0f} m/s² exceeds imu.max_specific_force")
+        else:
+            refused = Refused(
+                "imu: absurd rate", f"{max(map(abs, rate)):.0f} rad/s exceeds "
+                "imu.max_angular_rate: is the rate given in degrees?")
+        self._refuse("imu/data", refused)
+
+    def _refuse(self, topic: str, refused: Refused) -> None:
+        """Count what was refused; tell the first, tenth, hundredth... of its name."""
+        self.counts[refused.name] += 1
+        count = self.counts[refused.name]
+        if count == 10 ** (len(str(count)) - 1):
+            so_far = f" ({count} so far)" if count > 1 else ""
+            self._log("warn", f"{topic}: {refused.text}{so_far}")
+
+    # Messages out.
+
+    def _set_datum(self, lla: Array, t_ns: int) -> None:
+        self._map = MapFrame(lla)
+        self.outbox.append(("datum", conversions.datum_fix(
+            self._new, t_ns, self.values["map_frame"], lla)))
+
+    @property
+    def _rate_variance(self) -> Array:
+        running = self.navigator.filter
+        assert running is not None
+        return running.noise.levels()[3:]
+
+    def _tell_verdicts(self) -> None:
+        verdicts = self.navigator.verdicts
+        while verdicts:
+            verdict = verdicts.popleft()
+            if verdict.accepted:
+                self._accepted += 1
+                self._fused_ns = verdict.measurement.t_ns
+                if verdict.reset:
+                    self.counts["gnss: state opened"] += 1
+                    self._log("warn", f"gnss: {verdict.reason}")
+            else:
+                self.counts[f"gnss: {verdict.reason}"] += 1
+            self.outbox.append(("gnss/verdict", conversions.verdict_status(
+                self._new, verdict, self._gnss.time_offset)))
+
+    def _report(self, t_ns: int) -> None:
+        """Say what is not said with every sample."""
+        self._tell_verdicts()
+        if t_ns < self._report_ns:
+            return
+        self._report_ns = t_ns + REPORT_NS
+        running = self.navigator.filter
+        base = self.values["base_frame"]
+        if running is not None:
+            if not self._aligned:
+                self._aligned = self.ever_aligned = True
+                self._log("info", "aligned: the filter runs")
+            state = running.state
+            q = running.noise.levels()
+            for topic, message in (
+                ("gnss/filtered", conversions.filtered_fix(
+                    self._new, t_ns, base, state, self._arm_b)),
+                ("imu/bias", conversions.biases(self._new, t_ns, base, state)),
+                ("q/accelerometer", conversions.variances(self._new, t_ns, base, q[:3])),
+                ("q/gyroscope", conversions.variances(self._new, t_ns, base, q[3:])),
+            ):
+                self.outbox.append((topic, message))
+        if t_ns >= self._diagnostics_ns:
+            self._diagnostics_ns = t_ns + DIAGNOSTICS_NS
+            self.outbox.append(("/diagnostics", self.diagnostics(t_ns)))
+
+    def diagnostics(self, t_ns: int) -> Message:
+        """Return the DiagnosticArray of the present state, stamped ``t_ns`` [ns]."""
+        array = self._new(OUTPUTS["/diagnostics"])
+        conversions.set_stamp(array.header.stamp, t_ns)
+        array.status = [self._filter_status(t_ns), self._input_status(), self._noise_status()]
+        return array
+
+    def _filter_status(self, t_ns: int) -> Message:
+        running = self.navigator.filter
+        if running is None:
+            waiting = self.navigator.waiting_for
+            return conversions.status(
+                self._new, "filter", 1, f"aligning: waiting for {waiting}",
+                {"state": "aligning", "waiting_for": waiting})
+        since = (t_ns - max(self._fused_ns, 1)) * 1e-9 if self._fused_ns else math.inf
+        P = running.state.P
+        sigma = np.sqrt(np.diag(P))
+        outage = since > DEAD_RECKONING_AFTER
+        text = (f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m" if outage
+                else "aligned, GNSS fused")
+        return conversions.status(self._new, "filter", int(outage), text, {
+            "state": "dead reckoning" if outage else "aligned",
+            "since_last_fix": since,
+            "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
+            "sigma_position_vertical": float(sigma[2]),
+            "sigma_heading_deg": math.degrees(sigma[8]),
+            "fixes_fused": self._accepted,
+        })
+
+    def _input_status(self) -> Message:
+        refused = sum(self.counts.values())
+        text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
+        return conversions.status(
+            self._new, "input", int(refused > 0), text, dict(sorted(self.counts.items())))
+
+    def _noise_status(self) -> Message:
+        running = self.navigator.filter
+        source = running.noise.source if running else "none"
+        levels = running.noise.levels() if running else np.full(6, np.nan)
+        return conversions.status(self._new, "process noise", 0, f"source: {source}", {
+            "source": source, "mode": self.values["noise.mode"],
+            **{f"q_{channel}": float(value) for channel, value in zip(
+                ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True)}})
+
+    def summary(self) -> str:
+        """Return a line on what was fused and what was not."""
+        refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.counts.items()))
+        return f"{self._accepted} fixes fused" + (f"; {refused}" if refused else "")
+
+
+def warm_up(new_message: NewMessage) -> None:
+    """Compile, or load from the cache, everything that runs at the IMU's rate."""
+    values = {**parameters.defaults(), "alignment.heading_source": "parameter",
+              "alignment.window": 0.05}
+    estimator = Estimator(values, new_message, lambda level, text: None)
+    fix = new_message("sensor_msgs/msg/NavSatFix")
+    velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
+    for k in range(1, 101):
+        t_ns = k * 10_000_000
+        estimator.imu(t_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+        if k % 20 == 0:
+            for message in (fix, velocity):
+                conversions.set_stamp(message.header.stamp, t_ns)
+            estimator.fix(fix)
+            estimator.velocity(velocity)
+    stamps = 1_000_000_000 + 10_000_000 * np.arange(1, 6)
+    estimator.imu_block(stamps, np.tile([0.0, 0.0, 9.8], (5, 1)), np.zeros((5, 3)))
+    if not estimator.ever_aligned:
+        raise RuntimeError("the warm-up run did not reach the filter")

@@ -1,0 +1,280 @@
+"""
+``ins_node``: the estimator on ROS 2. Callbacks convert, call, publish; nothing is computed here.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import (
+    AccelWithCovarianceStamped,
+    PoseWithCovarianceStamped,
+    TwistWithCovarianceStamped,
+    Vector3Stamped,
+)
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from sensor_msgs.msg import Imu, NavSatFix
+from std_srvs.srv import Trigger
+
+from hybrid_ins import conversions, parameters
+from hybrid_ins.errors import InputError
+from hybrid_ins.estimator import Estimator, warm_up
+from hybrid_ins.wire import ImuDecoder, OdometryEncoder
+
+MESSAGES = {
+    "nav_msgs/msg/Odometry": Odometry,
+    "sensor_msgs/msg/NavSatFix": NavSatFix,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": TwistWithCovarianceStamped,
+    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped,
+    "geometry_msgs/msg/AccelWithCovarianceStamped": AccelWithCovarianceStamped,
+    "diagnostic_msgs/msg/DiagnosticStatus": DiagnosticStatus,
+    "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
+    "diagnostic_msgs/msg/KeyValue": KeyValue,
+}
+IMU_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+GNSS_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+OUTPUT_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
+
+
+class InsNode(Node):
+    """INS/GNSS navigation of one vehicle."""
+
+    def __init__(self) -> None:
+        super().__init__(parameters.NODE_NAME)
+        for p in parameters.PARAMETERS.values():
+            self.declare_parameter(p.name, p.default, _descriptor(p))
+        values = parameters.check_all({
+            name: _plain(self.get_parameter(name).value) for name in parameters.PARAMETERS})
+        self._decoder = ImuDecoder()
+        self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
+        self._estimator = Estimator(values, lambda name: MESSAGES[name](), self._say)
+        self._estimator.odometry = self._encoder.values
+        self._last_imu = time.monotonic()
+        self._next_odometry_ns = 0
+        self._set_rate(values["odometry_rate"])
+
+        overriding = QoSOverridingOptions.with_default_policies()
+        self._publishers_by_topic = {
+            topic: self.create_publisher(
+                MESSAGES[type_name], topic, LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
+                qos_overriding_options=overriding)
+            for topic, type_name in conversions.OUTPUTS.items()}
+        self._publish_odometry = self._publishers_by_topic["odometry"].publish
+        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, raw=True)
+        self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
+        self._subscribe(
+            TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
+        self._subscribe(
+            PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_timer(1.0, self._on_silence, clock=rclpy.clock.Clock())
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self._flush()
+        self.get_logger().info(
+            "ready: waiting for " + self._estimator.navigator.waiting_for)
+
+    def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile,
+                   raw: bool = False) -> None:
+        def incompatible(_event: object) -> None:
+            self.get_logger().error(
+                f"{self.resolve_topic_name(topic)}: a publisher's QoS does not fit "
+                "(its durability or deadline?): nothing arrives from it")
+
+        self.create_subscription(
+            kind, topic, callback, qos, raw=raw,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    # Input.
+
+    def _on_imu(self, data: bytes) -> None:
+        estimator = self._estimator
+        try:
+            imu = self._decoder.decode(data)
+        except ValueError:
+            imu = conversions.imu_fields(deserialize_message(data, Imu))
+        self._last_imu = time.monotonic()
+        if estimator.imu_message(imu) and imu.stamp_ns >= self._next_odometry_ns:
+            self._publish_odometry(self._encoder.message(imu.stamp_ns))
+            self._next_odometry_ns = (
+                imu.stamp_ns - imu.stamp_ns % self._odometry_ns + self._odometry_ns)
+        if estimator.outbox:
+            self._flush()
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        self._estimator.fix(message)
+        self._flush()
+
+    def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
+        self._estimator.velocity(message)
+        self._flush()
+
+    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self._estimator.initial_pose(message)
+        self._flush()
+
+    def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
+        self._estimator.reset()
+        response.success, response.message = True, "aligning anew"
+        return response
+
+    def _on_silence(self) -> None:
+        """Keep diagnostics alive when no IMU sample drives them."""
+        silent = time.monotonic() - self._last_imu
+        if silent < SILENCE:
+            return
+        now = self.get_clock().now().nanoseconds
+        message = self._estimator.diagnostics(now)
+        topic = self.resolve_topic_name("imu/data")
+        message.status.append(conversions.status(
+            lambda name: MESSAGES[name](), "imu", 2,
+            f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
+            "remapped, the QoS compatible?",
+            {"topic": topic, "publishers": self.count_publishers(topic)}))
+        self._publishers_by_topic["/diagnostics"].publish(message)
+
+    # Output.
+
+    def _flush(self) -> None:
+        outbox = self._estimator.outbox
+        while outbox:
+            topic, message = outbox.popleft()
+            self._publishers_by_topic[topic].publish(message)
+
+    def _say(self, level: str, text: str) -> None:
+        logger = self.get_logger()
+        {"info": logger.info, "warn": logger.warning, "error": logger.error}[level](text)
+
+    # Parameters.
+
+    def _set_rate(self, rate: float) -> None:
+        self._odometry_ns = int(1e9 / rate) if rate else 1
+
+    def _check_parameters(self, changes: list[Any]) -> SetParametersResult:
+        try:
+            self._checked(changes)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _checked(self, changes: list[Any]) -> dict[str, Any]:
+        """Check changes of this package's parameters; others are not ours to judge."""
+        known = {p.name: _plain(p.value) for p in changes if p.name in parameters.PARAMETERS}
+        return parameters.check_change(self._estimator.values, known)
+
+    def _take_parameters(self, changes: list[Any]) -> None:
+        checked = self._checked(changes)
+        if checked:
+            self._estimator.change(checked)
+            self._set_rate(self._estimator.values["odometry_rate"])
+
+    def say_goodbye(self) -> None:
+        """Publish what is left and a last diagnostics message."""
+        self._flush()
+        message = self._estimator.diagnostics(self.get_clock().now().nanoseconds)
+        message.status[0].message = "shut down; " + message.status[0].message
+        self._publishers_by_topic["/diagnostics"].publish(message)
+
+
+def _descriptor(parameter: parameters.Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
+        additional_constraints=", ".join(parameter.choices),
+        read_only=False, dynamic_typing=True)
+    bounded = abs(parameter.low) < 1e300 and abs(parameter.high) < 1e300
+    if bounded and isinstance(parameter.default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=parameter.low, to_value=parameter.high)]
+    elif bounded and isinstance(parameter.default, int) and (
+            not isinstance(parameter.default, bool)):
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))]
+    return descriptor
+
+
+def _plain(value: Any) -> Any:
+    """Return a parameter's value as rclpy's arrays and numbers are in YAML."""
+    return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until Ctrl-C or SIGTERM."""
+    arguments = list(sys.argv if argv is None else ["ins_node", *argv])
+    if {"-h", "--help"} & set(arguments[1:]):
+        print(_help())
+        return 0
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    asked_to_stop: Future[None] = Future()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked_to_stop.set_result(None))
+    node = None
+    try:
+        rclpy.logging.get_logger("ins_node").info("preparing the compiled filter")
+        warm_up(lambda name: MESSAGES[name]())
+        node = InsNode()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        while rclpy.ok() and not asked_to_stop.done():
+            # The executor's endless spin() ignores signals.
+            executor.spin_until_future_complete(asked_to_stop, 0.2)
+    except ExternalShutdownException:
+        pass
+    except InputError as error:
+        print(f"ins_node: error: {error}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            if rclpy.ok():
+                node.say_goodbye()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _help() -> str:
+    rows = []
+    for p in parameters.PARAMETERS.values():
+        unit = f" [{p.unit}]" if p.unit else ""
+        words = f" ({', '.join(p.choices)})" if p.choices else ""
+        rows.append(f"  {p.name} = {p.default}{unit}\n      {p.text}{words}")
+    return (
+        "usage: ins_node --ros-args [--params-file F] [-p NAME:=VALUE] [-r FROM:=TO]\n\n"
+        "INS/GNSS navigation: imu/data and gnss/fix in, odometry out.\n\n"
+        "example:\n  ins_node --ros-args --params-file params.yaml -r imu/data:=/my_imu/data\n\n"
+        "parameters and their defaults:\n" + "\n".join(rows))
+
+
+if __name__ == "__main__":
+    status = main()
+    sys.stdout.flush()
+    os._exit(status)
