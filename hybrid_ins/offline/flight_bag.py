@@ -28,7 +28,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import attitude
+from hybrid_ins.conversions import (
+    DIAGONAL,
+    FLIP,
+    STATUS_FIX,
+    SWAP,
+    datum_fix,
+    quat_nb_from_enu,
+    set_stamp,
+)
+from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import program
 from hybrid_ins.offline.bags import BagWriter, Message, new_message
@@ -36,16 +45,12 @@ from hybrid_ins.offline.tracks import Array, Stamps, Track
 
 # 2023-01-01T00:00:00Z. Files and simulations count from zero, which is no valid stamp in ROS.
 EPOCH_NS = 1_672_531_200_000_000_000
+UNKNOWN_VARIANCE = 1e6
 
 IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
-
-_FRD_FLU = np.array([1.0, -1.0, -1.0])  # one body's axes in the other, both ways
-_QUAT_ENU_NED = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
-_QUAT_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])
-_NED_ENU = [1, 0, 2], np.array([1.0, 1.0, -1.0])  # order and sign, both ways
 
 Entry = tuple[int, int, str, Message]  # log time [ns], rank at equal times, topic, message
 
@@ -154,7 +159,7 @@ def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[n
 
 def stamp(message: Message, stamp_ns: int, frame_id: str) -> Message:
     """Fill a message's header and return the message."""
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    set_stamp(message.header.stamp, stamp_ns)
     message.header.frame_id = frame_id
     return message
 
@@ -163,8 +168,7 @@ def _datum_entry(gnss: GnssRecord, truth: TruthRecord, log_ns: int) -> Entry:
     datum_lla = truth.track.datum_lla
     if datum_lla is None:
         raise ValueError("the truth has no datum")
-    message = stamp(new_message(FIX), int(gnss.stamp_ns[0]), "map")
-    _set_position(message, datum_lla)
+    message = datum_fix(new_message, int(gnss.stamp_ns[0]), "map", datum_lla)
     return int(log_ns), -1, "/truth/datum", message
 
 
@@ -174,10 +178,10 @@ def _imu_entries(imu: ImuRecord) -> Iterator[Entry]:
     if imu.quat_xyzw is None or imu.attitude_std is None:
         message.orientation_covariance[0] = -1.0  # sensor_msgs/Imu: no orientation
     else:
-        quats = quat_enu_flu(imu.quat_xyzw)
+        quats = quat_nb_from_enu(imu.quat_xyzw)  # its own inverse
         message.orientation_covariance[[0, 4, 8]] = imu.attitude_std**2
-    specific_force = imu.specific_force_b * _FRD_FLU
-    angular_rate = imu.angular_rate_b * _FRD_FLU
+    specific_force = imu.specific_force_b @ FLIP
+    angular_rate = imu.angular_rate_b @ FLIP
     for row, stamp_ns in enumerate(imu.stamp_ns.tolist()):
         stamp(message, stamp_ns, "imu_link")
         set_vector(message.linear_acceleration, specific_force[row])
@@ -188,12 +192,14 @@ def _imu_entries(imu: ImuRecord) -> Iterator[Entry]:
 
 def _fix_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     message = new_message(FIX)
-    message.status.status = 0  # STATUS_FIX
+    message.status.status = STATUS_FIX
     message.status.service = 1  # SERVICE_GPS
-    message.position_covariance[[0, 4, 8]] = _enu(gnss.position_std) ** 2
-    message.position_covariance_type = 2  # COVARIANCE_TYPE_DIAGONAL_KNOWN
+    message.position_covariance[[0, 4, 8]] = (gnss.position_std @ SWAP) ** 2
+    message.position_covariance_type = DIAGONAL
     for stamp_ns, lla in zip(gnss.stamp_ns.tolist(), gnss.lla, strict=True):
-        _set_position(stamp(message, stamp_ns, "gnss_link"), lla)
+        stamp(message, stamp_ns, "gnss_link")
+        message.latitude, message.longitude = np.degrees(lla[:2]).tolist()
+        message.altitude = float(lla[2])
         yield stamp_ns + log_offset_ns, 1, "/gnss/fix", message
 
 
@@ -201,10 +207,10 @@ def _velocity_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     if gnss.velocity_n is None or gnss.velocity_std is None:
         return
     message = new_message(VELOCITY)
-    covariance = np.zeros((6, 6))
-    covariance[range(6), range(6)] = [*(_enu(gnss.velocity_std) ** 2), -1.0, -1.0, -1.0]
-    message.twist.covariance[:] = covariance.ravel()
-    for stamp_ns, velocity in zip(gnss.stamp_ns.tolist(), _enu(gnss.velocity_n), strict=True):
+    # A receiver knows nothing of the rotation.
+    variances = [*(gnss.velocity_std @ SWAP) ** 2, *np.full(3, UNKNOWN_VARIANCE)]
+    message.twist.covariance[:] = np.diag(variances).ravel()
+    for stamp_ns, velocity in zip(gnss.stamp_ns.tolist(), gnss.velocity_n @ SWAP, strict=True):
         stamp(message, stamp_ns, "gnss_link")
         set_vector(message.twist.twist.linear, velocity)
         yield stamp_ns + log_offset_ns, 2, "/gnss/velocity", message
@@ -216,7 +222,7 @@ def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
     message = new_message(ODOMETRY)
     message.child_frame_id = "base_link"
     quats = np.zeros((count, 4)) if track.quat_xyzw is None else track.quat_xyzw
-    C_map_base = attitude.matrix_from_quat(quats)
+    C_map_base = matrix_from_quat(quats)
     C_base_map = np.swapaxes(C_map_base, -1, -2)
     pose_covariance = np.zeros((count, 6, 6))
     twist_covariance = np.zeros((count, 6, 6))
@@ -231,7 +237,7 @@ def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
         if track.velocity_cov is not None:
             twist_covariance[:, :3, :3] = C_base_map @ track.velocity_cov @ C_map_base
     if track.quat_xyzw is not None and truth.angular_rate_b is not None:
-        angular = truth.angular_rate_b * _FRD_FLU
+        angular = truth.angular_rate_b @ FLIP
         twist_covariance[:, 3:, 3:] = truth.angular_rate_std**2 * np.eye(3)
     pose, twist = message.pose.pose, message.twist.twist
     for row, stamp_ns in enumerate(track.stamp_ns.tolist()):
@@ -253,20 +259,3 @@ def set_vector(target: Message, vector: Array) -> None:
 def set_quaternion(target: Message, quat_xyzw: Array) -> None:
     """Fill a Quaternion message."""
     target.x, target.y, target.z, target.w = quat_xyzw.tolist()
-
-
-def quat_enu_flu(quat_xyzw: Array) -> Array:
-    """Turn quaternions (N, 4) of C_nb (NED, FRD) into those of REP-103 (ENU, FLU), or back."""
-    return attitude.quat_multiply(_QUAT_ENU_NED, attitude.quat_multiply(quat_xyzw, _QUAT_FRD_FLU))
-
-
-def _set_position(message: Message, lla: Array) -> Message:
-    message.latitude, message.longitude = np.degrees(lla[:2]).tolist()
-    message.altitude = float(lla[2])
-    return message
-
-
-def _enu(vectors_n: Array) -> Array:
-    order, sign = _NED_ENU
-    vectors_enu: Array = vectors_n[..., order] * sign
-    return vectors_enu

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hybrid_ins.conversions import FLIP
 from hybrid_ins.core.attitude import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import flight_bag, options, program
@@ -34,7 +35,6 @@ from hybrid_ins.offline.trajectories import (
     static,
 )
 
-_FLU = np.array([1.0, -1.0, -1.0])  # from and to FRD
 ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
 MOST_SAMPLES = 5_000_000  # about 4 GB of memory
 MONITOR_RATE = 10.0  # Hz, of the true biases and noise variances in the bag
@@ -192,12 +192,12 @@ def _simulate(args: argparse.Namespace) -> None:
     errors = ImuErrors(
         accelerometer_std=args.accelerometer_std,
         gyroscope_std=args.gyroscope_std,
-        accelerometer_bias=args.accelerometer_bias * _FLU,
-        gyroscope_bias=args.gyroscope_bias * _FLU,
+        accelerometer_bias=args.accelerometer_bias @ FLIP,
+        gyroscope_bias=args.gyroscope_bias @ FLIP,
         accelerometer_bias_walk=args.accelerometer_bias_walk,
         gyroscope_bias_walk=args.gyroscope_bias_walk,
         noise_schedule=args.noise_schedule,
-        mount_rpy=np.radians(args.mount_rpy) * _FLU,
+        mount_rpy=np.radians(args.mount_rpy) @ FLIP,
     )
     imu_rng, gnss_rng, orientation_rng = np.random.default_rng(args.seed).spawn(3)
     motion = sample(trajectory, sample_times(args.duration, args.imu_rate))
@@ -206,7 +206,7 @@ def _simulate(args: argparse.Namespace) -> None:
         sample(trajectory, sample_times(args.duration, args.gnss_rate)),
         gnss_rng,
         args.gnss_noise,
-        args.lever_arm * _FLU,
+        args.lever_arm @ FLIP,
         args.gnss_velocity,
     ).without(outages)
 
@@ -274,8 +274,8 @@ def _hidden_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
     for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
         stamp_ns = int(_stamps(imu.t[row]))
         flight_bag.stamp(bias, stamp_ns, "imu_link")
-        flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] * _FLU)
-        flight_bag.set_vector(bias.accel.accel.angular, imu.gyroscope_bias[row] * _FLU)
+        flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] @ FLIP)
+        flight_bag.set_vector(bias.accel.accel.angular, imu.gyroscope_bias[row] @ FLIP)
         yield stamp_ns, 4, "/truth/imu/bias", bias
         flight_bag.stamp(noise, stamp_ns, "imu_link")
         for name in ("accelerometer", "gyroscope"):
