@@ -113,8 +113,8 @@ class OdometryEncoder:
     Serialises nav_msgs/Odometry by patching one prepared message.
 
     The array attributes are windows into that message: fill them in place, then take
-    `message(stamp_ns)`; or give everything to `encode`. The bytes equal those of the typed path, with
-    zeros in the gaps before aligned fields.
+    `message(stamp_ns)`; or give everything to `encode`. The bytes equal those of the typed path,
+    with zeros in the gaps before aligned fields.
 
     Attributes
     ----------

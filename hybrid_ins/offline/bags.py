@@ -265,7 +265,7 @@ class BagWriter:
 
     As a context manager it is completed however the block ends. After an exception or Ctrl-C the
     bag holds everything written so far, and a warning says that it ends early; without a message
-    written nothing is left. Killed outright it can still be read up to its last megabyte.
+    written nothing is left. Killed outright it can still be read up to its last chunk.
 
     Parameters
     ----------
