@@ -12,8 +12,8 @@ References
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import radii
 from hybrid_ins.core.state import (
     BIAS_A,
@@ -28,10 +28,8 @@ from hybrid_ins.core.state import (
 )
 from hybrid_ins.core.strapdown import half_rotation
 
-_OPTIONS = {"cache": True, "error_model": "numpy"}
 
-
-@njit(**_OPTIONS)
+@kernel()
 def innovation(nav, z, H, R):  # type: ignore[no-untyped-def]
     """
     Return the innovation's covariance S, shape (m, m), and its normalised square (NIS).
@@ -49,7 +47,7 @@ def innovation(nav, z, H, R):  # type: ignore[no-untyped-def]
     return S, z @ np.linalg.solve(S, z)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def correct(nav, z, H, R):  # type: ignore[no-untyped-def]
     """
     Fuse a measurement into the flat state ``nav``, in place; parameters as in `innovation`.
@@ -71,7 +69,7 @@ def correct(nav, z, H, R):  # type: ignore[no-untyped-def]
     return dx
 
 
-@njit(**_OPTIONS)
+@kernel()
 def inject(nav, dx):  # type: ignore[no-untyped-def]
     """Move the estimate by the error state ``dx``, shape (15,): the closed loop's reset."""
     lla, quat = nav[LLA], nav[QUAT]

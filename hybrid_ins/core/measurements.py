@@ -18,18 +18,17 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import earth_rate_n, radii
 from hybrid_ins.core.state import BIAS_G, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
-_OPTIONS = {"cache": True, "error_model": "numpy"}
 
 
-@njit(**_OPTIONS)
+@kernel()
 def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
     """
     Antenna position: z [m, NED], shape (3,), and H, shape (3, 15); [1]_ eq. 14.102-14.114.
@@ -59,7 +58,7 @@ def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
     return z, H
 
 
-@njit(**_OPTIONS)
+@kernel()
 def velocity_model(nav, velocity_fix, lever_b):  # type: ignore[no-untyped-def]
     """
     Antenna velocity over ground: z [m/s, NED], shape (3,), and H, shape (3, 15); [1]_ eq. 14.103.
@@ -82,7 +81,7 @@ def velocity_model(nav, velocity_fix, lever_b):  # type: ignore[no-untyped-def]
     return velocity_fix - nav[VELOCITY] - swing_n, H
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _set_cross(matrix, column, v):  # type: ignore[no-untyped-def]
     """Write [v x] into three columns of ``matrix``."""
     matrix[0, column + 1], matrix[0, column + 2] = -v[2], v[1]

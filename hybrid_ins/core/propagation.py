@@ -7,9 +7,7 @@ The compiled filter step: mechanisation at every IMU sample, covariance with it 
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
-
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.covariance_step import covariance_step
 from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.state import (
@@ -19,7 +17,6 @@ from hybrid_ins.core.state import (
     LAST_F,
     LAST_W,
     LLA,
-    N_FLAT,
     N_NAV,
     PENDING_C,
     PENDING_DT,
@@ -32,10 +29,8 @@ from hybrid_ins.core.state import (
 )
 from hybrid_ins.core.strapdown import mechanise
 
-_OPTIONS = {"cache": True, "fastmath": {"contract"}, "error_model": "numpy"}
 
-
-@njit(**_OPTIONS)
+@kernel(fastmath={"contract"})
 def flush(nav):  # type: ignore[no-untyped-def]
     """Propagate the covariance over the time that is pending in the flat state ``nav``."""
     dt = nav[PENDING_DT]
@@ -78,7 +73,7 @@ def flush(nav):  # type: ignore[no-untyped-def]
         C[i] = 0.0
 
 
-@njit(**_OPTIONS)
+@kernel(fastmath={"contract"})
 def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-def]
     """
     Advance the flat state ``nav`` by one IMU sample.
@@ -114,7 +109,7 @@ def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-
         flush(nav)
 
 
-@njit(**_OPTIONS)
+@kernel(fastmath={"contract"})
 def run(nav, dt, samples, interval, rows):  # type: ignore[no-untyped-def]
     """
     Advance ``nav`` by many IMU samples, keeping the state after each where there is room.
@@ -135,11 +130,3 @@ def run(nav, dt, samples, interval, rows):  # type: ignore[no-untyped-def]
         if keep:
             for i in range(N_NAV):
                 rows[k, i] = nav[i]
-
-
-def warm_up() -> None:
-    """Compile, or load from the cache, every kernel of this module."""
-    nav = np.zeros(N_FLAT)
-    nav[QUAT] = 0.0, 0.0, 0.0, 1.0
-    step(nav, 0.01, 0.0, 0.0, -9.8, 0.0, 0.0, 0.0, 0.0)
-    run(nav, np.full(1, 0.01), np.zeros((1, 6)), 0.0, np.empty((0, N_NAV)))

@@ -11,7 +11,6 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-
 SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
 
 

@@ -81,7 +81,7 @@ def mechanise(lla, velocity, quat, f0, w0, f1, w1, dt, C, f_n):  # type: ignore[
     ay = half_dt * (w0[1] + w1[1]) + twelfth * (w0[2] * w1[0] - w0[0] * w1[2])
     az = half_dt * (w0[2] + w1[2]) + twelfth * (w0[0] * w1[1] - w0[1] * w1[0])
 
-    # Velocity increment in the body frame of the interval's start: rotation and sculling.
+    # Velocity increment in the axes of the interval's start: rotation and sculling ([2] part 2).
     ux, uy, uz = half_dt * (f0[0] + f1[0]), half_dt * (f0[1] + f1[1]), half_dt * (f0[2] + f1[2])
     dx = ux + 0.5 * (ay * uz - az * uy) + twelfth * (
         w0[1] * f1[2] - w0[2] * f1[1] + f0[1] * w1[2] - f0[2] * w1[1])
@@ -110,11 +110,14 @@ def mechanise(lla, velocity, quat, f0, w0, f1, w1, dt, C, f_n):  # type: ignore[
     velocity[2] = vd + ud + dt * (gravity_d - (kn * me - ke * mn))
 
     mean_n, mean_e = 0.5 * (vn + velocity[0]), 0.5 * (ve + velocity[1])
-    lla[0] = lat + dt * mean_n / meridian
-    lla[1] += dt * mean_e / (transverse * cos_lat)
+    turn = dt * mean_n / meridian
+    lla[0] = lat + turn
+    lla[1] += dt * mean_e / (transverse * (cos_lat - 0.5 * turn * sin_lat))
     lla[2] = height - 0.5 * dt * (vd + velocity[2])
 
-    # quat <- exp(-w_in dt) * quat * exp(w_ib dt)
+    # quat <- exp(-w_in dt) * quat * exp(w_ib dt) with w_in at the mean velocity
+    en_n = mean_e / transverse
+    rn, re, rd = dt * (ie_n + en_n), -turn, dt * (ie_d - en_n * tan_lat)
     s, c = half_rotation(ax, ay, az)
     bx, by, bz = s * ax, s * ay, s * az
     x, y, z, w = quat[0], quat[1], quat[2], quat[3]
