@@ -16,11 +16,11 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from numba import config, njit
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = Callable[..., Any]
 
 CORE = Path(__file__).resolve().parent
 TEMPORARY = Path(tempfile.gettempdir()) / f"hybrid_ins-{os.getuid()}"

@@ -28,7 +28,7 @@ class ImuRing:
         self.count = 0
         self.capacity = capacity
         self._samples = np.zeros(capacity, SAMPLE_DTYPE)
-        self._bytes = memoryview(self._samples.view(np.uint8))
+        self._bytes = self._samples.view(np.uint8).data
         self._pack = struct.Struct("=q6d").pack_into
         self._size = SAMPLE_DTYPE.itemsize
 
