@@ -169,9 +169,6 @@ class Result:
 
         """
 
-        def degrees(angle: float | None) -> float | None:
-            return None if angle is None else math.degrees(angle)
-
         def figures(consistency: Consistency | None) -> dict[str, object] | None:
             return None if consistency is None else consistency.as_dict()
 
@@ -182,9 +179,9 @@ class Result:
             "vertical_rmse_m": self.vertical_rmse,
             "largest_error_m": self.largest_error,
             "velocity_rmse_mps": self.velocity_rmse,
-            "attitude_rmse_deg": degrees(self.attitude_rmse),
-            "heading_rmse_deg": degrees(self.heading_rmse),
-            "tilt_rmse_deg": degrees(self.tilt_rmse),
+            "attitude_rmse_deg": _degrees(self.attitude_rmse),
+            "heading_rmse_deg": _degrees(self.heading_rmse),
+            "tilt_rmse_deg": _degrees(self.tilt_rmse),
             "nees_position": figures(self.nees_position),
             "nees_velocity": figures(self.nees_velocity),
             "nees_attitude": figures(self.nees_attitude),
@@ -217,9 +214,14 @@ class Result:
     def table(self) -> str:
         """Lay the figures out for a terminal, at most 80 columns."""
         return "\n".join(
-            (*self._scored_lines(), *self._accuracy_lines(), *self._consistency_lines(),
-             *self._fix_lines(), *(_wrapped(f"note: {note}") for note in self.notes))
-        )  # fmt: skip
+            (
+                *map(_wrapped, self._scored_lines()),
+                *self._accuracy_lines(),
+                *self._consistency_lines(),
+                *map(_wrapped, self._fix_lines()),
+                *(_wrapped(f"note: {note}") for note in self.notes),
+            )
+        )
 
     def _scored_lines(self) -> list[str]:
         if self.epochs is None or self.coverage is None:
@@ -366,8 +368,10 @@ def evaluate(
 
     if truth is None:
         origin_ns = int(estimate.stamp_ns[0])
-        from_s, to_s = scoring.start or 0.0, math.inf if scoring.end is None else scoring.end
-        window = origin_ns + int(1e9 * max(from_s, scoring.skip)), _later(origin_ns, to_s)
+        window = (
+            _after(origin_ns, max(scoring.start or 0.0, scoring.skip)),
+            int(estimate.stamp_ns[-1]) if scoring.end is None else _after(origin_ns, scoring.end),
+        )
         errors, epochs, coverage = None, None, None
         gap_between = estimate.stamp_ns
         offset = clock.summary(fix_ns)
@@ -457,14 +461,16 @@ def _errors(
     estimate: Track, truth: Track, truth_imu_ns: Stamps, fix_ns: Stamps, scoring: Scoring
 ) -> tuple[Errors, Epochs, float, list[str]]:
     """Match truth epochs with the estimate and decide which are scored."""
-    elapsed = (truth_imu_ns - truth_imu_ns[0]) * 1e-9
     inside = np.ones(len(truth), bool)
-    inside &= elapsed >= (-math.inf if scoring.start is None else scoring.start)
-    inside &= elapsed <= (math.inf if scoring.end is None else scoring.end)
+    if scoring.start is not None:
+        inside &= truth_imu_ns >= _after(truth_imu_ns[0], scoring.start)
+    if scoring.end is not None:
+        inside &= truth_imu_ns <= _after(truth_imu_ns[0], scoring.end)
     if not np.any(inside):
-        raise InputError(f"no truth between --start and --end: it lasts {elapsed[-1]:.1f} s")
+        lasts = (truth_imu_ns[-1] - truth_imu_ns[0]) * 1e-9
+        raise InputError(f"no truth between --start and --end: it lasts {lasts:.1f} s")
     gap_ns = estimate.bracket_ns(truth_imu_ns)
-    reached = inside & (gap_ns > 0)
+    reached = inside & (gap_ns >= 0)
     if not np.any(reached):
         raise InputError(_no_overlap(estimate.stamp_ns, truth_imu_ns[inside]))
     covered = reached & (gap_ns <= 1e9 * scoring.max_gap)
@@ -478,7 +484,7 @@ def _errors(
     here = estimate.at(stamp_ns)
     position = there.position_enu - here.position_enu
     valid = np.asarray(np.isfinite(position).all(axis=1))
-    late = stamp_ns >= stamp_ns[0] + 1e9 * scoring.skip
+    late = stamp_ns >= _after(stamp_ns[0], scoring.skip)
     fed = np.zeros(len(there), bool) if scoring.include_fed else _near(there.stamp_ns, fix_ns)
     scored = valid & late & ~fed
     if not np.any(scored):
@@ -693,8 +699,8 @@ def outage_spans(fused_ns: Stamps, end_ns: int, at_least: float) -> list[tuple[i
     return [(int(marks_ns[i]), int(marks_ns[i + 1])) for i in long]
 
 
-def _later(origin_ns: int, seconds: float) -> int:
-    return int(np.iinfo(np.int64).max) if math.isinf(seconds) else origin_ns + int(1e9 * seconds)
+def _after(origin_ns: int, seconds: float) -> int:
+    return int(origin_ns) + round(1e9 * seconds)
 
 
 def _degrees(angle: float | None) -> float | None:

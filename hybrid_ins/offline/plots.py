@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hybrid_ins.offline.evaluation import Result
-    from hybrid_ins.offline.recording import Recording, Series
+    from hybrid_ins.offline.recording import Recording, Series, Verdicts
 
 SUFFIXES = (".png", ".svg")
 
@@ -253,48 +253,38 @@ class _Page:
             _nothing(axes, "no verdicts recorded")
             return
         at = self._since(self._to_imu(v.stamp_ns))
-        tested = np.isfinite(v.nis) & (v.nis > 0)
         position = v.kind == "position"
-        axes.set_yscale("log")
-        for kind, marker, colour in ((position, ".", BLUE), (~position, "+", SKY)):
+        tested = np.isfinite(v.nis) & (v.nis > 0.0)
+        fused = tested & v.accepted & position
+        limited = np.isfinite(v.threshold) & position
+        sizes = np.concatenate((v.nis[tested], v.threshold[limited], [10.0]))
+        axes.set(yscale="log", ylim=(0.05, 150.0 * float(np.max(sizes))))
+        for kind, marker, colour, name in (
+            (position, ".", BLUE, "accepted"),
+            (~position, "+", SKY, "velocity accepted"),
+        ):
             shown = tested & v.accepted & kind
             if np.any(shown):
-                name = "accepted" if kind is position else "velocity accepted"
                 axes.plot(at[shown], v.nis[shown], marker, ms=4, color=colour, label=name)
-        dof = float(np.nanmedian(v.dof[position & tested])) if np.any(position & tested) else 3.0
-        used = tested & v.accepted & position
-        if np.sum(used) >= 2 * _RUNNING:
-            kernel = np.ones(_RUNNING) / _RUNNING
-            mean = np.convolve(v.nis[used], kernel, mode="valid")
-            axes.plot(
-                *_thin(at[used][_RUNNING // 2 :][: len(mean)], mean),
-                color=BLACK, lw=1.3, label=f"mean of {_RUNNING}",
-            )  # fmt: skip
-        axes.axhline(dof, color=_MUTED, lw=1.0, ls=":", label=f"expected {dof:g}")
-        limited = np.isfinite(v.threshold) & position
+        if np.sum(fused) >= 2 * _RUNNING:
+            mean = np.convolve(v.nis[fused], np.ones(_RUNNING) / _RUNNING, mode="valid")
+            middle = at[fused][_RUNNING // 2 :][: len(mean)]
+            axes.plot(*_thin(middle, mean), color=BLACK, lw=1.3, label=f"mean of {_RUNNING}")
+        if np.any(fused):
+            dof = float(np.median(v.dof[fused]))
+            axes.axhline(dof, color=_MUTED, lw=1.0, ls=":", label=f"expected {dof:g}")
         if np.any(limited):
             axes.plot(
                 at[limited], v.threshold[limited], color=VERMILLION, lw=1.0, ls="--",
                 drawstyle="steps-post", label="threshold",
             )  # fmt: skip
-        refused = v.reason[~v.accepted]
-        reasons, counts = np.unique(refused, return_counts=True)
-        for rank, i in enumerate(np.argsort(-counts)):
-            colour, marker = _REFUSED[min(rank, len(_REFUSED) - 1)]
-            shown = ~v.accepted & (v.reason == reasons[i])
-            label = f"refused: {_shortened(reasons[i])} ({counts[i]})"
+        for (colour, marker), (reason, shown) in zip(_REFUSED, _refusals(v), strict=False):
+            # What was refused before it had a NIS lies on the lower edge.
+            height = np.where(tested[shown], v.nis[shown], axes.get_ylim()[0])
             axes.plot(
-                at[shown & tested], v.nis[shown & tested], marker, ms=5, mew=1.4, color=colour,
-                label=label if np.any(shown & tested) else None,
+                at[shown], height, marker, ms=5, mew=1.4, color=colour, clip_on=False,
+                label=f"refused: {_shortened(reason)} ({np.sum(shown)})",
             )  # fmt: skip
-            untested = shown & ~tested  # refused before a NIS was computed: on the lower edge
-            axes.plot(
-                at[untested], np.full(np.sum(untested), 0.03), marker, ms=5, mew=1.4, color=colour,
-                transform=axes.get_xaxis_transform(), clip_on=False,
-                label=label if np.any(untested) and not np.any(shown & tested) else None,
-            )  # fmt: skip
-        largest = np.nanmax(np.concatenate((v.nis[tested], v.threshold[limited], [10.0])))
-        axes.set_ylim(max(np.min(v.nis[tested], initial=0.1), 0.02) * 0.7, 30.0 * largest)
         axes.legend(ncols=3, loc="upper right", fontsize=7.5)
 
     def bias(self, axes: Axes, series: Series | None, name: str, scale: float, unit: str) -> None:
@@ -311,9 +301,12 @@ class _Page:
                 )
                 axes.fill_between(t, low, high, color=colour, alpha=0.13, lw=0)
             axes.plot(*_thin(at, scale * series.values[:, axis]), color=colour, label="xyz"[axis])
-        spread = np.abs(scale * series.values)
-        sigma = 0.0 if series.sigma is None else 3 * scale * np.median(series.sigma)
-        _limit(axes, series.values * scale, 1.2 * sigma + 0.1 * float(np.max(spread)))
+        values = scale * series.values[np.isfinite(series.values).all(axis=1)]
+        if len(values) and np.ptp(values) > 0.0:
+            # The first sigma is often so large that it would flatten all the rest.
+            sigma = 0.0 if series.sigma is None else scale * float(np.median(series.sigma))
+            margin = 0.1 * float(np.ptp(values)) + (3.5 * sigma if math.isfinite(sigma) else 0.0)
+            axes.set_ylim(np.min(values) - margin, np.max(values) + margin)
         _legend_above(axes)
 
     def noise(self, axes: Axes, series: Series | None, name: str, unit: str) -> None:
@@ -335,8 +328,9 @@ class _Page:
                 xytext=(3, 0), textcoords="offset points", fontsize=8, color=_TEXT,
                 va="center", bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.8},
             )  # fmt: skip
-        low, high = axes.get_ylim()
-        axes.set_ylim(low / 1.5, high * 3)  # a constant must not fill the panel with rounding
+        positive = series.values[np.isfinite(series.values) & (series.values > 0.0)]
+        if len(positive):  # room above for the source; a constant must not be drawn as rounding
+            axes.set_ylim(np.min(positive) / 2.0, np.max(positive) * 5.0)
         _legend_above(axes)
 
     def finish(self, timed: Sequence[Axes], bottom: Sequence[Axes]) -> None:
@@ -397,7 +391,8 @@ class _Page:
         sigma = None
         if covariance is not None:
             variance = np.diagonal(covariance, axis1=1, axis2=2)[:, columns]
-            sigma = scale * np.sqrt(np.where(variance > 0, variance, np.nan))
+            known = np.isfinite(variance) & (variance > 0.0)
+            sigma = scale * np.sqrt(np.where(known, variance, np.nan))
         if errors is None or self.error_seconds is None:
             return self.seconds, None, sigma
         name = "rotation" if quantity == "attitude" else quantity
@@ -464,23 +459,24 @@ def _caption(
 
 def _zoom(axes: Axes, error: Array | None, sigma: Array | None) -> None:
     """Limit an error panel to what matters; logarithmic outside where outages flatten the rest."""
-    shown = [3.0 * s for s in (sigma,) if s is not None] + [e for e in (error,) if e is not None]
-    sizes = [np.max(np.abs(rows[np.isfinite(rows).all(axis=1)]), axis=1) for rows in shown]
+    shown = [np.abs(rows) for rows in (error, None if sigma is None else 3.0 * sigma)
+             if rows is not None]  # fmt: skip
+    sizes = [np.max(rows[np.isfinite(rows).all(axis=1)], axis=1) for rows in shown]
     sizes = [size for size in sizes if len(size)]
     if not sizes:
         return
     usual = max(float(np.median(size)) for size in sizes)
     largest = 1.1 * max(float(np.quantile(size, 0.985)) for size in sizes)
     if error is not None:
-        largest = max(largest, 1.1 * float(np.nanmax(np.abs(error))))
+        largest = max(largest, 1.1 * float(np.max(sizes[0])))
     if largest > 8.0 * usual > 0.0:
         linear = 2.0 * _round_up(usual)
         axes.set_yscale("symlog", linthresh=linear, linscale=1.5)
         ticks = [0.0, 0.5 * linear, linear, *_decades(linear, largest)]
         axes.set_yticks(sorted({sign * tick + 0.0 for tick in ticks for sign in (-1.0, 1.0)}))
-        axes.set_title(f"{axes.get_title(loc='left')}, log beyond ±{linear:g}", loc="left")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
+        axes.set_title(f"{axes.get_title(loc='left')}, log beyond ±{linear:g}", loc="left")
     if largest > 0.0:
         axes.set_ylim(-largest, largest)
 
@@ -513,22 +509,29 @@ def _nothing(axes: Axes, why: str) -> None:
     axes.set_yticks([])
 
 
-def _limit(axes: Axes, values: Array, margin: float) -> None:
-    low, high = np.nanquantile(values, (0.005, 0.995))
-    if margin > 0.0:
-        axes.set_ylim(low - margin, high + margin)
+def _refusals(verdicts: Verdicts) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Reasons of refusal with the fixes they hit, frequent ones first, rare ones together."""
+    refused = ~verdicts.accepted
+    reasons, counts = np.unique(verdicts.reason[refused], return_counts=True)
+    ranked = [str(reason) for reason in reasons[np.argsort(-counts, kind="stable")]]
+    named, rest = ranked[: len(_REFUSED) - 1], ranked[len(_REFUSED) - 1 :]
+    groups = [(reason, refused & (verdicts.reason == reason)) for reason in named]
+    if rest:
+        groups.append(("other", refused & np.isin(verdicts.reason, rest)))
+    return groups
 
 
 def _thin(at: Array, values: Array) -> tuple[Array, Array]:
     """
     Fewer points of a line that look the same: the least and the largest of every short stretch.
 
-    The line is broken where a longer time is missing.
+    The line is broken where a longer time is missing and where a value is not finite.
     """
+    values = np.where(np.isfinite(values), values, np.nan)
     if len(at) > 2 * _POINTS:
         length = -(-len(at) // _POINTS)
         pad = (0, length * _POINTS - len(at))
-        table = np.pad(values.astype(float), pad, mode="edge").reshape(_POINTS, length)
+        table = np.pad(values, pad, mode="edge").reshape(_POINTS, length)
         first = np.arange(_POINTS) * length
         finite = np.isfinite(table)
         least = np.argmin(np.where(finite, table, np.inf), axis=1) + first
@@ -538,7 +541,7 @@ def _thin(at: Array, values: Array) -> tuple[Array, Array]:
     steps = np.diff(at)
     longest = max(1.0, 10.0 * float(np.median(steps))) if len(steps) else 1.0
     gaps = np.flatnonzero(steps > longest) + 1
-    return np.insert(at, gaps, np.nan), np.insert(values.astype(float), gaps, np.nan)
+    return np.insert(at, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _thin_band(at: Array, centre: Array, half: Array) -> tuple[Array, Array, Array]:

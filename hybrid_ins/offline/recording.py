@@ -18,7 +18,12 @@ from hybrid_ins.offline import program
 from hybrid_ins.offline.bags import BagReader
 from hybrid_ins.offline.tracks import Array, Stamps, Track
 
-ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_FIX = "sensor_msgs/msg/NavSatFix"
+_VERDICT = "diagnostic_msgs/msg/DiagnosticStatus"
+_BIAS = "geometry_msgs/msg/AccelWithCovarianceStamped"
+_VECTOR = "geometry_msgs/msg/Vector3Stamped"
+_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
 _CHUNK = 10_000  # messages decoded at once
 _MOVED = 1.0  # m: a vehicle that went this far had a velocity
@@ -26,7 +31,7 @@ _MOVED = 1.0  # m: a vehicle that went this far had a velocity
 
 @dataclass(frozen=True)
 class Topics:
-    """Topic names in the bags, and how the command line calls them."""
+    """Topic names in the bags."""
 
     odometry: str = "/odometry"
     truth: str = "/truth/odometry"
@@ -147,10 +152,12 @@ def read_recording(
     topics = topics or Topics()
     notes: list[str] = []
     with BagReader(estimate_path) as bag:
-        estimate = _track(bag, topics.odometry, topics.datum, "estimate", notes)
-        truth = None
+        estimate, frames = _track(bag, topics.odometry, "--odometry", topics.datum, notes)
+        truth = truth_frames = None
         if truth_path is None and bag.count(topics.truth):
-            truth = _track(bag, topics.truth, topics.truth_datum, "truth", notes)
+            truth, truth_frames = _track(
+                bag, topics.truth, "--truth-topic", topics.truth_datum, notes
+            )
         fixes = _fixes(bag, topics.fix)
         verdicts = _verdicts(bag, topics.verdict)
         accelerometer_bias, gyroscope_bias = _biases(bag, topics.bias)
@@ -159,8 +166,15 @@ def read_recording(
         noise_source = _noise_source(bag, topics.diagnostics)
     if truth_path is not None:
         with BagReader(truth_path) as bag:
-            truth = _track(bag, topics.truth, topics.truth_datum, "truth", notes)
+            truth, truth_frames = _track(
+                bag, topics.truth, "--truth-topic", topics.truth_datum, notes
+            )
             fixes = fixes if len(fixes) else _fixes(bag, topics.fix)
+    if truth_frames is not None and truth_frames != frames:
+        notes.append(
+            f"the estimate is of {frames[1]!r} in {frames[0]!r}, the truth of {truth_frames[1]!r} "
+            f"in {truth_frames[0]!r}: compared as if they were the same"
+        )
     return Recording(
         Path(estimate_path).name,
         estimate,
@@ -176,25 +190,24 @@ def read_recording(
     )
 
 
-def _track(bag: BagReader, topic: str, datum: str, role: str, notes: list[str]) -> Track:
-    """Read an Odometry topic; what had to be left out is added to `notes`."""
-    if not bag.count(topic):
-        others = sorted(name for name, kind in bag.topics.items() if kind == ODOMETRY_TYPE)
-        hint = f"; it has {', '.join(others)}" if others else " nor any other odometry"
-        raise InputError(f"{bag.path}: no {role} on {topic}{hint}")
-    if bag.topics.get(topic, ODOMETRY_TYPE) != ODOMETRY_TYPE:
-        raise InputError(f"{bag.path}: {topic} is {bag.topics[topic]}, not {ODOMETRY_TYPE}")
-    stamp_ns, rows = _odometry_rows(bag, topic)
-    track, faults = track_from_odometry(stamp_ns, rows)
-    notes.extend(f"{role}: {fault}" for fault in faults)
+def _track(
+    bag: BagReader, topic: str, option: str, datum_topic: str, notes: list[str]
+) -> tuple[Track, tuple[str, str]]:
+    """Read an Odometry topic and its frames; what had to be left out is added to `notes`."""
+    topic = bag.require(topic, _ODOMETRY, option)
+    first = next(_messages(bag, topic, _ODOMETRY), None)
+    if first is None:
+        raise InputError(f"{bag.path}: no message on {topic}")
+    track, faults = track_from_odometry(*_odometry_rows(bag, topic))
     if not len(track):
         raise InputError(f"{bag.path}: {topic} has no usable message: {'; '.join(faults)}")
-    places = [(m.latitude, m.longitude, m.altitude) for m in _messages(bag, datum)]
-    if not places:
-        return track
+    places = [(m.latitude, m.longitude, m.altitude) for m in _messages(bag, datum_topic, _FIX)]
     if len(set(places)) > 1:
-        notes.append(f"{role}: {datum} changed during the run; the last one counts")
-    return replace(track, datum_lla=_radians(np.array(places[-1])))
+        faults.append(f"{datum_topic} changed during the run; the last one counts")
+    if places and np.all(np.isfinite(places[-1])):
+        track = replace(track, datum_lla=_radians(np.array(places[-1])))
+    notes.extend(f"{topic}: {fault}" for fault in faults)
+    return track, (first.header.frame_id, first.child_frame_id)
 
 
 def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
@@ -210,9 +223,8 @@ def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
     size = 8 * _ODOMETRY_DOUBLES
     messages = bag.raw(topic)
     for _, _, data in program.progress(messages, f"reading {topic}", total=bag.count(topic)):
-        order = "<" if data[1] & 1 else ">"
-        if len(data) < size + 20 or order == ">":
-            raise InputError(f"{bag.path}: {topic} holds a message that is no little-endian CDR")
+        if len(data) < size + 20 or data[:2] != b"\x00\x01":
+            raise InputError(f"{bag.path}: {topic} holds a message that is no Odometry in CDR")
         seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
         stamps.append(seconds * 1_000_000_000 + nanoseconds)
         end = len(data) - (len(data) - 4) % 8
@@ -306,7 +318,7 @@ def _claimed(covariance: Array) -> Array | None:
 def _fixes(bag: BagReader, topic: str) -> Fixes:
     rows = [
         (_stamp_ns(m), m.latitude, m.longitude, m.altitude)
-        for m in _messages(bag, topic)
+        for m in _messages(bag, topic, _FIX)
         if m.status.status >= 0
     ]
     rows = sorted(r for r in rows if math.isfinite(r[1]) and math.isfinite(r[2]))
@@ -319,7 +331,7 @@ def _fixes(bag: BagReader, topic: str) -> Fixes:
 
 def _verdicts(bag: BagReader, topic: str) -> Verdicts:
     rows = []
-    for message in _messages(bag, topic):
+    for message in _messages(bag, topic, _VERDICT):
         said = {pair.key: pair.value for pair in message.values}
         if not said.get("stamp", "").isdigit():
             continue
@@ -337,7 +349,7 @@ def _verdicts(bag: BagReader, topic: str) -> Verdicts:
 
 def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
     stamps, linear, angular, variances = [], [], [], []
-    for message in _messages(bag, topic):
+    for message in _messages(bag, topic, _BIAS):
         accel = message.accel.accel
         stamps.append(_stamp_ns(message))
         linear.append(_xyz(accel.linear))
@@ -354,7 +366,7 @@ def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
 
 
 def _vectors(bag: BagReader, topic: str) -> Series | None:
-    rows = [(_stamp_ns(m), _xyz(m.vector)) for m in _messages(bag, topic)]
+    rows = [(_stamp_ns(m), _xyz(m.vector)) for m in _messages(bag, topic, _VECTOR)]
     if not rows:
         return None
     return Series(np.array([r[0] for r in rows], np.int64), np.array([r[1] for r in rows]))
@@ -362,7 +374,7 @@ def _vectors(bag: BagReader, topic: str) -> Series | None:
 
 def _noise_source(bag: BagReader, topic: str) -> tuple[tuple[int, str], ...]:
     changes: list[tuple[int, str]] = []
-    for array in _messages(bag, topic):
+    for array in _messages(bag, topic, _DIAGNOSTICS):
         for status in array.status:
             for pair in status.values:
                 if pair.key == "noise_source" and (not changes or changes[-1][1] != pair.value):
@@ -370,8 +382,9 @@ def _noise_source(bag: BagReader, topic: str) -> tuple[tuple[int, str], ...]:
     return tuple(changes)
 
 
-def _messages(bag: BagReader, topic: str) -> Iterator[Any]:
-    if bag.count(topic):
+def _messages(bag: BagReader, topic: str, type_name: str) -> Iterator[Any]:
+    """Yield the messages of an optional topic: none if it is not there or of another type."""
+    if bag.topics.get(f"/{topic.lstrip('/')}") == type_name:
         yield from (message for _, _, message in bag.messages(topic))
 
 

@@ -121,12 +121,17 @@ class Track:
         return self.rows(order[last]), int(len(order) - np.sum(last))
 
     def bracket_ns(self, stamp_ns: Stamps) -> Stamps:
-        """Return the distance of the two epochs that enclose each stamp; -1 where none do."""
+        """
+        Return the distance of the two epochs that enclose each stamp.
+
+        0 where an epoch has that very stamp, -1 where the stamp lies outside.
+        """
         if len(self) < 2:
             return np.full(len(stamp_ns), -1, np.int64)
         right = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
         gap = self.stamp_ns[right] - self.stamp_ns[right - 1]
         inside = (stamp_ns >= self.stamp_ns[0]) & (stamp_ns <= self.stamp_ns[-1])
+        gap[(stamp_ns == self.stamp_ns[right]) | (stamp_ns == self.stamp_ns[right - 1])] = 0
         return np.where(inside, gap, -1)
 
     def at(self, stamp_ns: Stamps) -> Track:
@@ -143,8 +148,8 @@ class Track:
             A stamp lies outside the track, or the track has fewer than two epochs.
 
         """
-        if np.any(self.bracket_ns(stamp_ns) <= 0):
-            raise ValueError("stamps outside the track, or track not in order")
+        if np.any(self.bracket_ns(stamp_ns) < 0):
+            raise ValueError("stamps outside the track")
         right = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
         left = right - 1
         dt = (self.stamp_ns[right] - self.stamp_ns[left])[:, None] * 1e-9
@@ -154,7 +159,8 @@ class Track:
             if values is None:
                 return None
             weight = u.reshape(-1, *[1] * (values.ndim - 1))
-            return (1.0 - weight) * values[left] + weight * values[right]
+            with np.errstate(invalid="ignore"):  # a covariance may be infinite
+                return (1.0 - weight) * values[left] + weight * values[right]
 
         position = linear(self.position_enu)
         assert position is not None

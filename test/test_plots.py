@@ -1,0 +1,192 @@
+"""Pictures: what is on them, that they never fail, and that matplotlib stays optional."""
+
+import importlib.util
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from test_evaluation import (
+    DATUM,
+    FAST,
+    START_NS,
+    TRUTH,
+    bag,
+    claiming,
+    flight,
+    said,
+    shifted,
+    stamps,
+    verdicts,
+    write_track,
+)
+
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.errors import InputError
+from hybrid_ins.offline import plots
+from hybrid_ins.offline.evaluation import Scoring, evaluate_recording
+from hybrid_ins.offline.recording import Fixes, Recording, Series
+from hybrid_ins.offline.tracks import SWAP
+
+pytest.importorskip("matplotlib")
+
+
+def series(level: float) -> Series:
+    at = np.arange(0.0, 20.0, 0.2)
+    values = level * (1.0 + 0.1 * np.sin(at[:, None] + np.arange(3)))
+    return Series(stamps(at), values, 0.1 * np.abs(values))
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recording:
+    """A flight with everything: an outage, refusals of two kinds, biases, noise, its source."""
+    at = np.concatenate((np.arange(0.0, 8.0, 0.2), np.arange(13.0, 20.0, 0.2)))
+    accepted = np.arange(len(at)) % 11 > 0
+    nis = np.where(accepted, 3.0, 400.0)
+    nis[11] = np.nan
+    reasons = np.where(accepted, "", np.where(np.isnan(nis), "no covariance", "gate"))
+    lla = LocalFrame(DATUM).lla(flight(at).position_enu @ SWAP)
+    lla[3, 2] = np.nan
+    return Recording(
+        "a_flight",
+        shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.1]),
+        flight(TRUTH),
+        Fixes(stamps(at), lla),
+        verdicts(at, accepted=accepted, nis=nis, reason=reasons),
+        series(0.1),
+        series(1e-3),
+        series(1e-3),
+        series(1e-6),
+        ((START_NS, "constant"), (START_NS + 5 * 10**9, "learned")),
+    )
+
+
+def texts(figure: object) -> str:
+    from matplotlib.text import Text
+
+    return "\n".join(t.get_text() for t in figure.findobj(Text))  # type: ignore[attr-defined]
+
+
+def test_one_page_shows_everything(whole: Recording, tmp_path: Path) -> None:
+    result = evaluate_recording(whole, Scoring(skip=1.0))
+
+    figure = plots.overview(whole, result)
+    plots.save(figure, tmp_path / "run.png")
+
+    shown = texts(figure)
+    for text in (
+        "a_flight", "PRMSE 0.51 m", "east [m]", "refused fix", "east error", "north error",
+        "up error", "heading error", "tilt error", "velocity error", "m/s", "deg", "NIS",
+        "threshold", "refused: gate (6)", "refused: no covariance (1)", "accelerometer bias",
+        "gyroscope bias", "accelerometer q", "learned", "time [s]; shaded: no accepted fix",
+    ):  # fmt: skip
+        assert text in shown, text
+    header = (tmp_path / "run.png").read_bytes()[:24]
+    assert header[:8] == b"\x89PNG\r\n\x1a\n"
+    assert int.from_bytes(header[16:20], "big") == 1600
+    assert int.from_bytes(header[20:24], "big") == 1000
+
+
+def test_svg_is_well_formed_and_the_same_each_time(whole: Recording, tmp_path: Path) -> None:
+    for name in ("one.svg", "two.svg"):
+        plots.save(plots.overview(whole, evaluate_recording(whole)), tmp_path / name)
+
+    assert ElementTree.parse(tmp_path / "one.svg").getroot().tag.endswith("svg")
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+
+
+def test_without_truth_the_filter_s_own_sigma_is_drawn(whole: Recording) -> None:
+    alone = replace(whole, truth=None)
+
+    shown = texts(plots.overview(alone, evaluate_recording(alone)))
+
+    assert "no truth, the filter's own ±3σ" in shown
+    assert "PRMSE" not in shown
+
+
+def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Path) -> None:
+    bare = Recording("bare", replace(flight(FAST), quat_xyzw=None, velocity_enu=None))
+
+    figure = plots.overview(bare, evaluate_recording(bare))
+    plots.save(figure, tmp_path / "bare.png")
+
+    shown = texts(figure)
+    assert "no verdicts recorded" in shown
+    assert "not recorded" in shown
+    assert "not known" in shown
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 1e12])
+def test_odd_values_do_not_stop_it(whole: Recording, tmp_path: Path, value: float) -> None:
+    estimate = whole.estimate
+    assert estimate.position_cov is not None
+    cov = estimate.position_cov.copy()
+    cov[500:900] = value
+    odd = Series(stamps(np.arange(4.0)), np.full((4, 3), value), np.full((4, 3), value))
+    recording = replace(
+        whole,
+        estimate=replace(estimate, position_cov=cov, attitude_cov=cov),
+        accelerometer_bias=odd,
+        gyroscope_noise=odd,
+        verdicts=replace(whole.verdicts, nis=np.full(len(whole.verdicts), value)),
+    )
+
+    plots.save(plots.overview(recording, evaluate_recording(recording)), tmp_path / "odd.png")
+
+
+def test_long_runs_are_thinned_without_losing_a_spike() -> None:
+    at = np.arange(0.0, 600.0, 0.001)
+    values = np.sin(at)
+    values[123_456], values[400_001] = 50.0, -60.0
+    values[200] = np.nan
+
+    t, y = plots._thin(at, values)
+
+    assert len(t) < 4000
+    assert np.nanmax(y) == 50.0
+    assert np.nanmin(y) == -60.0
+    assert np.all(np.diff(t) > 0)
+
+
+def test_lines_are_broken_where_time_is_missing() -> None:
+    at = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(9.0, 12.0, 0.1)))
+
+    t, y = plots._thin(at, at)
+
+    assert np.sum(np.isnan(t)) == 1
+    assert np.isnan(y[50])
+
+
+@pytest.mark.parametrize(("name", "text"), [("run.jpg", ".png or .svg"), ("run", ".png or .svg")])
+def test_other_formats_are_refused(tmp_path: Path, name: str, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        plots.check(tmp_path / name)
+
+
+def test_without_matplotlib_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+
+    with pytest.raises(InputError, match=r"hybrid_ins\[plot\]"):
+        plots.check(tmp_path / "run.png")
+
+
+def test_evaluation_does_not_load_matplotlib() -> None:
+    code = "import sys, hybrid_ins.offline.evaluation; sys.exit('matplotlib' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with bag(tmp_path / "run", flight(TRUTH)) as out:
+        write_track(out, "/odometry", claiming(flight(FAST), 0.5))
+
+    text, _ = said(capsys, 0, tmp_path / "run", "--plot", tmp_path / "run.svg")
+
+    assert f"picture: {tmp_path / 'run.svg'}" in text
+    assert (tmp_path / "run.svg").stat().st_size > 10_000
