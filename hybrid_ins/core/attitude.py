@@ -39,7 +39,8 @@ def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
 
 def quat_conjugate(quat_xyzw: ArrayLike) -> Array:
     """The inverse rotation."""
-    return np.asarray(quat_xyzw, float) * np.array([-1.0, -1.0, -1.0, 1.0])
+    q = np.asarray(quat_xyzw, float)
+    return np.concatenate((-q[..., :3], q[..., 3:]), axis=-1)
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
@@ -89,12 +90,12 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
     rows[..., 3, 3] = 1.0 + trace
     best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., 3:] < 0.0, -q, q)
+    unit: Array = q / np.copysign(np.linalg.norm(q, axis=-1, keepdims=True), q[..., 3:])
+    return unit
 
 
 def quat_from_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
-    """Quaternions (..., 4) of yaw about z, then pitch about y, then roll about x [rad]; [2]_ 2.2.1."""
+    """Quaternions (..., 4) of turns about z (yaw), y (pitch) and x (roll) [rad]; [2]_ 2.2.1."""
     half = 0.5 * np.stack(np.broadcast_arrays(roll, pitch, yaw), axis=-1).astype(float)
     (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
     return np.stack(

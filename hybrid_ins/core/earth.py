@@ -31,9 +31,7 @@ GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GM
 
 @register_jitable
 def radii(lat):  # type: ignore[no-untyped-def]
-    """
-    Meridian and transverse radii of curvature (R_M, R_N) [m] at latitude [rad]; [1]_ eq. 2.105-6.
-    """
+    """Meridian and transverse radii of curvature (R_M, R_N) [m] at ``lat`` [rad]; [1]_ 2.105-6."""
     w = 1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2
     transverse = SEMI_MAJOR_AXIS / np.sqrt(w)
     return transverse * (1.0 - ECCENTRICITY_SQ) / w, transverse

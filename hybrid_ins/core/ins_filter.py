@@ -192,10 +192,11 @@ class InsFilter:
 
         Its verdict appears in ``verdicts`` once it is decided.
         """
+        last = self._done[-1] if self._done else event
         if event.t_ns > self.t_ns:
             bisect.insort(self._pending, event, key=_order)
             self._schedule()
-        elif event.t_ns == self.t_ns and (not self._done or _order(event) >= _order(self._done[-1])):
+        elif event.t_ns == self.t_ns and _order(event) >= _order(last):
             self._apply(event)
         elif self.t_ns - event.t_ns <= self._horizon_ns and self._rewind(event):
             pass

@@ -104,7 +104,9 @@ class Measurement(Protocol):
     kind: ClassVar[str]
 
     @property
-    def t_ns(self) -> int: ...
+    def t_ns(self) -> int:
+        """See above."""
+        ...
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """Return z (m,), H (m, 15) and R (m, m) at a flat state of the same time."""
