@@ -88,6 +88,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     if args.flight and not args.flight.is_dir():
         parser.error(f"--flight {args.flight}: no such folder")
     args.params_file = args.params_file or share_path("config/default.yaml")
+    if not args.params_file.is_file():
+        parser.error(f"--params-file {args.params_file}: no such file")
     return args
 
 
