@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import program
-from hybrid_ins.offline.bags import BagReader, BagWriter
+from hybrid_ins.offline.bags import BagReader, BagWriter, is_standard
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -321,7 +321,7 @@ class Recorder:
         self._bag = bag
         self._timeline = timeline
         self._counts: dict[str, int] = {}
-        self._failure: BaseException | None = None
+        self._failure: Exception | None = None
         self._executor = Executor()
         self._executor.add_node(node)
         self._stopped = Future()
@@ -345,7 +345,7 @@ class Recorder:
         """
         names = {topic: remap.get(topic, topic) for topic in map(_absolute, topics)}
         missing = _wait_until_empty(
-            lambda: [n for n in names.values() if not self._node.count_publishers(n)],
+            lambda: [n for n in names.values() if not self._node.get_publishers_info_by_topic(n)],
             patience,
             "waiting for a publisher of",
         )
@@ -395,7 +395,7 @@ class Recorder:
             # EventsExecutor.spin() of some releases never returns.
             while not self._stopped.done():
                 self._executor.spin_until_future_complete(self._stopped, 0.5)
-        except BaseException as failure:  # handed to the main thread
+        except Exception as failure:  # handed to the main thread
             self._failure = failure
 
 
@@ -423,6 +423,9 @@ def _topics_to_play(bag: BagReader, named: Sequence[str] | None) -> dict[str, st
 
 def _message_type(topic: str, type_name: str) -> Any:
     package, _, name = type_name.partition("/msg/")
+    if not is_standard(type_name):
+        _log.warning("%s is left out: %s is no standard message type", topic, type_name)
+        return None
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):

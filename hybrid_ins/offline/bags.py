@@ -59,6 +59,11 @@ class ImuTable:
     angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
 
 
+def is_standard(type_name: str) -> bool:
+    """Say whether a type is one that bags can hold here: those that come with ROS 2."""
+    return type_name in _TYPES.fielddefs
+
+
 def new_message(type_name: str) -> Message:
     """
     Make a message of a standard ROS 2 type, such as ``"nav_msgs/msg/Odometry"``.
@@ -350,7 +355,7 @@ class BagWriter:
                 if known_type != type_name:
                     raise ValueError(f"{topic} holds {known_type}, not {type_name}")
                 return number
-        if type_name not in _TYPES.fielddefs:
+        if not is_standard(type_name):
             raise ValueError(f"{topic}: {type_name} is no standard message type")
         return self._writer.add_channel(
             Channel(topic, type_name, "cdr"),
@@ -565,13 +570,13 @@ def _make_way(path: Path, overwrite: bool) -> None:
 
 
 def _is_readable(channel: Channel) -> bool:
-    return channel.encoding == "cdr" and channel.type_name in _TYPES.fielddefs
+    return channel.encoding == "cdr" and is_standard(channel.type_name)
 
 
 def _translates(type_name: str, md5sum: str) -> bool:
     """Say whether a ROS 1 type is the well-known one, so that its bytes can become CDR."""
     return (
-        type_name in _TYPES.fielddefs
+        is_standard(type_name)
         and type_name in _ROS1_TYPES.fielddefs
         and _ROS1_TYPES.generate_msgdef(type_name)[1] == md5sum
     )

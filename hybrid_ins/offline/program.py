@@ -1,6 +1,7 @@
 """The shell around every program: option parser, error line, exit status, progress bar."""
 
 import argparse
+import logging
 import os
 import signal
 import sys
@@ -57,6 +58,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
 
     """
     name = getattr(args, "program_name", Path(sys.argv[0]).name)
+    logging.basicConfig(format=f"{name}: %(levelname)s: %(message)s")
     try:
         previous = signal.signal(signal.SIGTERM, _raise_terminated)
     except ValueError:  # not in the main thread: whoever runs us keeps the signals
