@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hybrid_ins.conversions import SWAP
 from hybrid_ins.core import attitude
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline.bags import BagWriter, new_message
 from hybrid_ins.offline.evaluation import Result, Scoring, evaluate, main, outage_spans
 from hybrid_ins.offline.recording import Verdicts
-from hybrid_ins.offline.tracks import SWAP, Track
+from hybrid_ins.offline.tracks import Track
 from hybrid_ins.wire import OdometryEncoder
 
 START_NS = 1_700_000_000_000_000_000
@@ -128,8 +129,15 @@ class TestFigures:
             ),
         )
         cov = np.tile(0.04 * np.eye(3), (len(truth), 1, 1))
-        honest = replace(estimate, position_cov=cov, velocity_cov=cov, attitude_cov=0.01 * cov)
-        proud = replace(honest, position_cov=cov / 4, velocity_cov=cov / 4, attitude_cov=cov / 400)
+        # At 10 m/s an uncertain attitude makes the velocity along one's own axes uncertain, too:
+        # not along its motion, which is to its right (east, with the nose to the north).
+        twist_cov = cov + 100.0 * 0.01 * np.diag([0.04, 0.0, 0.04])
+        honest = replace(
+            estimate, position_cov=cov, velocity_cov=twist_cov, attitude_cov=0.01 * cov
+        )
+        proud = replace(
+            honest, position_cov=cov / 4, velocity_cov=twist_cov / 4, attitude_cov=cov / 400
+        )
 
         right, wrong = evaluate(honest, truth), evaluate(proud, truth)
 
@@ -509,7 +517,7 @@ def write_track(
             if track.velocity_enu is not None:
                 velocity = C_base_map @ track.velocity_enu[i]
             if track.velocity_cov is not None:
-                twist_cov[:3, :3] = C_base_map @ track.velocity_cov[i] @ C_base_map.T
+                twist_cov[:3, :3] = track.velocity_cov[i]
         if track.position_cov is not None:
             pose_cov[:3, :3] = track.position_cov[i]
         if track.attitude_cov is not None:

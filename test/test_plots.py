@@ -24,12 +24,12 @@ from test_evaluation import (
     write_track,
 )
 
+from hybrid_ins.conversions import SWAP
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import plots
 from hybrid_ins.offline.evaluation import Scoring, evaluate_recording
 from hybrid_ins.offline.recording import Fixes, Recording, Series
-from hybrid_ins.offline.tracks import SWAP
 
 pytest.importorskip("matplotlib")
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from hybrid_ins.conversions import SWAP
 from hybrid_ins.core import attitude
 from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.offline.tracks import SWAP, Track, enu_from_lla
+from hybrid_ins.offline.tracks import Track, enu_from_lla
 
 DATUM = np.array([np.radians(32.1), np.radians(34.8), 20.0])
 
@@ -135,9 +136,17 @@ def test_filter_arrays_become_a_track_in_enu_and_flu() -> None:
     assert np.abs(track.quat_xyzw[0]) == pytest.approx([0.0, 0.0, 0.0, 1.0])  # REP-103: yaw 0
     for name, diagonal in (
         ("position_cov", [4.0, 1.0, 9.0]),
-        ("velocity_cov", [0.2, 0.1, 0.3]),
         ("attitude_cov", [0.02, 0.01, 0.03]),
     ):
         assert np.diagonal(getattr(track, name)[0]) == pytest.approx(diagonal), name
+    # Along its own axes, forward (east), left (north), up: dv, and eps across the velocity.
+    v_n, e_n = np.array([1.0, 2.0, 3.0]), np.array([0.01, 0.02, 0.03])
+    added = [v_n[2] ** 2 * e_n[0] + v_n[0] ** 2 * e_n[2],
+             v_n[2] ** 2 * e_n[1] + v_n[1] ** 2 * e_n[2],
+             v_n[1] ** 2 * e_n[0] + v_n[0] ** 2 * e_n[1]]  # fmt: skip
+    assert track.velocity_cov is not None
+    assert np.diagonal(track.velocity_cov[0]) == pytest.approx(np.add([0.2, 0.1, 0.3], added))
+    assert track.velocity_base is not None
+    assert track.velocity_base[0] == pytest.approx([2.0, 1.0, -3.0])
     # 100 m further north the navigation frame has turned, if only by micro-radians.
     assert not np.allclose(track.velocity_enu[0], track.velocity_enu[1], rtol=0, atol=1e-6)

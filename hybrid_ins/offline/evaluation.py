@@ -105,6 +105,7 @@ class Errors:
     scored: NDArray[np.bool_]  # (N,)
     position_enu: Array  # (N, 3) m, map
     velocity_enu: Array | None  # (N, 3) m/s, map axes
+    velocity_base: Array | None  # (N, 3) m/s, each velocity along its own vehicle's axes (FLU)
     rotation_enu: Array | None  # (N, 3) rad, rotation vector about the map axes
     estimate: Track  # interpolated to these epochs
     truth: Track  # in the estimate's map
@@ -495,6 +496,7 @@ def _errors(
         scored,
         position,
         _difference(there.velocity_enu, here.velocity_enu),
+        _difference(there.velocity_base, here.velocity_base),
         _rotation(there.quat_xyzw, here.quat_xyzw),
         here,
         there,
@@ -614,7 +616,7 @@ def _nees(errors: Errors | None, notes: list[str]) -> dict[str, Any]:
         return parts
     for name, error, covariance in (
         ("position", errors.position_enu, errors.estimate.position_cov),
-        ("velocity", errors.velocity_enu, errors.estimate.velocity_cov),
+        ("velocity", errors.velocity_base, errors.estimate.velocity_cov),
         ("attitude", errors.rotation_enu, errors.estimate.attitude_cov),
     ):
         if error is None or covariance is None:

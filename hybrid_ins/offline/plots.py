@@ -232,8 +232,8 @@ class _Page:
         self._error(axes, f"{name} error", "m", *self._parts("position", [axis]))
 
     def velocity_error(self, axes: Axes) -> None:
-        """Draw the velocity error."""
-        names = ("E", "N", "U")
+        """Draw the velocity error along the vehicle's axes, as its covariance is given."""
+        names = ("forward", "left", "up")
         self._error(axes, "velocity error", "m/s", *self._parts("velocity", [0, 1, 2]), names)
 
     def heading_error(self, axes: Axes) -> None:
@@ -395,8 +395,10 @@ class _Page:
             sigma = scale * np.sqrt(np.where(known, variance, np.nan))
         if errors is None or self.error_seconds is None:
             return self.seconds, None, sigma
-        name = "rotation" if quantity == "attitude" else quantity
-        error = getattr(errors, f"{name}_enu")
+        name = {"attitude": "rotation_enu", "velocity": "velocity_base"}.get(
+            quantity, "position_enu"
+        )
+        error = getattr(errors, name)
         return self.error_seconds, None if error is None else scale * error[:, columns], sigma
 
     def _error(

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.conversions import stamp_ns as ns_of
 from hybrid_ins.core import attitude
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import program
@@ -288,7 +289,6 @@ def track_from_odometry(stamp_ns: Stamps, rows: Array) -> tuple[Track, list[str]
         faults.append("every velocity is zero although the vehicle moves: taken as unknown")
     pose_cov = rows[:, 7:43].reshape(-1, 6, 6)
     twist_cov = rows[:, 49:85].reshape(-1, 6, 6)
-    velocity_cov = C_map_base @ twist_cov[:, :3, :3] @ np.swapaxes(C_map_base, -1, -2)
     velocity = (C_map_base @ velocity_base[..., None])[..., 0]
     track, repeated = Track(
         stamp_ns,
@@ -296,7 +296,7 @@ def track_from_odometry(stamp_ns: Stamps, rows: Array) -> tuple[Track, list[str]
         None if still else _known(velocity),
         _known(quat),
         _claimed(pose_cov[:, :3, :3]),
-        None if still else _claimed(velocity_cov),
+        None if still else _claimed(twist_cov[:, :3, :3]),
         _claimed(pose_cov[:, 3:, 3:]),
     ).in_order()
     if np.any(np.diff(stamp_ns) < 0):
@@ -317,7 +317,7 @@ def _claimed(covariance: Array) -> Array | None:
 
 def _fixes(bag: BagReader, topic: str) -> Fixes:
     rows = [
-        (_stamp_ns(m), m.latitude, m.longitude, m.altitude)
+        (ns_of(m.header.stamp), m.latitude, m.longitude, m.altitude)
         for m in _messages(bag, topic, _FIX)
         if m.status.status >= 0
     ]
@@ -351,7 +351,7 @@ def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
     stamps, linear, angular, variances = [], [], [], []
     for message in _messages(bag, topic, _BIAS):
         accel = message.accel.accel
-        stamps.append(_stamp_ns(message))
+        stamps.append(ns_of(message.header.stamp))
         linear.append(_xyz(accel.linear))
         angular.append(_xyz(accel.angular))
         variances.append(np.diagonal(np.asarray(message.accel.covariance).reshape(6, 6)))
@@ -366,7 +366,7 @@ def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
 
 
 def _vectors(bag: BagReader, topic: str) -> Series | None:
-    rows = [(_stamp_ns(m), _xyz(m.vector)) for m in _messages(bag, topic, _VECTOR)]
+    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in _messages(bag, topic, _VECTOR)]
     if not rows:
         return None
     return Series(np.array([r[0] for r in rows], np.int64), np.array([r[1] for r in rows]))
@@ -376,9 +376,11 @@ def _noise_source(bag: BagReader, topic: str) -> tuple[tuple[int, str], ...]:
     changes: list[tuple[int, str]] = []
     for array in _messages(bag, topic, _DIAGNOSTICS):
         for status in array.status:
+            if status.name != "hybrid_ins: process noise":
+                continue
             for pair in status.values:
-                if pair.key == "noise_source" and (not changes or changes[-1][1] != pair.value):
-                    changes.append((_stamp_ns(array), pair.value))
+                if pair.key == "source" and (not changes or changes[-1][1] != pair.value):
+                    changes.append((ns_of(array.header.stamp), pair.value))
     return tuple(changes)
 
 
@@ -386,11 +388,6 @@ def _messages(bag: BagReader, topic: str, type_name: str) -> Iterator[Any]:
     """Yield the messages of an optional topic: none if it is not there or of another type."""
     if bag.topics.get(f"/{topic.lstrip('/')}") == type_name:
         yield from (message for _, _, message in bag.messages(topic))
-
-
-def _stamp_ns(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.conversions import SWAP
 from hybrid_ins.core import attitude
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.state import DP, DV, EPS
@@ -19,8 +20,6 @@ from hybrid_ins.core.state import DP, DV, EPS
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
-_QUAT_ENU_NED = attitude.quat_from_matrix(SWAP)
 _QUAT_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about x
 
 
@@ -29,8 +28,9 @@ class Track:
     """
     Motion at given epochs. A part that is unknown is None, an unknown row of it is NaN.
 
-    Covariances are those of true minus estimated: position and velocity along the map axes,
-    attitude as a small rotation about the map axes.
+    Covariances are those of true minus estimated, as Odometry has them: position along the map
+    axes, attitude as a small rotation about the map axes, velocity along the vehicle's own axes,
+    with what the attitude's uncertainty adds to it.
     """
 
     stamp_ns: Stamps  # (N,)
@@ -38,7 +38,7 @@ class Track:
     velocity_enu: Array | None = None  # (N, 3) m/s, over ground, map axes
     quat_xyzw: Array | None = None  # (N, 4) rotates base_link (FLU) to map
     position_cov: Array | None = None  # (N, 3, 3) m^2
-    velocity_cov: Array | None = None  # (N, 3, 3) (m/s)^2
+    velocity_cov: Array | None = None  # (N, 3, 3) (m/s)^2, of `velocity_base`
     attitude_cov: Array | None = None  # (N, 3, 3) rad^2
     datum_lla: Array | None = None  # (3,) rad, rad, m: the map's origin, where known
 
@@ -93,10 +93,19 @@ class Track:
                 attitude.quat_multiply(quat_nb_xyzw, _QUAT_FRD_FLU),
             ),
             block(DP),
-            block(DV),
+            _velocity_base_cov(velocity_n, quat_nb_xyzw, covariance),
             block(EPS),
             datum_lla=frame.datum_lla,
         )
+
+    @property
+    def velocity_base(self) -> Array | None:
+        """Velocity over ground along the base_link axes (FLU), shape (N, 3) [m/s]."""
+        if self.velocity_enu is None or self.quat_xyzw is None:
+            return None
+        C_map_base = attitude.matrix_from_quat(self.quat_xyzw)
+        velocity: Array = np.einsum("nij,ni->nj", C_map_base, self.velocity_enu)
+        return velocity
 
     def rows(self, keep: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Track:
         """Return the epochs that `keep` selects."""
@@ -210,7 +219,7 @@ class Track:
             if quat is None
             else attitude.quat_multiply(attitude.quat_from_matrix(C_new_old), quat),
             turned(self.position_cov),
-            turned(self.velocity_cov),
+            self.velocity_cov,
             turned(self.attitude_cov),
             np.asarray(datum_lla, float),
         )
@@ -226,6 +235,21 @@ def enu_from_lla(lla: Array, datum_lla: Array) -> Array:
     """Position in the map of `datum_lla`, shape (N, 3) [m], of geodetic places (N, 3)."""
     position: Array = LocalFrame(datum_lla).position(lla) @ SWAP
     return position
+
+
+def _velocity_base_cov(
+    velocity_n: Array | None, quat_nb_xyzw: Array | None, covariance: Array | None
+) -> Array | None:
+    """Covariance of C_bn v_n along FLU axes: its error is C_bn (dv - [v x] eps)."""
+    if velocity_n is None or quat_nb_xyzw is None or covariance is None:
+        return None
+    C_flu_n = np.swapaxes(
+        attitude.matrix_from_quat(attitude.quat_multiply(quat_nb_xyzw, _QUAT_FRD_FLU)), -1, -2
+    )
+    J = np.zeros((len(velocity_n), 3, covariance.shape[-1]))
+    J[:, :, DV] = C_flu_n
+    J[:, :, EPS] = -C_flu_n @ attitude.skew(velocity_n)
+    return _rotated(J, covariance)
 
 
 def _rotated(C: Array, covariance: Array) -> Array:
