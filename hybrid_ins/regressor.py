@@ -160,7 +160,7 @@ class Regressor:
             raise InputError(f"{path}: the model fails on a window ({reason[:200]})") from None
         if levels.shape != (6,):
             raise InputError(f"{path}: the model answers shape {levels.shape}, expected (6,)")
-        if not (np.isfinite(levels).all() and (levels > 0.0).all()):
+        if not np.isfinite(levels).all():
             raise InputError(f"{path}: the model answers plain noise with {levels.tolist()}")
 
 

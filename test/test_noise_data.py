@@ -146,3 +146,16 @@ def test_backgrounds_are_mixed_in_under_noise_well_above_their_own():
 def test_unknown_trajectory_is_named():
     with pytest.raises(ValueError, match="loop"):
         noise_data.ideal_readings("loop")
+
+
+def test_evaluation_sets_are_finite_and_labelled():
+    trials = [
+        *noise_data.level_trials(1, 50),
+        *noise_data.disturbance_trials(1, 50),
+        *noise_data.unseen_trials(1, 50),
+    ]
+    assert len({trial.name for trial in trials}) == len(trials)
+    for trial in trials:
+        assert trial.windows.readings.shape == (50, 200)
+        assert np.isfinite(trial.windows.readings).all()
+        assert (trial.windows.variance > 0.0).all()

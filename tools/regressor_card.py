@@ -86,16 +86,25 @@ def paper_trials(
     return trials
 
 
-def table(regressor: NoiseRegressor, trials: list[Trial]) -> str:
-    """Return a Markdown table with a row for each trial."""
+Row = tuple[str, NoiseRegressor, Windows]
+"""What a row of a table is about, whose figures it gives, and on which windows."""
+
+
+def rows_of(regressor: NoiseRegressor, trials: list[Trial]) -> list[Row]:
+    """Return one row for each trial of a regressor."""
+    return [(trial.name, regressor, trial.windows) for trial in trials]
+
+
+def table(rows: list[Row]) -> str:
+    """Return a Markdown table."""
     lines = [
         "| windows | q RMSE | bound | ratio | relative error / bound | median q̂/q | 5–95 % |",
         "|---|---|---|---|---|---|---|",
     ]
-    for trial in trials:
-        s = score(regressor, trial.windows)
+    for name, regressor, windows in rows:
+        s = score(regressor, windows)
         lines.append(
-            f"| {trial.name} | {s.rmse:.3g} | {s.bound:.3g} | {s.rmse / s.bound:.3f} | "
+            f"| {name} | {s.rmse:.3g} | {s.bound:.3g} | {s.rmse / s.bound:.3f} | "
             f"{s.relative:.2f} | {s.median:.3f} | {s.low:.2f} – {s.high:.2f} |"
         )
     return "\n".join(lines)
@@ -109,6 +118,7 @@ def write_card(
     text: str,
     command: str,
     paper_test: Windows | None,
+    unseen: list[Row],
     quick: bool,
 ) -> None:
     """Write a model card: what the model is, how it was made, every figure, its limits."""
@@ -125,11 +135,17 @@ def write_card(
             f"{100 * np.sqrt(2 / window):.0f} % (N = {window})."
         ),
         "### The paper's set",
-        table(regressor, paper_trials(window, paper_test, 40.0 if quick else 400.0)),
+        table(
+            rows_of(regressor, paper_trials(window, paper_test, 40.0 if quick else 400.0)) + unseen
+        ),
         "### White noise far outside the paper's levels, the paper's motion",
-        table(regressor, noise_data.level_trials(_EVALUATION_SEED + 2, count, window)),
+        table(rows_of(regressor, noise_data.level_trials(_EVALUATION_SEED + 2, count, window))),
         "### Disturbances, q = 0.01, the paper's motion",
-        table(regressor, noise_data.disturbance_trials(_EVALUATION_SEED + 3, count, window)),
+        table(
+            rows_of(regressor, noise_data.disturbance_trials(_EVALUATION_SEED + 3, count, window))
+        ),
+        "### Disturbances unlike any in training, q from 1e-6 to 1",
+        table(rows_of(regressor, noise_data.unseen_trials(_EVALUATION_SEED + 4, count, window))),
         "### Inference",
         f"Six channels, one thread: median {1e3 * median:.3f} ms, 99 % {1e3 * p99:.3f} ms.",
     ]

@@ -148,11 +148,10 @@ def plateau_analysis(window: int) -> Analysis:
         return np.polynomial.legendre.legvander(np.linspace(-1, 1, count), degree).T
 
     full = modes(window, np.ones(window))
-    add(_unit_gain(without(polynomial(window, 3), full) + 0.0), 5, window)
-    half_bandwidth = 6.0
-    slow = dpss(window, half_bandwidth, int(2 * half_bandwidth) + 5)
-    slow = np.vstack((np.ones(window), slow))
-    add(_unit_gain(without(slow, full)), int(2 * half_bandwidth) + 8, window)
+    add(_unit_gain(without(polynomial(window, 3), full)), 5, window)
+    # Sequences beyond these hold less than 1e-9 of a motion slower than 0.02 cycles/sample.
+    slow = np.vstack((np.ones(window), dpss(window, 4.0, 17)))
+    add(_unit_gain(without(slow, full)), len(slow), window)
     for beta, low in ((6.0, 6), (14.0, 10)):
         taper = np.asarray(kaiser(window, beta))
         # The constant goes after the taper has been applied: rows must sum to zero themselves.
@@ -203,7 +202,7 @@ class PlateauNet(nn.Module):
     FINE_LIMIT = 3.0
     SLOPE = 0.1
 
-    def __init__(self, window: int = 200, hidden: int = 96) -> None:
+    def __init__(self, window: int = 200, hidden: int = 128) -> None:
         super().__init__()
         self.window = window
         projections, averages = plateau_analysis(window)

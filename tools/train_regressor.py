@@ -26,7 +26,7 @@ import regressor_networks as networks
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import noise_data, program
-from hybrid_ins.regressor import FORMAT, Regressor
+from hybrid_ins.regressor import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
 
 Loss = Callable[[Sequence[Tensor]], Tensor]
 
@@ -41,7 +41,16 @@ Input: one channel's raw window a row, float32 (channels, window) in m/s² or ra
 variance of one sample, in those units squared.
 
 **Limits.** It knows q from 0.001 to 0.025, white noise and the paper's motion; outside it is
-wrong by orders of magnitude (tables below). It is here as the baseline. Use the plateau model."""
+wrong by orders of magnitude (tables below). It is here as the baseline. Use the plateau model.
+The rows "trajectory" are fresh noise on motion that it was trained on."""
+
+SPECTRAL_TEXT = """\
+`hybrid_ins.regressor.SpectralRegressor`: the plateau of `hybrid_ins.core.spectral`, in force
+where no model file is given. No model file, nothing trained: drop the cubic trend and the 20
+slowest DCT modes, average the blocks of modes that agree with the low end.
+
+**Limits.** Strong and fast motion (more than about 0.1 cycles/sample at many sigma) leaks into
+the modes kept; one outlying sample or one step lifts them all."""
 
 PLATEAU_TEXT = """\
 Estimates the low-frequency plateau of a channel's noise, as the variance per sample of the white
@@ -55,8 +64,8 @@ weights and one factor. So the model is offset-invariant and scale-equivariant w
 weights.
 
 Input: one channel's raw window a row, float32 (channels, window) in any unit. Output: variance of
-one sample in that unit squared. Subtract its mean in double precision before: float32 cannot
-hold small noise on it.
+one sample in that unit squared. Subtract its mean in double precision before: float32 cannot hold
+small noise on it.
 
 Trained on synthetic windows only (`hybrid_ins.offline.noise_data.randomised_set`), never on the
 paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
@@ -66,6 +75,9 @@ repeated samples, clipping, quantisation.
 Repeated samples are undone: the estimate is that of the readings before repetition. A window that
 ends less than about 20 samples after a change of level shows the old level. Floor the result at
 LSB²/12."""
+
+
+TEXTS = {"plateau": PLATEAU_TEXT, "paper": PAPER_TEXT, "spectral": SPECTRAL_TEXT}
 
 
 class Recipe(NamedTuple):
@@ -80,24 +92,20 @@ class Recipe(NamedTuple):
     """Learning rate of an epoch."""
 
 
-def paper_recipe(args: argparse.Namespace) -> tuple[Recipe, noise_data.Windows]:
-    """Return the paper's recipe and the test share of its data."""
-    duration = 8.0 if args.quick else noise_data.PAPER_DURATION_S
-    data = noise_data.paper_set(args.seed, args.window, duration_s=duration)
-    train, test = noise_data.random_split(data, args.seed)
+def paper_recipe(args: argparse.Namespace, data: noise_data.Windows) -> Recipe:
+    """Return the paper's recipe on the given training windows."""
     network = networks.PaperNet(args.window)
     # In units of 0.01, which Adam does not see but single precision does.
-    labels = torch.from_numpy(train.variance.astype(np.float32))
+    labels = torch.from_numpy(data.variance.astype(np.float32))
 
     def loss(batch: Sequence[Tensor]) -> Tensor:
         readings, variance = batch
         return ((network(readings) - variance) * 100.0).square().mean()
 
     epochs = args.epochs or (2 if args.quick else 30)
-    readings = torch.from_numpy(train.readings)
-    return (
-        Recipe(network, (readings, labels), loss, 500, epochs, lambda e: 1e-3 if e < 20 else 1e-4),
-        test,
+    readings = torch.from_numpy(data.readings)
+    return Recipe(
+        network, (readings, labels), loss, 500, epochs, lambda epoch: 1e-3 if epoch < 20 else 1e-4
     )
 
 
@@ -127,7 +135,7 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
         guide = nn.functional.huber_loss(coarse, target, delta=0.3)
         return torch.log(scale).mean() + miss + 0.1 * guide
 
-    epochs = args.epochs or (2 if args.quick else 60)
+    epochs = args.epochs or (2 if args.quick else 45)
 
     def rate(epoch: int) -> float:
         return float(3e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)) + 1e-5)
@@ -139,8 +147,11 @@ def fit(recipe: Recipe, checkpoint: Path, resume: bool, seed: int) -> None:
     """Train in place; the state after each epoch is kept in `checkpoint` until the end."""
     optimiser = torch.optim.Adam(recipe.network.parameters())
     first = 0
+    run = {"seed": seed, "windows": len(recipe.inputs[0]), "epochs": recipe.epochs}
     if resume and checkpoint.is_file():
         saved = torch.load(checkpoint, weights_only=True)
+        if saved["run"] != run:
+            raise InputError(f"{checkpoint}: of another run ({saved['run']}); drop --resume")
         recipe.network.load_state_dict(saved["network"])
         optimiser.load_state_dict(saved["optimiser"])
         first = int(saved["epoch"])
@@ -165,6 +176,7 @@ def fit(recipe: Recipe, checkpoint: Path, resume: bool, seed: int) -> None:
                 "network": recipe.network.state_dict(),
                 "optimiser": optimiser.state_dict(),
                 "epoch": epoch + 1,
+                "run": run,
             },
             checkpoint,
         )
@@ -190,54 +202,93 @@ def background_windows(bags: Sequence[str], topic: str, window: int) -> np.ndarr
     return np.asarray(rows, dtype=np.float32)
 
 
+def export(network: nn.Module, path: Path, args: argparse.Namespace) -> None:
+    """Write the trained network as a model that `Regressor.load` accepts."""
+    low, high = noise_data.RATE_RANGE_HZ
+    declared = {
+        "format": FORMAT,
+        "name": path.stem,
+        "window": str(args.window),
+        "rate_min": f"{low:g}",
+        "rate_max": f"{high:g}",
+        "centred": "0" if args.model == "paper" else "1",
+        "input": "one channel a row, m/s^2 or rad/s, oldest sample first",
+        "output": f"{'variance' if args.model == 'paper' else 'plateau'} per sample",
+        "seed": str(args.seed),
+    }
+    metadata = {f"hybrid_ins.{key}": value for key, value in declared.items()}
+    if isinstance(network, networks.PaperNet):
+        model = networks.onnx_paper(network, metadata)
+    else:
+        assert isinstance(network, networks.PlateauNet)
+        model = networks.onnx_plateau(network, metadata)
+    onnx.save(model, path)
+
+
+def paper_data(args: argparse.Namespace) -> tuple[noise_data.Windows, noise_data.Windows]:
+    """Return the paper's training and test windows."""
+    duration = 8.0 if args.quick else noise_data.PAPER_DURATION_S
+    data = noise_data.paper_set(args.seed, args.window, duration_s=duration)
+    return noise_data.random_split(data, args.seed)
+
+
+def leave_one_out(
+    args: argparse.Namespace, data: noise_data.Windows, path: Path
+) -> list[regressor_card.Row]:
+    """Train the paper's network once without each trajectory and score it on that one."""
+    rows: list[regressor_card.Row] = []
+    for index, name in enumerate(noise_data.PAPER_TRAJECTORIES):
+        others, unseen = noise_data.trajectory_split(data, index)
+        torch.manual_seed(args.seed)
+        recipe = paper_recipe(args, others)
+        part = path.with_name(f"{path.stem}.without_{index}.onnx")
+        checkpoint = part.with_suffix(".checkpoint.pt")
+        fit(recipe, checkpoint, args.resume, args.seed)
+        export(recipe.network, part, args)
+        rows.append((f"{name}, trained on the other five", Regressor.load(part), unseen))
+        part.unlink()
+        checkpoint.unlink()
+    return rows
+
+
 def train(args: argparse.Namespace) -> int:
     """Do what the command line asks for."""
     torch.set_num_threads(args.threads)
     torch.use_deterministic_algorithms(True)
     torch.manual_seed(args.seed)
-    out = Path(args.out)
-    out.mkdir(parents=True, exist_ok=True)
-    name = args.name or args.model
-    checkpoint = out / f"{name}.checkpoint.pt"
-    test: noise_data.Windows | None = None
+    path = Path(args.out) / f"{args.name or args.model}.onnx"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint = path.with_suffix(".checkpoint.pt")
+    test, unseen = None, []
     if args.model == "paper":
-        recipe, test = paper_recipe(args)
+        data, test = paper_data(args)
+        if args.leave_one_out:
+            unseen = leave_one_out(args, data, path)
+    if args.model != "spectral" and not args.card_only:
+        if args.model == "paper":
+            recipe = paper_recipe(args, data)
+        else:
+            backgrounds = background_windows(args.background, args.topic, args.window)
+            recipe = plateau_recipe(args, backgrounds)
+        fit(recipe, checkpoint, args.resume, args.seed)
+        export(recipe.network, path, args)
+        checkpoint.unlink(missing_ok=True)
+    regressor: NoiseRegressor
+    if args.model == "spectral":
+        regressor, title = SpectralRegressor(args.window), "spectral"
     else:
-        backgrounds = background_windows(args.background, args.topic, args.window)
-        recipe = plateau_recipe(args, backgrounds)
-    fit(recipe, checkpoint, args.resume, args.seed)
-    rates = noise_data.RATE_RANGE_HZ
-    metadata = {
-        "hybrid_ins.format": FORMAT,
-        "hybrid_ins.name": name,
-        "hybrid_ins.window": str(args.window),
-        "hybrid_ins.rate_min": f"{rates[0]:g}",
-        "hybrid_ins.rate_max": f"{rates[1]:g}",
-        "hybrid_ins.centred": "0" if args.model == "paper" else "1",
-        "hybrid_ins.input": "one channel a row, m/s^2 or rad/s, oldest sample first",
-        "hybrid_ins.output": f"{'variance' if args.model == 'paper' else 'plateau'} per sample",
-        "hybrid_ins.seed": str(args.seed),
-    }
-    recipe.network.eval()
-    if isinstance(recipe.network, networks.PaperNet):
-        model = networks.onnx_paper(recipe.network, metadata)
-    else:
-        assert isinstance(recipe.network, networks.PlateauNet)
-        model = networks.onnx_plateau(recipe.network, metadata)
-    path = out / f"{name}.onnx"
-    onnx.save(model, path)
-    regressor = Regressor.load(path)
+        regressor, title = Regressor.load(path), path.name
     regressor_card.write_card(
         path.with_suffix(".md"),
         regressor,
-        title=f"{name}.onnx",
-        text=PAPER_TEXT if args.model == "paper" else PLATEAU_TEXT,
+        title=title,
+        text=TEXTS[args.model],
         command=_command(args),
         paper_test=test,
+        unseen=unseen,
         quick=args.quick,
     )
-    checkpoint.unlink(missing_ok=True)
-    print(f"{path}\n{path.with_suffix('.md')}")
+    print(path.with_suffix(".md"))
     return 0
 
 
@@ -248,8 +299,9 @@ def _command(args: argparse.Namespace) -> str:
         value = getattr(args, option)
         if value and value != _parser().get_default(option):
             words.append(f"--{option} {value}")
-    if args.quick:
-        words.append("--quick")
+    for switch in ("leave_one_out", "quick"):
+        if getattr(args, switch):
+            words.append("--" + switch.replace("_", "-"))
     if args.background:
         words.append("--background " + " ".join(Path(bag).name for bag in args.background))
     return " ".join(words)
@@ -266,15 +318,23 @@ examples:
   python tools/train_regressor.py --model plateau --name my_robot --background flight1.mcap drive2/
 needs: pip install torch onnx onnxruntime scipy tqdm""",
     )
-    parser.add_argument("--model", choices=("plateau", "paper"), required=True)
-    parser.add_argument("--name", help="name of the files; default: the model's")
+    parser.add_argument("--model", choices=tuple(TEXTS), required=True)
+    parser.add_argument("--name", help="name of the files (default: as --model)")
     parser.add_argument("--out", default="models", help="folder to write to (default: models)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--window", type=int, default=200, help="samples N in a window")
     parser.add_argument("--windows", type=int, help="windows to train on (plateau)")
     parser.add_argument("--epochs", type=int)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--leave-one-out",
+        action="store_true",
+        help="train six more times, each without one trajectory, for the card (paper)",
+    )
     parser.add_argument("--quick", action="store_true", help="a few seconds, to see that it works")
+    parser.add_argument(
+        "--card-only", action="store_true", help="score the model file that is there, train nothing"
+    )
     parser.add_argument("--resume", action="store_true", help="go on from the last epoch kept")
     parser.add_argument(
         "--background",
@@ -290,7 +350,7 @@ needs: pip install torch onnx onnxruntime scipy tqdm""",
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     args = _parser().parse_args(argv)
-    if args.model == "paper" and args.background:
+    if args.model != "plateau" and args.background:
         _parser().error("--background is for --model plateau")
     return program.run(train, args)
 

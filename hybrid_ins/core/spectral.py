@@ -31,8 +31,8 @@ _BLOCK = 20
 _TREND_DEGREE = 3
 # Of a chi-square variable with one degree of freedom.
 _MEDIAN_SHARE = 0.4549
-_OUTLIER = 10.0
-_MEAN_SHARE_KEPT = 0.9887
+_OUTLIER = 14.0
+_MEAN_SHARE_KEPT = 0.9973
 # Blocks of white noise agree this well, but for one in a few hundred.
 _SAME_RATIO, _LOWEST_RATIO, _HIGHEST_RATIO = 4.0, 0.3, 3.0
 

@@ -304,7 +304,7 @@ class Mix:
     toned: float = 0.25
     switching: float = 0.12
     outliers: float = 0.08
-    duplicates: float = 0.08
+    duplicates: float = 0.1
     clipped: float = 0.04
     quantised: float = 0.12
 
@@ -366,13 +366,13 @@ def _noise_spectrum(rng: np.random.Generator, frequency: Array, size: int) -> Ar
     )
     vibration = vibration_spectrum(
         frequency,
-        _log_uniform(rng, 1.0, 1000.0, size),
+        _log_uniform(rng, 2.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(0.01, 0.06, size),
     )
     blue = blue_spectrum(
         frequency,
-        _log_uniform(rng, 1.0, 1000.0, size),
+        _log_uniform(rng, 2.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(1.0, 4.0, size),
     )
@@ -385,12 +385,24 @@ def _noise_spectrum(rng: np.random.Generator, frequency: Array, size: int) -> Ar
 
 
 def _motion_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Array) -> Array:
-    """Return smooth random motion (B, N) of unit RMS: a steep low-pass of 0.1 to 6 Hz."""
+    """
+    Return smooth motion (B, N) of about unit RMS.
+
+    Half of the rows are random with a steep low-pass at 0.1 to 6 Hz, half sums of three sines of
+    0.02 to 3 Hz: what a vehicle does, and what a trajectory generator does.
+    """
     frequency = _frequencies(window)
     corner = np.minimum(_log_uniform(rng, 0.1, 6.0, size) / rate_hz, 0.05)
     order = rng.uniform(2.5, 6.0, size)
     motion = _shaped_noise(rng, low_pass_spectrum(frequency, corner, order), window)
-    return motion / np.sqrt(2.0 * corner)[:, None]
+    motion /= np.sqrt(2.0 * corner)[:, None]
+    time = np.arange(window) / rate_hz[:, None]
+    sines = np.zeros_like(motion)
+    for _ in range(3):
+        pitch = _log_uniform(rng, 0.02, 3.0, size)[:, None]
+        loudness = _log_uniform(rng, 0.1, 1.0, size)[:, None]
+        sines += loudness * np.sin(2.0 * np.pi * (pitch * time + rng.random((size, 1))))
+    return np.where(rng.random((size, 1)) < 0.5, motion, sines)
 
 
 def _manoeuvre_rows(rng: np.random.Generator, size: int, window: int) -> Array:
@@ -484,10 +496,10 @@ def randomised_set(
     size = _log_uniform(rng, 0.1, 1e4, rows.size)[:, None]
     signal[rows] = size * _motion_rows(rng, rows.size, window, rate_hz[rows])
     rows = chosen(mix.manoeuvring)
-    size = (_log_uniform(rng, 1.0, 1e3, rows.size) * rng.choice((-1, 1), rows.size))[:, None]
+    size = (_log_uniform(rng, 1.0, 1e4, rows.size) * rng.choice((-1, 1), rows.size))[:, None]
     signal[rows] += size * _manoeuvre_rows(rng, rows.size, window)
     rows = chosen(mix.toned)
-    size = _log_uniform(rng, 0.3, 200.0, rows.size)[:, None]
+    size = _log_uniform(rng, 0.3, 300.0, rows.size)[:, None]
     signal[rows] += size * _tone_rows(rng, rows.size, window, rate_hz[rows])
     readings = (signal + noise) * np.sqrt(level)[:, None]
 
@@ -604,3 +616,61 @@ def disturbance_trials(seed: int, count: int = 2000, window: int = 200) -> list[
         motion, noise = base(spectrum)
         trials.append(_trial(f"low-pass at fs/4, order {order:g}", motion + noise, level))
     return trials
+
+
+def unseen_trials(seed: int, count: int = 2000, window: int = 200) -> list[Trial]:
+    """
+    Return disturbances that no training window holds, at random levels: for one last look.
+
+    Each is made by other means than `randomised_set`: filters in the time domain, other
+    distributions, other manoeuvres. Nothing about the models may be chosen by them.
+    """
+    rng = np.random.default_rng(seed)
+    level = _log_uniform(rng, 1e-6, 1.0, count)
+    sigma = np.sqrt(level)[:, None]
+    sample = np.arange(window)
+
+    def white(samples: int = window) -> Array:
+        return rng.standard_normal((count, samples))
+
+    def angle() -> Array:
+        return 2.0 * np.pi * rng.random((count, 1))
+
+    # Four rotors that beat against each other, with harmonics and a wobble in strength, at 400 Hz.
+    rotors = np.zeros((count, window))
+    base = rng.uniform(70.0, 130.0, (count, 1))
+    for _ in range(4):
+        speed = base * rng.normal(1.0, 0.03, (count, 1))
+        for harmonic, strength in ((1, 1.0), (2, 0.5), (3, 0.2)):
+            turn = 2.0 * np.pi * harmonic * speed * sample / 400.0
+            rotors += strength * np.sin(turn + angle()) * (1.0 + 0.2 * white(1))
+    # Decaying knocks: a suspension or landing gear at 15 Hz seen at 200 Hz.
+    knocks = np.zeros((count, window))
+    for _ in range(3):
+        after = sample - rng.integers(0, window, (count, 1))
+        ring = np.exp(-np.maximum(after, 0) / 12.0) * np.sin(2.0 * np.pi * 15.0 / 200.0 * after)
+        knocks += np.where(after >= 0, ring, 0.0)
+    chirp = np.sin(2.0 * np.pi * (0.05 * sample + 0.5 * 0.25 / window * sample**2) + angle())
+    triangle = np.abs((sample / 70.0 + rng.random((count, 1))) % 2.0 - 1.0)
+    boxcar = white(window + 2)
+    boxcar = (boxcar[:, 2:] + boxcar[:, 1:-1] + boxcar[:, :-2]) / 3.0
+    settled = np.where(sample < rng.integers(20, 120, (count, 1)), np.sqrt(10.0), 1.0)
+    roughened = np.where(sample < rng.integers(20, 120, (count, 1)), np.sqrt(0.1), 1.0)
+    heavy = rng.standard_t(5.0, (count, window)) / np.sqrt(5.0 / 3.0)
+    frozen = repeat_samples(rng, white(), 0.0)
+    start = rng.integers(0, window - 12, count)
+    for row in range(count):
+        frozen[row, start[row] : start[row] + 12] = frozen[row, start[row]]
+    coarse = np.round(sigma * white() / (1.5 * sigma)) * (1.5 * sigma)
+    return [
+        _trial("four rotors, 10 sigma", sigma * (white() + 10.0 * rotors), level),
+        _trial("knocks, 30 sigma", sigma * (white() + 30.0 * knocks), level),
+        _trial("chirp, 10 sigma", sigma * (white() + 10.0 * chirp), level),
+        _trial("triangle, 300 sigma", sigma * (white() + 300.0 * triangle), level),
+        _trial("mean of three (plateau)", sigma * boxcar, level),
+        _trial("quieter by 10 before the end", sigma * settled * white(), level),
+        _trial("rougher by 10 before the end", sigma * roughened * white(), level),
+        _trial("Student's t, 5 degrees", sigma * heavy, level),
+        _trial("12 samples frozen", sigma * frozen, level),
+        _trial("quantised at 1.5 sigma", coarse, level * (1.0 + 1.5**2 / 12.0)),
+    ]
