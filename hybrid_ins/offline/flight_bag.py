@@ -157,6 +157,11 @@ def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[n
     return out
 
 
+def stamps(t: Array, epoch: float = EPOCH_NS * 1e-9) -> Stamps:
+    """Turn times [s] into stamps [ns]; `epoch` [s since 1970] is added, to the nanosecond."""
+    return np.rint(t * 1e9).astype(np.int64) + round(epoch * 1e9)
+
+
 def stamp(message: Message, stamp_ns: int, frame_id: str) -> Message:
     """Fill a message's header and return the message."""
     set_stamp(message.header.stamp, stamp_ns)

@@ -8,14 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from hybrid_ins.conversions import FLIP
 from hybrid_ins.core.attitude import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import flight_bag, options, program
 from hybrid_ins.offline.bags import new_message
-from hybrid_ins.offline.flight_bag import EPOCH_NS, Entry, GnssRecord, ImuRecord, TruthRecord
+from hybrid_ins.offline.flight_bag import Entry, GnssRecord, ImuRecord, TruthRecord, stamps
 from hybrid_ins.offline.sensors import (
     RTK_STD,
     ImuData,
@@ -212,7 +211,7 @@ def _simulate(args: argparse.Namespace) -> None:
 
     offset_ns = round(args.time_offset * 1e9)
     gnss_record = GnssRecord(
-        _stamps(gnss.t) - offset_ns,
+        stamps(gnss.t) - offset_ns,
         gnss.lla,
         gnss.position_std,
         gnss.velocity_n,
@@ -220,13 +219,13 @@ def _simulate(args: argparse.Namespace) -> None:
     )
     truth = sample(trajectory, sample_times(args.duration, args.truth_rate))
     track = Track.from_navigation(
-        _stamps(truth.t) - offset_ns,
+        stamps(truth.t) - offset_ns,
         truth.lla,
         truth.velocity_n,
         truth.quat_xyzw,
         datum_lla=flight_bag.first_datum(gnss_record),
     )
-    imu_record = ImuRecord(_stamps(imu.t), imu.specific_force, imu.angular_rate)
+    imu_record = ImuRecord(stamps(imu.t), imu.specific_force, imu.angular_rate)
     if args.orientation:
         error = quat_from_rpy(*(ORIENTATION_STD * orientation_rng.standard_normal(3)))
         mount = quat_from_rpy(*np.asarray(errors.mount_rpy))
@@ -272,7 +271,7 @@ def _hidden_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
     bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
     noise = new_message("geometry_msgs/msg/Vector3Stamped")
     for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
-        stamp_ns = int(_stamps(imu.t[row]))
+        stamp_ns = int(stamps(imu.t[row]))
         flight_bag.stamp(bias, stamp_ns, "imu_link")
         flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] @ FLIP)
         flight_bag.set_vector(bias.accel.accel.angular, imu.gyroscope_bias[row] @ FLIP)
@@ -281,10 +280,6 @@ def _hidden_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
         for name in ("accelerometer", "gyroscope"):
             flight_bag.set_vector(noise.vector, getattr(imu, f"{name}_std")[row] ** 2)
             yield stamp_ns, 5, f"/truth/q/{name}", noise
-
-
-def _stamps(t: ArrayLike) -> NDArray[np.int64]:
-    return np.rint(np.asarray(t) * 1e9).astype(np.int64) + EPOCH_NS
 
 
 def _schedule(text: str) -> tuple[tuple[float, float], ...]:
