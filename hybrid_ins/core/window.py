@@ -20,6 +20,7 @@ LARGEST_REPEATED_SHARE = 0.4
 LONGEST_AT_LIMIT = 5
 LARGEST_SHARE_AT_LIMIT = 0.1
 FEWEST_VALUES_TO_SATURATE = 20
+SMALLEST_DROP = 3.0
 
 
 class WindowFault(Enum):
@@ -68,15 +69,29 @@ def find_fault(
     repeated = (readings[1:] == readings[:-1]).all(axis=1)
     if repeated.mean() > LARGEST_REPEATED_SHARE or _longest_run(repeated) > LONGEST_REPEAT:
         return WindowFault.REPEATED
-    for limit in (readings.min(axis=0), readings.max(axis=0)):
-        at_limit = readings == limit
-        for channel in np.flatnonzero(at_limit.sum(axis=0) >= LONGEST_AT_LIMIT):
-            if np.unique(readings[:, channel]).size < FEWEST_VALUES_TO_SATURATE:
-                continue
-            hits = at_limit[:, channel]
-            if hits.mean() > LARGEST_SHARE_AT_LIMIT or _longest_run(hits) >= LONGEST_AT_LIMIT:
+    for sign in (-1.0, 1.0):
+        below = (sign * readings).max(axis=0) - sign * readings
+        for channel in np.flatnonzero((below == 0.0).sum(axis=0) >= LONGEST_AT_LIMIT):
+            if _is_cut_off(below[:, channel]):
                 return WindowFault.SATURATED
     return None
+
+
+def _is_cut_off(below: Array) -> bool:
+    """
+    Return whether a channel is cut off at its extreme value, given its distance (N,) below it.
+
+    A quantised channel dwells at its extremes too, but steps down from there by one resolution; a
+    channel that was cut off drops from full swing.
+    """
+    at_limit = below == 0.0
+    if np.unique(below).size < FEWEST_VALUES_TO_SATURATE:
+        return False
+    if at_limit.mean() <= LARGEST_SHARE_AT_LIMIT and _longest_run(at_limit) < LONGEST_AT_LIMIT:
+        return False
+    leaving = at_limit[:-1] != at_limit[1:]
+    drop = np.maximum(below[:-1], below[1:])[leaving]
+    return bool(drop.mean() > SMALLEST_DROP * quantisation_step(below[:, None])[0])
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:
