@@ -103,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         type=_not_negative,
         default=1.0,
         metavar="S",
-        help="go on recording S seconds after the last message (default 1)",
+        help="after the last message go on for S seconds, for what is on its way (default 1)",
     )
     return program.run(_play, parser.parse_args(words[:split]))
 
@@ -151,8 +151,7 @@ def _play(args: argparse.Namespace) -> None:
                 recorder.check()
 
         player.play(messages, timeline, last_ns, check)
-        if recorder is not None:
-            player.drain(timeline, args.drain, check)
+        player.drain(timeline, args.drain, check)
     print(player.report(args.rate))
     if recorder is not None:
         print(recorder.report(args.record))

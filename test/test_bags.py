@@ -284,7 +284,7 @@ def test_a_missing_topic_names_those_that_would_do(flight: Path) -> None:
     [
         (b"", "is empty"),
         (b"time,x,y,z\n0,1,2,3\n", "is not a bag"),
-        (b"\x89MCAP0\r\n", "holds no messages"),
+        (b"\x89MCAP0\r\n", "breaks off at byte 8 before the first whole message"),
         (b"SQLite format 3\0" + bytes(500), "cannot be read"),
         (b"#ROSBAG V2.0\n" + bytes(500), "cannot be read"),
         (b"#ROSBAG V1.2\n", "version 102 is not supported"),
@@ -375,7 +375,7 @@ def test_a_truncated_file_is_read_up_to_the_break(
 def test_a_file_cut_before_its_first_chunk_ends_is_refused(tmp_path: Path, flight: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(flight.read_bytes()[:5000])
-    with pytest.raises(InputError, match="holds no messages"):
+    with pytest.raises(InputError, match="before the first whole message"):
         BagReader(path)
 
 

@@ -215,6 +215,12 @@ class McapReader:
         self._set_counts(counts)
         if times:
             self.start_ns, self.end_ns = min(times), max(times)
+        elif not completed:
+            self.close()
+            raise InputError(
+                f"{self.path}: breaks off at byte {self._data_end} before the first whole message"
+                f" ({reason}): fetch the bag again from where it was recorded"
+            )
         _log.warning(
             "%s: %s (%s): reading its %d whole messages",
             self.path,
