@@ -22,9 +22,17 @@ from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, NoiseChange
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.noise import ConstantNoise, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise import (
+    PAPER_CONSTANTS,
+    ConstantNoise,
+    InnovationNoise,
+    LearnedNoise,
+    NoiseModel,
+    ProcessNoise,
+)
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import N_NAV
+from hybrid_ins.noise_reader import NoiseReader
 from hybrid_ins.wire import ImuFields
 
 Array = NDArray[np.float64]
@@ -81,10 +89,10 @@ class Estimator:
                 values["alignment.window"], values["imu.accelerometer_bias_std"],
                 values["imu.gyroscope_bias_std"]),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
-            self._make_noise, self._make_process, self._make_gate, values["imu.max_gap"])
+            self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"])
         self.counts: Counter[str] = self.navigator.counts
-        self._report_ns = 0
-        self._diagnostics_ns = 0
+        self._reader = self._make_reader()
+        self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
         self._fused_ns = 0
         self._accepted = 0
         self._aligned = False
@@ -95,9 +103,25 @@ class Estimator:
 
     # Parameters become parts of the filter.
 
-    def _make_noise(self) -> NoiseModel:
-        q_a, q_g = self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]
-        return ConstantNoise(np.array([q_a] * 3 + [q_g] * 3))
+    def _make_noise(self, process: ProcessNoise) -> NoiseModel:
+        mode = self.values["noise.mode"]
+        constant = np.repeat(
+            (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3)
+        if mode in PAPER_CONSTANTS:
+            return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
+        if mode == "learned":
+            return LearnedNoise(constant)
+        if mode in ("innovation", "innovation_literal"):
+            floor = np.repeat((self.values["noise.q_accelerometer_min"],
+                               self.values["noise.q_gyroscope_min"]), 3)
+            return InnovationNoise(constant, floor, self.values["noise.innovation_window"],
+                                   process, mode == "innovation_literal")
+        return ConstantNoise(constant)
+
+    def _make_reader(self) -> NoiseReader | None:
+        if self.values["noise.mode"] != "learned":
+            return None
+        return NoiseReader(self.values, self._mount, self._log)
 
     def _make_process(self, period: float) -> ProcessNoise:
         walk_a = self.values["imu.accelerometer_bias_walk"]
@@ -120,7 +144,9 @@ class Estimator:
             running.process = self._make_process(running.process.period)
             running.gate = self._make_gate()
             if any(name.startswith("noise.") for name in changes):
-                running.submit(NoiseChange(running.t_ns, self._make_noise()))
+                running.submit(NoiseChange(running.t_ns, self._make_noise(running.process)))
+        if any(name.startswith("noise.") for name in changes):
+            self._reader = self._make_reader()
 
     # Messages in.
 
@@ -170,8 +196,8 @@ class Estimator:
                 m[1, 0] * wx + m[1, 1] * wy + m[1, 2] * wz,
                 m[2, 0] * wx + m[2, 1] * wy + m[2, 2] * wz):
             return False
-        if t_ns >= self._report_ns or self.navigator.verdicts:
-            self._report(t_ns)
+        if t_ns >= self._tick_ns or self.navigator.verdicts:
+            self._tick(t_ns)
         running = self.navigator.filter
         if running is None or self._map is None:
             return False
@@ -197,7 +223,7 @@ class Estimator:
                     done.append((t_ns[k:k + 1], self.odometry[None].copy()))
                 k += 1
                 continue
-            stop = k + 1 + int(np.searchsorted(t_ns[k + 1:k + BLOCK], self._report_ns))
+            stop = k + 1 + int(np.searchsorted(t_ns[k + 1:k + BLOCK], self._tick_ns))
             while not self._steady(t_ns[k:stop], force[k:stop], rate[k:stop]):
                 stop = k + max(1, (stop - k) // 2)
             done.append((t_ns[k:stop], self._run(t_ns[k:stop], force[k:stop], rate[k:stop])))
@@ -224,8 +250,8 @@ class Estimator:
             rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
         self.odometry[:] = values[-1]
         end = int(t_ns[-1])
-        if end >= self._report_ns or self.navigator.verdicts:
-            self._report(end)
+        if end >= self._tick_ns or self.navigator.verdicts:
+            self._tick(end)
         return values
 
     def orientation(self, quat_xyzw: tuple[float, float, float, float]) -> None:
@@ -275,7 +301,7 @@ class Estimator:
         """Forget the state and align anew; the map stays where it is."""
         self.navigator.reset()
         self._aligned = False
-        self._report_ns = self._diagnostics_ns = 0
+        self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
 
     # What goes wrong.
 
@@ -332,12 +358,21 @@ class Estimator:
             self.outbox.append(("gnss/verdict", conversions.verdict_status(
                 self._new, verdict, self._gnss.time_offset)))
 
-    def _report(self, t_ns: int) -> None:
-        """Say what is not said with every sample."""
+    def _tick(self, t_ns: int) -> None:
+        """Do what is not done with every sample."""
         self._tell_verdicts()
-        if t_ns < self._report_ns:
-            return
-        self._report_ns = t_ns + REPORT_NS
+        if self._reader is not None and t_ns >= self._refresh_ns:
+            self._refresh_ns = t_ns + int(self.values["noise.refresh_period"] * 1e9)
+            self.navigator.change_noise(self._reader.read(self.navigator.ring, t_ns))
+        if t_ns >= self._report_ns:
+            self._report_ns = t_ns + REPORT_NS
+            self._report(t_ns)
+        self._tick_ns = self._report_ns
+        if self._reader is not None:
+            self._tick_ns = min(self._tick_ns, self._refresh_ns)
+
+    def _report(self, t_ns: int) -> None:
+        """Say what is said ten times a second."""
         running = self.navigator.filter
         base = self.values["base_frame"]
         if running is not None:
@@ -396,9 +431,17 @@ class Estimator:
     def _noise_status(self) -> Message:
         running = self.navigator.filter
         source = running.noise.source if running else "none"
+        reader = self._reader
+        if source == "learned" and reader is not None:
+            source = f"learned ({reader.regressor.name})"
         levels = running.noise.levels() if running else np.full(6, np.nan)
-        return conversions.status(self._new, "process noise", 0, f"source: {source}", {
+        text = f"source: {source}"
+        if reader is not None and reader.fault and running is not None:
+            text += f"; last estimate refused: {reader.fault}"
+        return conversions.status(self._new, "process noise", int(source == "fallback"), text, {
             "source": source, "mode": self.values["noise.mode"],
+            **({f"refused: {why}": n for why, n in sorted(reader.refusals.items())}
+               if reader is not None else {}),
             **{f"q_{channel}": float(value) for channel, value in zip(
                 ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True)}})
 
@@ -414,6 +457,7 @@ def warm_up(new_message: NewMessage) -> None:
               "alignment.window": 0.05}
     estimator = Estimator(values, new_message, lambda level, text: None)
     fix = new_message("sensor_msgs/msg/NavSatFix")
+    fix.status.status = conversions.STATUS_FIX
     velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
     for k in range(1, 101):
         t_ns = k * 10_000_000

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,16 +162,32 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("alignment.window", 1.0, "IMU time that levelling averages", unit="s",
               low=0.05, high=5.0),
 
-    Parameter("noise.mode", "constant", "Where the process noise comes from",
-              choices=("constant",), runtime=True),
+    Parameter("noise.mode", "learned", "Where the process noise comes from: a regressor on the "
+              "IMU's last samples, a constant (ours or the paper's three), or the innovations",
+              choices=("learned", "constant", "cq1", "cq2", "cq3", "innovation",
+                       "innovation_literal"), runtime=True),
+    Parameter("noise.model", "plateau", "Regressor of mode learned: a model that comes with the "
+              "package (plateau, paper), spectral, or the path of an .onnx file", runtime=True),
+    Parameter("noise.refresh_period", 0.2, "The regressor runs once per this time", unit="s",
+              low=0.01, high=10.0, runtime=True),
+    Parameter("noise.innovation_window", 3, "Innovations averaged in mode innovation, the paper's "
+              "ξ", low=1, high=100, runtime=True),
     Parameter("noise.units", "consistent", "consistent: Qc = q·Δt; paper: Qc = q, literally",
               choices=("consistent", "paper"), runtime=True),
     Parameter("noise.q_accelerometer", 4e-4, "Per-sample variance of the accelerometer: the "
               "constant, and what learned modes fall back to", unit="(m/s²)²",
               low=1e-12, high=1e4, runtime=True),
+    Parameter("noise.q_accelerometer_min", 1e-8, "Lowest level that is believed",
+              unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
+    Parameter("noise.q_accelerometer_max", 1e3, "Estimates beyond this are refused",
+              unit="(m/s²)²", low=1e-12, high=1e6, runtime=True),
     Parameter("noise.q_gyroscope", 4e-6, "Per-sample variance of the gyroscope: the constant, and "
               "what learned modes fall back to", unit="(rad/s)²", low=1e-14, high=1e2,
               runtime=True),
+    Parameter("noise.q_gyroscope_min", 1e-10, "Lowest level that is believed",
+              unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
+    Parameter("noise.q_gyroscope_max", 10.0, "Estimates beyond this are refused",
+              unit="(rad/s)²", low=1e-14, high=1e4, runtime=True),
 
     Parameter("covariance_interval", 0.01, "The covariance is propagated once per this time, and "
               "before every update; 0: with every IMU sample", unit="s", low=0.0, high=0.05),
@@ -304,6 +321,51 @@ def _ros_parameters(path: Path, content: object) -> dict[str, object]:
     return merged
 
 
+def to_yaml(values: Mapping[str, Value], heading: str) -> str:
+    """
+    Return a parameter file with every one of ``values`` and its meaning.
+
+    ``heading`` is the comment at the top. `load_file` reads the result back.
+    """
+    lines = [f"# {line}".rstrip() for line in heading.splitlines()]
+    lines += ["/**:", "  ros__parameters:"]
+    group: list[str] = []
+    for name, parameter in PARAMETERS.items():
+        if name not in values:
+            continue
+        *path, last = name.split(".")
+        for depth, part in enumerate(path):
+            if path[: depth + 1] != group[: depth + 1]:
+                lines += [""] if depth == 0 else []
+                lines.append("    " + "  " * depth + f"{part}:")
+        group = path
+        indent = "    " + "  " * len(path)
+        lines += textwrap.wrap(
+            parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
+            initial_indent=indent + "# ", subsequent_indent=indent + "# ", width=98)
+        if parameter.choices:
+            lines += textwrap.wrap(
+                ", ".join(parameter.choices), initial_indent=indent + "# one of: ",
+                subsequent_indent=indent + "#         ", width=98)
+        lines.append(f"{indent}{last}: {_scalar(values[name])}")
+    return "\n".join(lines) + "\n"
+
+
+def _scalar(value: Value) -> str:
+    """Return a value as YAML text that reads back as the same type."""
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_scalar, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        # YAML 1.1 takes 1e-05 for a text.
+        mantissa, _, exponent = repr(value).partition("e")
+        if exponent and "." not in mantissa:
+            mantissa += ".0"
+        return f"{mantissa}e{exponent}" if exponent else mantissa
+    return f'"{value}"' if isinstance(value, str) and not value.isidentifier() else str(value)
+
+
 def flatten(tree: Mapping[Any, object], path: Path, prefix: str = "") -> dict[str, object]:
     """Return nested parameters under their dotted names."""
     flat: dict[str, object] = {}
@@ -315,3 +377,10 @@ def flatten(tree: Mapping[Any, object], path: Path, prefix: str = "") -> dict[st
         else:
             flat[prefix + key] = value
     return flat
+
+
+if __name__ == "__main__":
+    print(to_yaml(defaults(), "Every parameter of ins_node with its default.\n\n"
+                  "Copy this file, keep what differs, and start the node with\n"
+                  "  ros2 run hybrid_ins ins_node --ros-args --params-file my_robot.yaml\n"
+                  "Written by: python3 -m hybrid_ins.parameters > config/default.yaml"), end="")

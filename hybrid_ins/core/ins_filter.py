@@ -258,7 +258,7 @@ class InsFilter:
         if isinstance(event, NoiseChange):
             self.noise = event.noise
         elif isinstance(event, NoiseEstimate):
-            self.noise.refresh(event.q)
+            self.noise.refresh(event.t_ns, event.q)
         else:
             self._fuse(event)
         self.nav[PSD] = self.process.psd(self.noise.levels())
@@ -266,17 +266,17 @@ class InsFilter:
     def _fuse(self, measurement: Measurement) -> None:
         z, H, R = measurement.linearise(self.nav)
         S, nis = innovation(self.nav, z, H, R)
-        verdict = self.gate.judge(measurement, R, nis, self.age(measurement))
+        verdict = self.gate.judge(measurement, R, S, nis, self.age(measurement))
         self.verdicts.append(verdict)
         if not verdict.accepted:
             return
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
         if verdict.reset:
             open_state(self.nav, z, H, interval)
-        dx = correct(self.nav, z, H, R)
+        dx, K = correct(self.nav, z, H, R)
         self._corrected_ns = measurement.t_ns
         C_nb = matrix_from_quat(self.nav[QUAT])
-        self.noise.learn(Correction(measurement.t_ns, z, S, H, dx, C_nb, interval))
+        self.noise.learn(Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval))
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""

@@ -54,8 +54,8 @@ def correct(nav, z, H, R):  # type: ignore[no-untyped-def]
 
     Returns
     -------
-    dx : ndarray, shape (15,)
-        The correction that was applied, eq. (11) of [2]_.
+    dx, K : ndarray, shape (15,), (15, m)
+        The correction that was applied and the gain it came from, eq. (10)-(11) of [2]_.
     """
     P = np.empty((N_ERROR, N_ERROR))
     unpack(nav[COVARIANCE], P)
@@ -66,7 +66,7 @@ def correct(nav, z, H, R):  # type: ignore[no-untyped-def]
     P = A @ P @ A.T + K @ R @ K.T
     pack(P, nav[COVARIANCE])
     inject(nav, dx)
-    return dx
+    return dx, K
 
 
 @kernel()

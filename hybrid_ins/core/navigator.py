@@ -33,10 +33,10 @@ class Navigator:
     ----------
     alignment, settings : AlignmentSettings, FilterSettings
         See there.
-    make_noise : callable
-        Returns a fresh noise model for a new filter.
     make_process : callable
         Given the IMU's sample period [s], returns the way from levels to Qc.
+    make_noise : callable
+        Given that, returns a fresh noise model for a new filter.
     make_gate : callable
         Returns a fresh gate.
     max_gap : float
@@ -56,8 +56,8 @@ class Navigator:
         self,
         alignment: AlignmentSettings,
         settings: FilterSettings,
-        make_noise: Callable[[], NoiseModel],
         make_process: Callable[[float], ProcessNoise],
+        make_noise: Callable[[ProcessNoise], NoiseModel],
         make_gate: Callable[[], Gate],
         max_gap: float,
     ) -> None:
@@ -135,9 +135,10 @@ class Navigator:
             return
         stamps = self.ring.latest(256)["t_ns"]
         period = float(np.median(np.diff(stamps))) * 1e-9
+        process = self._make_process(period)
         self.filter = InsFilter(
-            start.state, start.t_ns, start.sample, self._make_noise(),
-            self._make_process(period), self._make_gate(), self.ring, self._settings)
+            start.state, start.t_ns, start.sample, self._make_noise(process), process,
+            self._make_gate(), self.ring, self._settings)
         self.filter.verdicts = self.verdicts
 
     def measure(self, measurement: Measurement) -> None:

@@ -19,6 +19,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.state import DV, EPS
+
 Array = NDArray[np.float64]
 
 
@@ -37,8 +39,10 @@ class Correction:
         Its predicted covariance.
     H : ndarray, shape (m, 15)
         Measurement matrix.
+    K : ndarray, shape (15, m)
+        Gain.
     dx : ndarray, shape (15,)
-        Correction applied, the gain times z.
+        Correction applied, K z.
     C_nb : ndarray, shape (3, 3)
         Attitude.
     interval : float
@@ -49,6 +53,7 @@ class Correction:
     z: Array
     S: Array
     H: Array
+    K: Array
     dx: Array
     C_nb: Array
     interval: float
@@ -66,39 +71,13 @@ class NoiseModel(Protocol):
         """Per-sample variances now: accelerometer x y z, gyroscope x y z, shape (6,), b frame."""
         ...
 
-    def refresh(self, q: Array | None) -> None:
-        """Take a regressor's levels, shape (6,), or None when it could not tell."""
+    def refresh(self, t_ns: int, q: Array | None) -> None:
+        """Take a regressor's levels at a stamp, shape (6,), or None when it could not tell."""
         ...
 
     def learn(self, correction: Correction) -> None:
         """Take a correction into account."""
         ...
-
-
-class ConstantNoise:
-    """
-    Levels that never change.
-
-    Parameters
-    ----------
-    q : ndarray, shape (6,)
-        Per-sample variances [(m/s²)², (rad/s)²].
-    """
-
-    source = "constant"
-
-    def __init__(self, q: Array) -> None:
-        self._q = np.array(q, float)
-
-    def levels(self) -> Array:
-        """See `NoiseModel.levels`."""
-        return self._q
-
-    def refresh(self, q: Array | None) -> None:
-        """Ignore the estimate."""
-
-    def learn(self, correction: Correction) -> None:
-        """Ignore the correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,3 +103,130 @@ class ProcessNoise:
     def psd(self, q: Array) -> Array:
         """Return Qc's diagonal, shape (12,), for levels ``q``, shape (6,); eq. (19) of [1]_."""
         return np.concatenate((q * self.period if self.consistent else q, self.bias_walk))
+
+    def q(self, psd: Array) -> Array:
+        """Return the levels, shape (6,), whose Qc is ``psd``, shape (6,)."""
+        return psd / self.period if self.consistent else psd
+
+
+# MB-EKF-CQ1 to CQ3 of section IV-B of [1]_: variances of accelerometer and gyroscope.
+PAPER_CONSTANTS = {"cq1": (0.002, 0.02), "cq2": (0.001, 0.01), "cq3": (0.002, 0.01)}
+
+
+class ConstantNoise:
+    """
+    Levels that never change.
+
+    Parameters
+    ----------
+    q : ndarray, shape (6,)
+        Per-sample variances [(m/s²)², (rad/s)²].
+    """
+
+    source = "constant"
+
+    def __init__(self, q: Array) -> None:
+        self._q = np.array(q, float)
+
+    def levels(self) -> Array:
+        """See `NoiseModel.levels`."""
+        return self._q
+
+    def refresh(self, t_ns: int, q: Array | None) -> None:
+        """Ignore the estimate."""
+
+    def learn(self, correction: Correction) -> None:
+        """Ignore the correction."""
+
+
+class LearnedNoise:
+    """
+    Levels that a regressor reads off the IMU, and a constant while it cannot tell.
+
+    Parameters
+    ----------
+    fallback : ndarray, shape (6,)
+        Levels before the first estimate, and when the last one is older than ``HOLD_NS``.
+    """
+
+    HOLD_NS = 800_000_000
+
+    def __init__(self, fallback: Array) -> None:
+        self._fallback = np.array(fallback, float)
+        self._q = self._fallback
+        self._estimated_ns: int | None = None
+
+    @property
+    def source(self) -> str:
+        """See `NoiseModel.source`."""
+        return "fallback" if self._estimated_ns is None else "learned"
+
+    def levels(self) -> Array:
+        """See `NoiseModel.levels`."""
+        return self._q
+
+    def refresh(self, t_ns: int, q: Array | None) -> None:
+        """Take a regressor's levels, or let the old ones grow stale."""
+        if q is not None:
+            self._q, self._estimated_ns = q, t_ns
+        elif self._estimated_ns is not None and t_ns - self._estimated_ns > self.HOLD_NS:
+            self._q, self._estimated_ns = self._fallback, None
+
+    def learn(self, correction: Correction) -> None:
+        """Ignore the correction."""
+
+
+class InnovationNoise:
+    """
+    Levels from the filter's own innovations, eq. (16)-(18) of [1]_.
+
+    ``K C K'`` is what the corrections of one GNSS interval moved the state by. As process noise
+    that is a sum over the interval's IMU steps, so its density is K C K' over the interval; its
+    diagonal on velocity and misalignment, turned into b, gives the levels. (Taken literally, as
+    the Q^d of every single IMU step, it diverges; ``literal`` does that for comparison.)
+
+    Parameters
+    ----------
+    initial, floor : ndarray, shape (6,)
+        Levels before the first ``window`` corrections; lowest levels ever.
+    window : int
+        Number of innovations averaged, the paper's xi.
+    process : ProcessNoise
+        Converts the density back to levels.
+    literal : bool
+        See above.
+    """
+
+    source = "innovation"
+
+    def __init__(
+        self, initial: Array, floor: Array, window: int, process: ProcessNoise,
+        literal: bool = False,
+    ) -> None:
+        self._q = np.array(initial, float)
+        self._floor = np.array(floor, float)
+        self._window = window
+        self._process = process
+        self._literal = literal
+        self._innovations: tuple[Array, ...] = ()
+
+    def levels(self) -> Array:
+        """See `NoiseModel.levels`."""
+        return self._q
+
+    def refresh(self, t_ns: int, q: Array | None) -> None:
+        """Ignore the estimate."""
+
+    def learn(self, correction: Correction) -> None:
+        """Average the innovations and map them through the present gain."""
+        if correction.interval <= 0.0 or len(correction.z) != 3:
+            return
+        self._innovations = (*self._innovations, correction.z)[-self._window:]
+        if len(self._innovations) < self._window:
+            return
+        moved = np.array(self._innovations) @ correction.K.T
+        interval = self._process.period if self._literal else correction.interval
+        density = np.concatenate([
+            np.mean((moved[:, block] @ correction.C_nb) ** 2, axis=0) / interval
+            for block in (DV, EPS)])
+        self._q = np.maximum(self._process.q(density), self._floor)
