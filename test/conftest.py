@@ -5,9 +5,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from processes import Processes, isolated_ros
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# The same examples every time, however busy the machine is.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 # Before anything imports rclpy: whatever runs beside these tests neither hears nor disturbs them.
 os.environ.update(isolated_ros())
