@@ -29,7 +29,7 @@ from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import plots
 from hybrid_ins.offline.evaluation import Scoring, evaluate_recording
-from hybrid_ins.offline.recording import Fixes, Recording, Series
+from hybrid_ins.offline.recording import Fixes, Recording, SensorErrors, Series
 
 pytest.importorskip("matplotlib")
 
@@ -56,10 +56,8 @@ def whole() -> Recording:
         flight(TRUTH),
         Fixes(stamps(at), lla),
         verdicts(at, accepted=accepted, nis=nis, reason=reasons),
-        series(0.1),
-        series(1e-3),
-        series(1e-3),
-        series(1e-6),
+        SensorErrors(series(0.1), series(1e-3), series(1e-3), series(1e-6)),
+        SensorErrors(series(0.11), None, series(1.1e-3), None),
         ((START_NS, "constant"), (START_NS + 5 * 10**9, "learned")),
     )
 
@@ -130,8 +128,7 @@ def test_odd_values_do_not_stop_it(whole: Recording, tmp_path: Path, value: floa
     recording = replace(
         whole,
         estimate=replace(estimate, position_cov=cov, attitude_cov=cov),
-        accelerometer_bias=odd,
-        gyroscope_noise=odd,
+        sensor_errors=SensorErrors(odd, None, None, odd),
         verdicts=replace(whole.verdicts, nis=np.full(len(whole.verdicts), value)),
     )
 

@@ -140,10 +140,10 @@ def overview(recording: Recording, result: Result) -> Figure:
         page.heading_error(timed[5])
         page.tilt_error(timed[6])
         page.nis(timed[7])
-        page.bias(timed[8], recording.accelerometer_bias, "accelerometer bias", 1.0, "m/s²")
-        page.bias(timed[9], recording.gyroscope_bias, "gyroscope bias", 180 / math.pi, "deg/s")
-        page.noise(timed[10], recording.accelerometer_noise, "accelerometer", "(m/s²)²")
-        page.noise(timed[11], recording.gyroscope_noise, "gyroscope", "(rad/s)²")
+        page.bias(timed[8], "accelerometer", 1.0, "m/s²")
+        page.bias(timed[9], "gyroscope", math.degrees(1.0), "deg/s")
+        page.noise(timed[10], "accelerometer", "(m/s²)²")
+        page.noise(timed[11], "gyroscope", "(rad/s)²")
         page.finish(timed, bottom=(timed[1], timed[6], timed[11]))
     return figure
 
@@ -174,8 +174,11 @@ class _Page:
         self.estimate = recording.estimate
         self.seconds = self._since(self.estimate.stamp_ns)
         errors = result.errors
-        self.truth: Track | None = None if errors is None else errors.truth
         self.error_seconds = None if errors is None else self._since(errors.stamp_ns)
+        self.truth: Track | None = recording.truth
+        datum_lla = self.estimate.datum_lla
+        if self.truth is not None and self.truth.datum_lla is not None and datum_lla is not None:
+            self.truth = self.truth.in_map_of(datum_lla)
 
     def _since(self, stamp_ns: Stamps) -> Array:
         return np.asarray((stamp_ns - self.result.origin_ns) * 1e-9, float)
@@ -216,11 +219,10 @@ class _Page:
         if len(fixes):
             at = self._since(self._to_imu(self.recording.fixes.stamp_ns))
             axes.plot(at[accepted], fixes[accepted, 2], ".", ms=3, color=_MUTED, label="fix")
-        if self.truth is not None and self.error_seconds is not None:
-            axes.plot(
-                *_thin(self.error_seconds, self.truth.position_enu[:, 2]),
-                color=BLACK, lw=2.2, label="truth",
-            )  # fmt: skip
+        if self.truth is not None:
+            at = self._since(self._to_imu(self.truth.stamp_ns))
+            up = self.truth.position_enu[:, 2]
+            axes.plot(*_thin(at, up), color=BLACK, lw=2.2, label="truth")
         axes.plot(
             *_thin(self.seconds, self.estimate.position_enu[:, 2]), color=SKY, label="estimate"
         )
@@ -233,7 +235,7 @@ class _Page:
 
     def velocity_error(self, axes: Axes) -> None:
         """Draw the velocity error along the vehicle's axes, as its covariance is given."""
-        names = ("forward", "left", "up")
+        names = ("x", "y", "z")
         self._error(axes, "velocity error", "m/s", *self._parts("velocity", [0, 1, 2]), names)
 
     def heading_error(self, axes: Axes) -> None:
@@ -242,7 +244,7 @@ class _Page:
 
     def tilt_error(self, axes: Axes) -> None:
         """Draw the attitude error about the horizontal axes."""
-        names = ("about E", "about N")
+        names = ("E", "N")
         self._error(axes, "tilt error", "deg", *self._parts("attitude", [0, 1]), names)
 
     def nis(self, axes: Axes) -> None:
@@ -279,29 +281,29 @@ class _Page:
                 drawstyle="steps-post", label="threshold",
             )  # fmt: skip
         for (colour, marker), (reason, shown) in zip(_REFUSED, _refusals(v), strict=False):
-            # What was refused before it had a NIS lies on the lower edge.
-            height = np.where(tested[shown], v.nis[shown], axes.get_ylim()[0])
+            # What was refused before it had a NIS lies at the lower edge.
+            height = np.where(tested[shown], v.nis[shown], 1.6 * axes.get_ylim()[0])
             axes.plot(
-                at[shown], height, marker, ms=5, mew=1.4, color=colour, clip_on=False,
+                at[shown], height, marker, ms=5, mew=1.4, color=colour,
                 label=f"refused: {_shortened(reason)} ({np.sum(shown)})",
             )  # fmt: skip
         axes.legend(ncols=3, loc="upper right", fontsize=7.5)
 
-    def bias(self, axes: Axes, series: Series | None, name: str, scale: float, unit: str) -> None:
-        """Draw the three biases within their 3 sigma."""
-        axes.set(title=f"{name} ±3σ", ylabel=unit)
+    def bias(self, axes: Axes, sensor: str, scale: float, unit: str) -> None:
+        """Draw a sensor's three biases within their 3 sigma, and the true ones where known."""
+        axes.set(title=f"{sensor} bias ±3σ", ylabel=unit)
+        series, true = self._sensor_errors(f"{sensor}_bias")
         if series is None:
             _nothing(axes, "not recorded")
             return
-        at = self._since(series.stamp_ns)
+        at, values = self._since(series.stamp_ns), scale * series.values
         for axis, colour in enumerate(_AXIS_COLOURS):
             if series.sigma is not None:
-                t, low, high = _thin_band(
-                    at, scale * series.values[:, axis], 3 * scale * series.sigma[:, axis]
-                )
+                t, low, high = _thin_band(at, values[:, axis], 3 * scale * series.sigma[:, axis])
                 axes.fill_between(t, low, high, color=colour, alpha=0.13, lw=0)
-            axes.plot(*_thin(at, scale * series.values[:, axis]), color=colour, label="xyz"[axis])
-        values = scale * series.values[np.isfinite(series.values).all(axis=1)]
+            axes.plot(*_thin(at, values[:, axis]), color=colour, label="xyz"[axis])
+        self._true_lines(axes, true, scale)
+        values = values[np.isfinite(values).all(axis=1)]
         if len(values) and np.ptp(values) > 0.0:
             # The first sigma is often so large that it would flatten all the rest.
             sigma = 0.0 if series.sigma is None else scale * float(np.median(series.sigma))
@@ -309,17 +311,23 @@ class _Page:
             axes.set_ylim(np.min(values) - margin, np.max(values) + margin)
         _legend_above(axes)
 
-    def noise(self, axes: Axes, series: Series | None, name: str, unit: str) -> None:
-        """Draw the noise variances in force, and where they come from."""
-        axes.set(title=f"{name} q (noise variance in force)", ylabel=unit)
+    def noise(self, axes: Axes, sensor: str, unit: str) -> None:
+        """Draw a sensor's noise variances in force, where they come from, and the true ones."""
+        axes.set(title=f"{sensor} q (noise variance in force)", ylabel=unit)
+        series, true = self._sensor_errors(f"{sensor}_noise")
         if series is None:
             _nothing(axes, "not recorded")
             return
         axes.set_yscale("log")
+        shown = [series.values, *([true.values] if true is not None else [])]
+        positive = np.concatenate([rows[np.isfinite(rows) & (rows > 0.0)] for rows in shown])
+        if len(positive):  # room above for the source; a constant must not be drawn as rounding
+            axes.set_ylim(np.min(positive) / 5.0, np.max(positive) * 20.0)
         at = self._since(series.stamp_ns)
         for axis, colour in enumerate(_AXIS_COLOURS):
-            positive = np.where(series.values[:, axis] > 0, series.values[:, axis], np.nan)
-            axes.plot(*_thin(at, positive), color=colour, label="xyz"[axis])
+            variance = np.where(series.values[:, axis] > 0.0, series.values[:, axis], np.nan)
+            axes.plot(*_thin(at, variance), color=colour, label="xyz"[axis])
+        self._true_lines(axes, true, 1.0)
         for index, (stamp_ns, source) in enumerate(self.recording.noise_source):
             start = max(float(self._since(np.array(stamp_ns))), self.seconds[0])
             axes.axvline(start, color=_MUTED, lw=0.8, ls=":")
@@ -328,10 +336,22 @@ class _Page:
                 xytext=(3, 0), textcoords="offset points", fontsize=8, color=_TEXT,
                 va="center", bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.8},
             )  # fmt: skip
-        positive = series.values[np.isfinite(series.values) & (series.values > 0.0)]
-        if len(positive):  # room above for the source; a constant must not be drawn as rounding
-            axes.set_ylim(np.min(positive) / 2.0, np.max(positive) * 5.0)
+        axes.minorticks_off()
         _legend_above(axes)
+
+    def _sensor_errors(self, name: str) -> tuple[Series | None, Series | None]:
+        true: Series | None = getattr(self.recording.true_sensor_errors, name)
+        return getattr(self.recording.sensor_errors, name), true
+
+    def _true_lines(self, axes: Axes, true: Series | None, scale: float) -> None:
+        if true is None:
+            return
+        at = self._since(true.stamp_ns)
+        for axis in range(3):
+            axes.plot(
+                *_thin(at, scale * true.values[:, axis]), color=BLACK, lw=0.9, ls="--",
+                label="truth" if axis == 0 else None,
+            )  # fmt: skip
 
     def finish(self, timed: Sequence[Axes], bottom: Sequence[Axes]) -> None:
         """Shade outages, mark the start of scoring, and label the time axes."""
@@ -343,8 +363,9 @@ class _Page:
                     self._scoring_starts(), color=_MUTED, lw=0.8, ls="--", label="_scored from here"
                 )
             axes.tick_params(labelbottom=axes in bottom)
-        last = max(x[-1] for x in (self.seconds, self.error_seconds) if x is not None)
-        first = min(x[0] for x in (self.seconds, self.error_seconds) if x is not None)
+        first, last = min(0.0, self.seconds[0]), self.seconds[-1]
+        if self.error_seconds is not None:
+            last = max(last, self.error_seconds[-1])
         timed[0].set_xlim(first - 0.01 * (last - first), last + 0.01 * (last - first))
         for axes in bottom:
             axes.set_xlabel(
@@ -374,7 +395,9 @@ class _Page:
             datum = self.recording.truth.datum_lla
         if datum is None or not len(fixes):
             return np.empty((0, 3)), np.empty(0, bool)
-        refused = verdicts.stamp_ns[(verdicts.kind == "position") & ~verdicts.accepted]
+        # Before the first estimate nothing could be fused: no judgement on the fix.
+        running = self._since(self._to_imu(verdicts.stamp_ns)) >= self.seconds[0]
+        refused = verdicts.stamp_ns[(verdicts.kind == "position") & ~verdicts.accepted & running]
         lla = fixes.lla.copy()
         no_height = np.isnan(lla[:, 2])
         lla[no_height, 2] = datum[2]
@@ -423,7 +446,7 @@ class _Page:
                 if single:
                     axes.fill_between(t, low, high, color=SKY, alpha=0.3, lw=0)
                 for edge in (low, high):
-                    axes.plot(t, edge, color=SKY if single else colour, lw=0.7 if single else 0.9,
+                    axes.plot(t, edge, color=SKY if single else colour, lw=0.5 if single else 0.9,
                               ls="-" if single else ":",
                               label=name if error is None and edge is low else None)  # fmt: skip
             if error is not None:
@@ -478,7 +501,7 @@ def _zoom(axes: Axes, error: Array | None, sigma: Array | None) -> None:
         axes.set_yticks(sorted({sign * tick + 0.0 for tick in ticks for sign in (-1.0, 1.0)}))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
-        axes.set_title(f"{axes.get_title(loc='left')}, log beyond ±{linear:g}", loc="left")
+        axes.set_title(f"{axes.get_title(loc='left')}, log > {linear:g}", loc="left")
     if largest > 0.0:
         axes.set_ylim(-largest, largest)
 
@@ -498,7 +521,14 @@ def _decades(above: float, largest: float) -> list[float]:
 def _legend_above(axes: Axes) -> None:
     """Put the legend beside the title, where it hides nothing."""
     axes.legend(
-        ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, frameon=False
+        ncols=4,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.99),
+        borderaxespad=0.0,
+        frameon=False,
+        handlelength=0.9,
+        columnspacing=0.7,
+        handletextpad=0.4,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -108,6 +108,16 @@ class Series:
 
 
 @dataclass(frozen=True, eq=False)
+class SensorErrors:
+    """What an IMU adds to its readings: biases and noise, as estimated or as they are."""
+
+    accelerometer_bias: Series | None = None  # m/s^2
+    gyroscope_bias: Series | None = None  # rad/s
+    accelerometer_noise: Series | None = None  # per-sample variance, (m/s^2)^2
+    gyroscope_noise: Series | None = None  # per-sample variance, (rad/s)^2
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One run of the filter, as far as it was recorded."""
 
@@ -116,10 +126,8 @@ class Recording:
     truth: Track | None = None  # stamps in the reference clock
     fixes: Fixes = field(default_factory=Fixes.none)
     verdicts: Verdicts = field(default_factory=lambda: Verdicts.of(()))
-    accelerometer_bias: Series | None = None  # m/s^2
-    gyroscope_bias: Series | None = None  # rad/s
-    accelerometer_noise: Series | None = None  # per-sample variance, (m/s^2)^2
-    gyroscope_noise: Series | None = None  # per-sample variance, (rad/s)^2
+    sensor_errors: SensorErrors = field(default_factory=SensorErrors)
+    true_sensor_errors: SensorErrors = field(default_factory=SensorErrors)  # simulations know them
     noise_source: tuple[tuple[int, str], ...] = ()  # (stamp_ns, name) at each change
     notes: tuple[str, ...] = ()
 
@@ -152,25 +160,27 @@ def read_recording(
     """
     topics = topics or Topics()
     notes: list[str] = []
-    with BagReader(estimate_path) as bag:
+    with BagReader(estimate_path) as reader:
+        bag = _Bag(reader, topics)
         estimate, frames = _track(bag, topics.odometry, "--odometry", topics.datum, notes)
         truth = truth_frames = None
-        if truth_path is None and bag.count(topics.truth):
+        if truth_path is None and reader.count(topics.truth):
             truth, truth_frames = _track(
                 bag, topics.truth, "--truth-topic", topics.truth_datum, notes
             )
         fixes = _fixes(bag, topics.fix)
         verdicts = _verdicts(bag, topics.verdict)
-        accelerometer_bias, gyroscope_bias = _biases(bag, topics.bias)
-        accelerometer_noise = _vectors(bag, topics.accelerometer_noise)
-        gyroscope_noise = _vectors(bag, topics.gyroscope_noise)
+        sensor_errors = _sensor_errors(bag, topics)
+        true_sensor_errors = _sensor_errors(bag, topics, "/truth")
         noise_source = _noise_source(bag, topics.diagnostics)
     if truth_path is not None:
-        with BagReader(truth_path) as bag:
+        with BagReader(truth_path) as reader:
+            bag = _Bag(reader, topics)
             truth, truth_frames = _track(
                 bag, topics.truth, "--truth-topic", topics.truth_datum, notes
             )
             fixes = fixes if len(fixes) else _fixes(bag, topics.fix)
+            true_sensor_errors = _sensor_errors(bag, topics, "/truth")
     if truth_frames is not None and truth_frames != frames:
         notes.append(
             f"the estimate is of {frames[1]!r} in {frames[0]!r}, the truth of {truth_frames[1]!r} "
@@ -182,27 +192,50 @@ def read_recording(
         truth,
         fixes,
         verdicts,
-        accelerometer_bias,
-        gyroscope_bias,
-        accelerometer_noise,
-        gyroscope_noise,
+        sensor_errors,
+        true_sensor_errors,
         noise_source,
         tuple(notes),
     )
 
 
+class _Bag:
+    """An open bag whose small topics are read at once: every pass over a bag takes time."""
+
+    def __init__(self, reader: BagReader, topics: Topics) -> None:
+        self.reader = reader
+        small = {_absolute(name) for name in vars(topics).values()}
+        small |= {f"/truth{name}" for name in small}
+        small -= {_absolute(topics.odometry), _absolute(topics.truth)}
+        self._messages: dict[str, list[Any]] = {name: [] for name in small & set(reader.topics)}
+        if self._messages:
+            for topic, _, message in reader.messages(*self._messages):
+                self._messages[topic].append(message)
+
+    def of(self, topic: str, type_name: str) -> list[Any]:
+        """Messages of an optional topic: none if it is not there or of another type."""
+        topic = _absolute(topic)
+        matches = self.reader.topics.get(topic) == type_name
+        return self._messages.get(topic, []) if matches else []
+
+
+def _absolute(topic: str) -> str:
+    return f"/{topic.lstrip('/')}"
+
+
 def _track(
-    bag: BagReader, topic: str, option: str, datum_topic: str, notes: list[str]
+    bag: _Bag, topic: str, option: str, datum_topic: str, notes: list[str]
 ) -> tuple[Track, tuple[str, str]]:
     """Read an Odometry topic and its frames; what had to be left out is added to `notes`."""
-    topic = bag.require(topic, _ODOMETRY, option)
-    first = next(_messages(bag, topic, _ODOMETRY), None)
+    path = bag.reader.path
+    topic = bag.reader.require(topic, _ODOMETRY, option)
+    _, _, first = next(bag.reader.messages(topic), (None, None, None))
     if first is None:
-        raise InputError(f"{bag.path}: no message on {topic}")
-    track, faults = track_from_odometry(*_odometry_rows(bag, topic))
+        raise InputError(f"{path}: no message on {topic}")
+    track, faults = track_from_odometry(*_odometry_rows(bag.reader, topic))
     if not len(track):
-        raise InputError(f"{bag.path}: {topic} has no usable message: {'; '.join(faults)}")
-    places = [(m.latitude, m.longitude, m.altitude) for m in _messages(bag, datum_topic, _FIX)]
+        raise InputError(f"{path}: {topic} has no usable message: {'; '.join(faults)}")
+    places = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
     if len(set(places)) > 1:
         faults.append(f"{datum_topic} changed during the run; the last one counts")
     if places and np.all(np.isfinite(places[-1])):
@@ -315,10 +348,10 @@ def _claimed(covariance: Array) -> Array | None:
     return covariance if np.any(np.nan_to_num(covariance, posinf=0.0, neginf=0.0)) else None
 
 
-def _fixes(bag: BagReader, topic: str) -> Fixes:
+def _fixes(bag: _Bag, topic: str) -> Fixes:
     rows = [
         (ns_of(m.header.stamp), m.latitude, m.longitude, m.altitude)
-        for m in _messages(bag, topic, _FIX)
+        for m in bag.of(topic, _FIX)
         if m.status.status >= 0
     ]
     rows = sorted(r for r in rows if math.isfinite(r[1]) and math.isfinite(r[2]))
@@ -329,9 +362,9 @@ def _fixes(bag: BagReader, topic: str) -> Fixes:
     )
 
 
-def _verdicts(bag: BagReader, topic: str) -> Verdicts:
+def _verdicts(bag: _Bag, topic: str) -> Verdicts:
     rows = []
-    for message in _messages(bag, topic, _VERDICT):
+    for message in bag.of(topic, _VERDICT):
         said = {pair.key: pair.value for pair in message.values}
         if not said.get("stamp", "").isdigit():
             continue
@@ -347,9 +380,17 @@ def _verdicts(bag: BagReader, topic: str) -> Verdicts:
     return Verdicts.of(rows)  # type: ignore[arg-type]
 
 
-def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
+def _sensor_errors(bag: _Bag, topics: Topics, below: str = "") -> SensorErrors:
+    return SensorErrors(
+        *_biases(bag, below + topics.bias),
+        _vectors(bag, below + topics.accelerometer_noise),
+        _vectors(bag, below + topics.gyroscope_noise),
+    )
+
+
+def _biases(bag: _Bag, topic: str) -> tuple[Series | None, Series | None]:
     stamps, linear, angular, variances = [], [], [], []
-    for message in _messages(bag, topic, _BIAS):
+    for message in bag.of(topic, _BIAS):
         accel = message.accel.accel
         stamps.append(ns_of(message.header.stamp))
         linear.append(_xyz(accel.linear))
@@ -365,29 +406,25 @@ def _biases(bag: BagReader, topic: str) -> tuple[Series | None, Series | None]:
     )
 
 
-def _vectors(bag: BagReader, topic: str) -> Series | None:
-    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in _messages(bag, topic, _VECTOR)]
+def _vectors(bag: _Bag, topic: str) -> Series | None:
+    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in bag.of(topic, _VECTOR)]
     if not rows:
         return None
     return Series(np.array([r[0] for r in rows], np.int64), np.array([r[1] for r in rows]))
 
 
-def _noise_source(bag: BagReader, topic: str) -> tuple[tuple[int, str], ...]:
+def _noise_source(bag: _Bag, topic: str) -> tuple[tuple[int, str], ...]:
     changes: list[tuple[int, str]] = []
-    for array in _messages(bag, topic, _DIAGNOSTICS):
+    for array in bag.of(topic, _DIAGNOSTICS):
         for status in array.status:
             if status.name != "hybrid_ins: process noise":
                 continue
             for pair in status.values:
-                if pair.key == "source" and (not changes or changes[-1][1] != pair.value):
+                if pair.key != "source" or pair.value == "none":
+                    continue
+                if not changes or changes[-1][1] != pair.value:
                     changes.append((ns_of(array.header.stamp), pair.value))
     return tuple(changes)
-
-
-def _messages(bag: BagReader, topic: str, type_name: str) -> Iterator[Any]:
-    """Yield the messages of an optional topic: none if it is not there or of another type."""
-    if bag.topics.get(f"/{topic.lstrip('/')}") == type_name:
-        yield from (message for _, _, message in bag.messages(topic))
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:
