@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline.tracks import Array
@@ -83,8 +83,9 @@ class Table:
         """Return the rows that `keep` selects."""
         return Table(self.path, self.line[keep], self.t[keep], self.values[keep])
 
-    def drop(self, bad: NDArray[np.bool_], faults: Faults, kind: str) -> Table:
+    def drop(self, is_bad: ArrayLike, faults: Faults, kind: str) -> Table:
         """Leave out rows, reporting each."""
+        bad = np.asarray(is_bad, bool)
         for line in self.line[bad]:
             faults.row(self.path, int(line), f"{kind}: row dropped")
         return self.rows(~bad)

@@ -131,9 +131,9 @@ def car_drive(
     t = _grid(duration)
     speed, course_rate = np.zeros_like(t), np.zeros_like(t)
     rng = np.random.default_rng(0 if seed is None else seed)
-    begin = rest + 3.5
+    first = begin = rest + 3.5  # the speed spreads its steps over seven seconds
     while begin < duration:
-        kind = rng.choice(["leg", "bend", "stop"], p=[0.5, 0.38, 0.12])
+        kind = rng.choice(["leg", "bend", "stop"], p=[0.5, 0.38, 0.12]) if begin > first else "leg"
         if kind == "leg":
             length, pace, angle = rng.uniform(5.0, 12.0), rng.uniform(9.0, 16.0), 0.0
         elif kind == "bend":
@@ -171,9 +171,16 @@ def aircraft_flight(
     climb = _smooth(_steps(t, rng, 20.0, 2.5), 10.0)
     course_rate = _smooth(_steps(t, rng, 12.0, 0.06), 4.0)
     course = heading + _integrate(course_rate)
-    bank = np.arctan2(speed * course_rate, _gravity(start_lla))
-    rpy = np.stack((bank, np.arctan2(climb, speed), course), axis=-1)
-    return _interpolate(t, _velocity(speed, course, climb), rpy, start_lla)
+    slope = np.arctan2(climb, speed)
+
+    def attitude(_: Array, acceleration_n: Array) -> Array:
+        # Roll turns the body's y axis out of the specific force.
+        north, east, down = (acceleration_n - [0.0, 0.0, _gravity(start_lla)]).T
+        forward, right = _along_and_across(north, east, course)
+        bank = np.arctan2(right, -forward * np.sin(slope) - down * np.cos(slope))
+        return np.stack((bank, slope, course), axis=-1)
+
+    return _interpolate(t, _velocity(speed, course, climb), attitude, start_lla)
 
 
 def random_motion(
@@ -252,11 +259,16 @@ def _gravity(lla: ArrayLike) -> float:
 def _thrust_attitude(velocity_n: Array, acceleration_n: Array, yaw: Array, gravity: float) -> Array:
     thrust_n = acceleration_n + QUADROTOR_DRAG * velocity_n * [1.0, 1.0, 0.0]
     thrust_n[:, 2] -= gravity
-    forward = np.cos(yaw) * thrust_n[:, 0] + np.sin(yaw) * thrust_n[:, 1]
-    right = np.cos(yaw) * thrust_n[:, 1] - np.sin(yaw) * thrust_n[:, 0]
+    forward, right = _along_and_across(thrust_n[:, 0], thrust_n[:, 1], yaw)
     roll = np.arcsin(right / np.linalg.norm(thrust_n, axis=-1))
     pitch = np.arctan2(-forward, -thrust_n[:, 2])
     return np.stack((roll, pitch, yaw), axis=-1)
+
+
+def _along_and_across(north: Array, east: Array, yaw: Array) -> tuple[Array, Array]:
+    along = np.cos(yaw) * north + np.sin(yaw) * east
+    across = np.cos(yaw) * east - np.sin(yaw) * north
+    return along, across
 
 
 def _interpolate(
