@@ -12,7 +12,11 @@ export PATH=$PWD/.venv/bin:$PATH
 
 status=0
 ruff check --quiet || status=1
-mypy --no-error-summary || status=1
+if python -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+    mypy --no-error-summary || status=1
+else
+    echo "tools/test.sh: types are not checked: those of the numpy for Python 3.10 are too old" >&2
+fi
 [ $status = 0 ] || echo "tools/test.sh: the checks above failed; now the tests" >&2
 python -m pytest "$@" || status=$?
 exit $status
