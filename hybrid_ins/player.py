@@ -152,9 +152,9 @@ def _play(args: argparse.Namespace) -> None:
 
         player.play(messages, timeline, last_ns, check)
         player.drain(timeline, args.drain, check)
-    print(player.report(args.rate))
-    if recorder is not None:
-        print(recorder.report(args.record))
+        print(player.report(args.rate))
+        if recorder is not None:
+            print(recorder.report(args.record))
 
 
 class Timeline:
@@ -361,8 +361,20 @@ class Recorder:
             raise self._failure
 
     def report(self, path: Path) -> str:
-        """Say what was recorded."""
+        """
+        Say what was recorded.
+
+        Raises
+        ------
+        InputError
+            Nothing was.
+
+        """
         total = sum(self._counts.values())
+        if not total:
+            raise InputError(
+                "nothing came back to record: is the node running, with the same ROS_DOMAIN_ID?"
+            )
         return "\n".join([f"recorded {total} messages in {path}", *_table(self._counts)])
 
     def _subscribe(self, topic: str, name: str) -> None:

@@ -144,13 +144,14 @@ def test_without_anybody_there_it_says_so_and_plays(
 ) -> None:
     out = tmp_path / "estimate.mcap"
     options = ("--wait", 0.2, "--rate", 10, "--drain", 0, "--record", out)
-    report = play(processes, flight, *options, "--record-topics", "odometry")
+    report = play(processes, flight, *options, "--record-topics", "odometry", status=2)
     assert "nobody subscribes to /gnss/fix, /imu/data" in report.replace(
         "/imu/data, /gnss/fix", "/gnss/fix, /imu/data"
     )
     assert "nobody publishes /odometry: not recorded" in report
     assert f"played {RATE * SECONDS + 20} messages" in report
-    assert "recorded 0 messages" in report
+    assert "ins_play: error: nothing came back to record: is the node running" in report
+    assert not out.exists()
 
 
 # --- ended early ----------------------------------------------------------------------------------
