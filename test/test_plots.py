@@ -28,8 +28,9 @@ from hybrid_ins.conversions import SWAP
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import plots
-from hybrid_ins.offline.evaluation import Scoring, evaluate_recording
+from hybrid_ins.offline.evaluation import evaluate_recording
 from hybrid_ins.offline.recording import Fixes, Recording, SensorErrors, Series
+from hybrid_ins.offline.result import Scoring
 
 pytest.importorskip("matplotlib")
 
@@ -77,7 +78,7 @@ def test_one_page_shows_everything(whole: Recording, tmp_path: Path) -> None:
     shown = texts(figure)
     for text in (
         "a_flight", "PRMSE 0.51 m", "east [m]", "refused fix", "east error", "north error",
-        "up error", "heading error", "tilt error", "velocity error", "m/s", "deg", "NIS",
+        "up error", "heading error", "tilt error", "body velocity error", "m/s", "deg", "NIS",
         "threshold", "refused: gate (6)", "refused: no covariance (1)", "accelerometer bias",
         "gyroscope bias", "accelerometer q", "learned", "time [s]; shaded: no accepted fix",
     ):  # fmt: skip

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hybrid_ins.offline.evaluation import Result
     from hybrid_ins.offline.recording import Recording, Series, Verdicts
+    from hybrid_ins.offline.result import Result
 
 SUFFIXES = (".png", ".svg")
 
@@ -236,7 +236,7 @@ class _Page:
     def velocity_error(self, axes: Axes) -> None:
         """Draw the velocity error along the vehicle's axes, as its covariance is given."""
         names = ("x", "y", "z")
-        self._error(axes, "velocity error", "m/s", *self._parts("velocity", [0, 1, 2]), names)
+        self._error(axes, "body velocity error", "m/s", *self._parts("velocity", [0, 1, 2]), names)
 
     def heading_error(self, axes: Axes) -> None:
         """Draw the attitude error about the vertical."""
