@@ -96,6 +96,15 @@ class Truth:
         return nav
 
 
+def C_en_along(lla: Array) -> Array:
+    """Rotation matrices (N, 3, 3) from NED to Earth-fixed at places (N, 3)."""
+    (sin_lat, sin_lon, _), (cos_lat, cos_lon, _) = np.sin(lla).T, np.cos(lla).T
+    north = (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat)
+    east = (-sin_lon, cos_lon, np.zeros_like(sin_lon))
+    down = (-cos_lat * cos_lon, -cos_lat * sin_lon, -sin_lat)
+    return np.moveaxis(np.array((north, east, down)), 2, 0).swapaxes(1, 2)
+
+
 def travel(
     t: Array, displacement: Series, rpy: Series, datum_lla: Array = TEL_AVIV
 ) -> Truth:
@@ -110,7 +119,7 @@ def travel(
     r_e = earth.lla_to_ecef(datum_lla) + position @ C_ed.T
     v_e, a_e = velocity @ C_ed.T, acceleration @ C_ed.T
     lla = earth.ecef_to_lla(r_e)
-    C_en = np.array([earth.C_en(each) for each in lla])
+    C_en = C_en_along(lla)
     C_eb = C_ed @ matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
     gravity_n = np.zeros_like(lla)
     gravity_n[:, 0], gravity_n[:, 2] = earth.normal_gravity(lla[:, 0], lla[:, 2])

@@ -84,7 +84,7 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
         bias_g[i] += dx[12 + i]
     # C_nb <- exp(-[eps x]) C_nb; a large correction is applied in parts the series is exact for.
     ex, ey, ez = -dx[6], -dx[7], -dx[8]
-    parts = int(2.0 * np.sqrt(ex * ex + ey * ey + ez * ez)) + 1
+    parts = int(4.0 * np.sqrt(ex * ex + ey * ey + ez * ez)) + 1
     ex, ey, ez = ex / parts, ey / parts, ez / parts
     s, c = half_rotation(ex, ey, ez)
     ex, ey, ez = s * ex, s * ey, s * ez
