@@ -25,10 +25,11 @@ class Faults:
     def __init__(self, program_name: str) -> None:
         self.program_name = program_name
         self.counts: Counter[tuple[Path, str]] = Counter()
+        self._reported: set[tuple[Path, int, str]] = set()
 
     def row(self, path: Path, line: int, kind: str, detail: str = "") -> None:
         """
-        Report one row.
+        Report one row; once, even where two tables are read from one file.
 
         Parameters
         ----------
@@ -40,6 +41,9 @@ class Faults:
         detail : str
             What is particular to this row.
         """
+        if (path, line, kind) in self._reported:
+            return
+        self._reported.add((path, line, kind))
         self.counts[path, kind] += 1
         if self.counts[path, kind] <= SHOWN_PER_KIND:
             self._say(f"{path}:{line}: {kind}{detail and f' ({detail})'}")
@@ -53,10 +57,6 @@ class Faults:
         for (path, kind), count in self.counts.items():
             if count > SHOWN_PER_KIND:
                 self._say(f"{path}: {count - SHOWN_PER_KIND} more rows: {kind}")
-
-    def total(self, path: Path) -> int:
-        """Count the rows of a file that were reported."""
-        return sum(count for (where, _), count in self.counts.items() if where == path)
 
     def _say(self, text: str) -> None:
         print(f"{self.program_name}: warning: {text}", file=sys.stderr)
