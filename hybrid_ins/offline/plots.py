@@ -261,17 +261,19 @@ class _Page:
         limited = np.isfinite(v.threshold) & position
         sizes = np.concatenate((v.nis[tested], v.threshold[limited], [10.0]))
         axes.set(yscale="log", ylim=(0.05, 150.0 * float(np.max(sizes))))
+        size = 4.0 if len(v) < 1000 else 2.0
         for kind, marker, colour, name in (
             (position, ".", BLUE, "accepted"),
             (~position, "+", SKY, "velocity accepted"),
         ):
             shown = tested & v.accepted & kind
             if np.any(shown):
-                axes.plot(at[shown], v.nis[shown], marker, ms=4, color=colour, label=name)
-        if np.sum(fused) >= 2 * _RUNNING:
-            mean = np.convolve(v.nis[fused], np.ones(_RUNNING) / _RUNNING, mode="valid")
-            middle = at[fused][_RUNNING // 2 :][: len(mean)]
-            axes.plot(*_thin(middle, mean), color=BLACK, lw=1.3, label=f"mean of {_RUNNING}")
+                axes.plot(at[shown], v.nis[shown], marker, ms=size, color=colour, label=name)
+        running = max(11, int(np.sum(fused)) // 40)  # fixes: some forty independent means
+        if np.sum(fused) >= 2 * running:
+            mean = np.convolve(v.nis[fused], np.ones(running) / running, mode="valid")
+            middle = at[fused][running // 2 :][: len(mean)]
+            axes.plot(*_thin(middle, mean), color=BLACK, lw=1.3, label=f"mean of {running}")
         if np.any(fused):
             dof = float(np.median(v.dof[fused]))
             axes.axhline(dof, color=_MUTED, lw=1.0, ls=":", label=f"expected {dof:g}")
@@ -459,9 +461,6 @@ class _Page:
 
     def _scored(self) -> NDArray[np.bool_] | None:
         return None if self.result.errors is None else self.result.errors.scored
-
-
-_RUNNING = 11  # fixes in the running mean of the NIS
 
 
 def _caption(
