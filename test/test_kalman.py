@@ -1,0 +1,100 @@
+"""The update against the textbook, and the law of the closed loop."""
+
+import numpy as np
+import pytest
+from analytic_motion import TEL_AVIV, difference
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybrid_ins.core import kalman
+from hybrid_ins.core.attitude import quat_from_rpy
+from hybrid_ins.core.state import N_ERROR, Array, NavState, covariance
+
+SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
+seeds = st.integers(0, 2**31)
+
+
+def problem(seed: int, m: int = 3) -> tuple[Array, Array, Array, Array]:
+    """Return a flat state with a full covariance, z, H and a full R."""
+    rng = np.random.default_rng(seed)
+    mixing = rng.normal(size=(N_ERROR, N_ERROR))
+    P = (mixing @ mixing.T + np.eye(N_ERROR)) * np.outer(SIGMA, SIGMA)
+    state = NavState(
+        TEL_AVIV + np.array([0, 0, 50.0]), rng.normal(0.0, 10.0, 3),
+        quat_from_rpy(*rng.uniform(-1.0, 1.0, 3)), rng.normal(0.0, 0.05, 3),
+        rng.normal(0.0, 0.005, 3), P)
+    root = rng.normal(size=(m, m))
+    return (
+        state.to_flat(), rng.normal(size=m), rng.normal(size=(m, N_ERROR)) / SIGMA,
+        root @ root.T + 0.1 * np.eye(m))
+
+
+@given(seeds, st.integers(1, 6))
+def test_innovation(seed: int, m: int) -> None:
+    nav, z, H, R = problem(seed, m)
+    P = covariance(nav)
+
+    S, nis = kalman.innovation(nav, z, H, R)
+
+    np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-12)
+    assert nis == pytest.approx(z @ np.linalg.inv(H @ P @ H.T + R) @ z, rel=1e-9)
+
+
+@given(seeds, st.integers(1, 6))
+def test_update_is_the_textbooks(seed: int, m: int) -> None:
+    """Gain, correction, and P both by Joseph's form and by (P^-1 + H' R^-1 H)^-1."""
+    nav, z, H, R = problem(seed, m)
+    before, P = nav.copy(), covariance(nav)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    A = np.eye(N_ERROR) - gain @ H
+    unit = np.outer(SIGMA, SIGMA)
+
+    dx, K = kalman.correct(nav, z, H, R)
+
+    np.testing.assert_allclose(K / SIGMA[:, None], gain / SIGMA[:, None], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(dx / SIGMA, gain @ z / SIGMA, rtol=1e-8, atol=1e-10)
+    joseph = A @ P @ A.T + gain @ R @ gain.T
+    np.testing.assert_allclose(covariance(nav) / unit, joseph / unit, rtol=1e-9, atol=1e-10)
+    information = np.linalg.inv(P / unit) + (H * SIGMA).T @ np.linalg.inv(R) @ (H * SIGMA)
+    np.testing.assert_allclose(
+        covariance(nav) / unit, np.linalg.inv(information), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(difference(nav, before) / SIGMA, dx / SIGMA, rtol=1e-6, atol=1e-6)
+
+
+def test_perfect_measurement_leaves_no_negative_variance() -> None:
+    """Joseph's form holds where P - K H P has lost all digits."""
+    nav, z, _, _ = problem(3)
+    H = np.eye(3, N_ERROR)
+
+    for _ in range(50):
+        kalman.correct(nav, 0.0 * z, H, 1e-12 * np.eye(3))
+
+    eigenvalues = np.linalg.eigvalsh(covariance(nav) / np.outer(SIGMA, SIGMA))
+    assert eigenvalues.min() > 0.0
+
+
+errors = st.tuples(*(
+    st.floats(-bound, bound) for bound in np.repeat([30.0, 20.0, 1.7, 1.0, 0.1], 3)
+)).map(np.array)
+
+
+@given(seeds, errors)
+def test_state_plus_error_minus_state_is_the_error(seed: int, dx: Array) -> None:
+    """The law of the closed loop; misalignments up to half a turn."""
+    nav = problem(seed)[0]
+    before = nav.copy()
+
+    kalman.inject(nav, dx)
+
+    # Small differences of large coordinates: metres to a nanometre and 1e-5 of themselves.
+    np.testing.assert_allclose(difference(nav, before)[:6], dx[:6], atol=1e-8)
+    np.testing.assert_allclose(difference(nav, before)[6:], dx[6:], atol=1e-12)
+
+
+def test_zero_error_changes_nothing() -> None:
+    nav = problem(5)[0]
+    before = nav.copy()
+
+    kalman.inject(nav, np.zeros(N_ERROR))
+
+    np.testing.assert_allclose(nav, before, rtol=1e-15)
