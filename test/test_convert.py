@@ -26,6 +26,13 @@ from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline.bags import BagReader
 from hybrid_ins.offline.column_map import load_map
+from hybrid_ins.offline.csv_flight import (
+    AttitudeSeries,
+    ImuSeries,
+    read_attitude,
+    read_imu,
+    read_position,
+)
 from hybrid_ins.offline.csv_table import CsvFormat, Faults, read_table
 from hybrid_ins.offline.flight_bag import EPOCH_NS
 from hybrid_ins.offline.quadrotor import differentiate, main, pick_epochs
@@ -34,6 +41,7 @@ from hybrid_ins.offline.trajectories import quadrotor_flight
 
 MAP = ROOT / "config/datasets/quadrotor.yaml"
 ORIGIN = np.array([np.radians(32.8257), np.radians(34.9560), 10.0])
+STANDING_N = np.array([0.0, 0.0, -9.795])  # m/s2, specific force at rest
 DELAY = 0.045  # s, of the attitude in the map
 FLIP = np.array([1.0, -1.0, -1.0])
 BEGIN = 14.0  # s, into the simulated flight: like the real ones it starts in the air
@@ -713,3 +721,115 @@ def test_what_is_no_map_is_refused(tmp_path: Path, text: str, words: str) -> Non
 @pytest.mark.parametrize("name", ["quadrotor.yaml", "quadrotor_extended.yaml"])
 def test_shipped_maps_load(name: str) -> None:
     load_map(MAP.with_name(name))
+
+
+# --- the recorded flights -------------------------------------------------------------------------
+
+SESSIONS = ["Horizontal/path_4", "Horizontal/path_16", "StraightLine/path_1"]
+
+
+def integral(t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Integral of samples (N, 3) from their first epoch to given times."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None]
+    total = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    return np.stack([np.interp(at, t, axis) for axis in total.T], axis=-1)
+
+
+def rates_at_offset(
+    imu: ImuSeries, attitude: AttitudeSeries, offset: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gyroscope and attitude, mean rates over the same intervals, for an offset of the clocks."""
+    t = attitude.t + offset
+    inside = (t[:-1] > imu.t[0]) & (t[1:] < imu.t[-1])
+    measured = np.diff(integral(imu.t, imu.angular_rate_b, t), axis=0) / np.diff(t)[:, None]
+    return measured[inside], attitude.angular_rate_b[inside]
+
+
+def clock_offset(imu: ImuSeries, attitude: AttitudeSeries) -> float:
+    """IMU clock minus attitude clock [s] at which the rates agree best."""
+
+    def misfit(offset: float) -> float:
+        measured, reference = rates_at_offset(imu, attitude, offset)
+        return float(np.mean(np.var(measured - reference, axis=0)))
+
+    coarse = min(np.arange(-1.0, 1.0, 0.02), key=misfit)
+    return float(min(coarse + np.arange(-0.02, 0.02, 0.002), key=misfit))
+
+
+@pytest.mark.parametrize("name", SESSIONS)
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+def test_gyroscope_and_accelerometer_agree_with_the_reference(
+    flights: Path, name: str, number: int
+) -> None:
+    """Axes, signs and units: rates against the attitude, forces against the position."""
+    layout, faults = load_map(MAP), Faults("test")
+    assert layout.attitude is not None
+    imu = read_imu(flights / name, layout.imu, number, faults)
+    position = read_position(flights / name, layout.position, faults)
+    attitude = read_attitude(flights / name, layout.attitude, faults)  # in the position's clock
+
+    offset = clock_offset(imu, attitude)
+    measured, reference = rates_at_offset(imu, attitude, offset)
+    for axis in range(3):
+        assert np.corrcoef(measured[:, axis], reference[:, axis])[0, 1] > 0.95
+    # The matrix between them is that of a mount within a few degrees.
+    mount = np.linalg.lstsq(reference, measured - measured.mean(0), rcond=None)[0]
+    np.testing.assert_allclose(mount, np.eye(3), atol=0.12)
+
+    quat, _ = attitude.at(imu.t - offset)
+    force_n = (matrix_from_quat(quat) @ imu.specific_force_b[..., None])[..., 0]
+    t = position.t + offset
+    velocity, _ = differentiate(position.t, LocalFrame(ORIGIN).position(position.lla))
+    inside = (t[:-10] > imu.t[0]) & (t[10:] < imu.t[-1])
+    change = (velocity[10:] - velocity[:-10])[inside]  # over a second
+    felt = integral(imu.t, force_n - STANDING_N, t)
+    felt = (felt[10:] - felt[:-10])[inside]
+    assert np.abs((felt - change).mean(0)).max() < 1.0
+    if name == "StraightLine/path_1":  # hardly accelerates
+        return
+    # The IMU swings about the reference point, some decimetres away from it.
+    C_before, C_after = (matrix_from_quat(attitude.at(position.t + d)[0]) for d in (-0.1, 0.1))
+    swing = (C_after - C_before) / 0.2
+    swing = (swing[10:] - swing[:-10])[inside]
+    for axis in range(2):
+        model = np.column_stack([change[:, axis], swing[:, axis], np.ones(len(change))])
+        (gain, *lever_b, _), (misfit,), _, _ = np.linalg.lstsq(model, felt[:, axis], rcond=None)
+        assert gain == pytest.approx(1.0, abs=0.12)
+        assert misfit / np.sum(felt[:, axis] ** 2) < 0.05
+        assert np.linalg.norm(lever_b) < 0.6
+
+
+def test_every_recorded_flight_converts(flights: Path, tmp_path: Path) -> None:
+    folders = sorted(flights.glob("*/path_*"))
+    assert len(folders) == 13
+    for k, folder in enumerate(folders):
+        bag = convert(folder, tmp_path / "bag", f"--imu {k % 4 + 1} --gnss-rate 1 --overwrite")
+        with BagReader(bag) as reader:
+            seconds = (reader.end_ns - reader.start_ns) * 1e-9
+            assert reader.count("/imu/data") == pytest.approx(120.0 * seconds, rel=0.01)
+            assert reader.count("/truth/odometry") == pytest.approx(10.0 * seconds, rel=0.01)
+            assert reader.count("/gnss/fix") == pytest.approx(seconds, abs=1.5)
+
+
+def test_the_repeated_stamps_of_flight_4_are_named(
+    flights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    convert(flights / "Horizontal/path_4", tmp_path / "bag", "--imu 4")
+
+    warnings = capsys.readouterr().err
+    for line in (1308, 1335):
+        assert f"IMU_4.csv:{line}: repeated time stamp: row dropped" in warnings
+    for line in (1307, 1334):
+        assert f"IMU_4.csv:{line}: gap before this row: left open (16.7 ms" in warnings
+
+
+def test_latitude_and_longitude_give_the_same_flight(flights: Path, tmp_path: Path) -> None:
+    folder = flights / "StraightLine/path_1"
+    local = convert(folder, tmp_path / "local")
+    extended = MAP.with_name("quadrotor_extended.yaml")
+    geodetic = convert(folder, tmp_path / "geodetic", f"--map {extended}")
+
+    (t, first), (t_geodetic, second) = truth_positions(local), truth_positions(geodetic)
+
+    np.testing.assert_allclose(t_geodetic, t, atol=1e-6)
+    np.testing.assert_allclose(second - second[0], first - first[0], atol=1e-4)
