@@ -112,7 +112,7 @@ def paper_recipe(args: argparse.Namespace, data: noise_data.Windows) -> Recipe:
 def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> Recipe:
     """Return our recipe: energies computed once, errors of log q weighed by the network's doubt."""
     network = networks.PlateauNet(args.window)
-    total = args.windows or (4000 if args.quick else 1_200_000)
+    total = args.windows or (4000 if args.quick else 1_000_000)
     chunk = 4000
     parts: list[tuple[Tensor, Tensor, Tensor]] = []
     for index in tqdm(range(total // chunk), desc="windows", disable=not sys.stderr.isatty()):
@@ -135,7 +135,7 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
         guide = nn.functional.huber_loss(coarse, target, delta=0.3)
         return torch.log(scale).mean() + miss + 0.1 * guide
 
-    epochs = args.epochs or (2 if args.quick else 45)
+    epochs = args.epochs or (2 if args.quick else 40)
 
     def rate(epoch: int) -> float:
         return float(3e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)) + 1e-5)

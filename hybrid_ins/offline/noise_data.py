@@ -56,7 +56,7 @@ class Windows(NamedTuple):
     variance : (B,) array
         Label: noise level as a per-sample variance [unit^2].
     group : (B,) int array
-        Trajectory index (paper's set) or disturbance index (randomised set).
+        Index of the trajectory in `PAPER_TRAJECTORIES`; 0 where there is none.
     """
 
     readings: NDArray[np.float32]
@@ -291,20 +291,21 @@ class Mix:
 
     Attributes
     ----------
-    coloured : share of windows whose noise is not white (low-passed, vibration, blue, AR).
+    coloured : share of windows whose noise is not white (low-passed, vibration, blue, AR). Most
+        are white: a network doubts steady white noise as often as its training gives it reason.
     moving : share with random motion; manoeuvring : share with steps or smooth bumps.
     toned : share with one to four vibration tones.
     switching : share whose variance changes inside the window.
     outliers, duplicates, clipped, quantised : shares of these sensor faults.
     """
 
-    coloured: float = 0.3
+    coloured: float = 0.15
     moving: float = 0.6
     manoeuvring: float = 0.2
     toned: float = 0.25
-    switching: float = 0.12
-    outliers: float = 0.08
-    duplicates: float = 0.1
+    switching: float = 0.06
+    outliers: float = 0.05
+    duplicates: float = 0.07
     clipped: float = 0.04
     quantised: float = 0.12
 
@@ -362,21 +363,22 @@ def _noise_spectrum(rng: np.random.Generator, frequency: Array, size: int) -> Ar
     """Return random coloured spectra (B, F), unit plateau at the low end."""
     kind = rng.integers(0, 5, size)
     low_pass = low_pass_spectrum(
-        frequency, _log_uniform(rng, 0.08, 0.5, size), rng.uniform(0.8, 4.0, size)
+        frequency, _log_uniform(rng, 0.08, 0.35, size), rng.uniform(0.8, 4.0, size)
     )
     vibration = vibration_spectrum(
         frequency,
-        _log_uniform(rng, 2.0, 1000.0, size),
+        _log_uniform(rng, 4.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(0.01, 0.06, size),
     )
     blue = blue_spectrum(
         frequency,
-        _log_uniform(rng, 2.0, 1000.0, size),
+        _log_uniform(rng, 4.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(1.0, 4.0, size),
     )
-    autoregression = ar_spectrum(frequency, rng.uniform(-0.8, 0.7, size))
+    pole = rng.uniform(0.3, 0.8, size) * rng.choice((-1.0, 1.0), size)
+    autoregression = ar_spectrum(frequency, pole)
     # Propellers under a sensor's own low-pass: a floor, a band of vibration, a falling end.
     spectra = np.choose(
         kind[:, None], (low_pass, vibration, blue, autoregression, vibration * low_pass)
