@@ -276,21 +276,30 @@ def test_same_call_same_bytes(made: Path, tmp_path: Path) -> None:
     assert first.read_bytes() == again.read_bytes()
 
 
-@pytest.mark.parametrize(("rate", "step"), [(10.0, 1), (5.0, 2), (2.0, 5), (1.0, 10)])
-def test_rates_that_divide_use_whole_epochs(rate: float, step: int) -> None:
-    rows, times = pick_epochs(np.arange(101) / 10.0 + 1e-4 * np.sin(np.arange(101)), rate)
+@pytest.mark.parametrize(("rate", "every"), [(10.0, 1), (5.0, 2), (2.0, 5), (1.0, 10)])
+@pytest.mark.parametrize("actual_rate", [10.0, 9.93])
+def test_rates_that_divide_use_whole_epochs(rate: float, every: int, actual_rate: float) -> None:
+    count = np.arange(1001)
+    rows, slots = pick_epochs(7.0 + count / actual_rate + 0.01 * np.sin(count), rate)
 
-    np.testing.assert_array_equal(rows, np.arange(0, 101, step))
-    np.testing.assert_allclose(times, rows / 10.0, atol=1e-9)
+    np.testing.assert_array_equal(rows, count[::every])
+    np.testing.assert_array_equal(slots, rows / every)
+
+
+def test_a_missing_epoch_gives_no_fix_and_moves_none() -> None:
+    t = np.delete(np.arange(101) / 10.0, [3, 52, 53])
+    rows, slots = pick_epochs(t, 5.0)
+
+    np.testing.assert_allclose(t[rows.astype(int)], slots / 5.0)
+    assert set(range(51)) - set(slots) == {26}
 
 
 def test_other_rates_interpolate_but_not_over_a_gap() -> None:
     t = np.delete(np.arange(101) / 10.0, [52, 53])
-    rows, times = pick_epochs(t, 4.0)
+    rows, slots = pick_epochs(t, 4.0)
 
-    position = np.interp(rows, np.arange(t.size), t)
-    np.testing.assert_allclose(position[np.isfinite(rows)], times[np.isfinite(rows)], atol=1e-12)
-    np.testing.assert_allclose(times[~np.isfinite(rows)], [5.25])
+    np.testing.assert_allclose(np.interp(rows, np.arange(t.size), t), slots / 4.0, atol=1e-12)
+    assert set(range(41)) - set(slots) == {21}
     with pytest.raises(InputError, match="10 epochs a second"):
         pick_epochs(t, 20.0)
 
@@ -349,7 +358,8 @@ def test_the_maps_example_reads_a_pixhawks_log(tmp_path: Path) -> None:
         np.vstack([no_fix_yet, np.column_stack([start + 1e6 * t, np.rint(lla)])]),
     )
 
-    bag = convert(folder, tmp_path / "bag", f"--map {tmp_path / 'map.yaml'} --gnss-noise 0 0 0")
+    options = f"--map {tmp_path / 'map.yaml'} --gnss-noise 0 0 0 --outage 2 1"
+    bag = convert(folder, tmp_path / "bag", options)
 
     stamps, imu = messages(bag, "/imu/data")
     np.testing.assert_allclose(stamps[0], 5.0)
@@ -363,6 +373,8 @@ def test_the_maps_example_reads_a_pixhawks_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(velocity[2:-2], expected[2:-2], atol=0.8)  # at 5 Hz
     fixes, position = fix_positions(bag)
     np.testing.assert_allclose(position, ned(truth_at(fixes - 5.0)), atol=0.02)
+    assert not ((fixes > 6.99) & (fixes < 7.99)).any()  # times count from the bag's beginning
+    assert fixes.size == 101 - 5
 
 
 def test_another_layout_without_header_attitude_or_usual_units(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.errors import InputError
@@ -37,19 +38,20 @@ DEFAULT_MAP = "config/datasets/quadrotor.yaml"
 HALF_WINDOW = 0.4  # s, of the cubic whose slope is the velocity
 
 
-def pick_epochs(t: Array, rate: float) -> tuple[Array, Array]:
+def pick_epochs(t: Array, rate: float) -> tuple[Array, NDArray[np.int64]]:
     """
-    Choose when fixes are made: multiples of ``1 / rate`` from the first epoch on.
+    Choose where fixes are made.
 
-    Where an epoch of the reference lies there, the fix is that epoch, so that the ones between are
-    never used; elsewhere the fix lies between two epochs. There is none in a gap.
+    Where `rate` divides that of the reference, it is every n-th epoch, so that the ones between
+    are never used; else multiples of ``1 / rate`` from the first epoch on, between two epochs.
+    There is no fix where an epoch is missing.
 
     Returns
     -------
     ndarray, shape (M,)
-        Row of the reference, with a fraction where it lies between two; NaN in a gap.
-    ndarray, shape (M,)
-        Time [s].
+        Row of the reference, with a fraction where the fix lies between two.
+    ndarray of int, shape (M,)
+        How many fixes would lie before it in a flight without gaps.
 
     Raises
     ------
@@ -57,16 +59,20 @@ def pick_epochs(t: Array, rate: float) -> tuple[Array, Array]:
         The reference is slower than `rate`.
 
     """
-    step = np.median(np.diff(t))
-    if rate > 1.01 / step:
+    steps = np.diff(t)
+    whole = steps < 1.5 * np.median(steps)
+    step = steps[whole].mean()
+    every = round(1.0 / (rate * step))
+    if every >= 1 and abs(every * rate * step - 1.0) < 0.02:
+        epoch = np.rint((t - t[0]) / step).astype(np.int64)
+        rows = np.flatnonzero(epoch % every == 0)
+        return rows.astype(float), epoch[rows] // every
+    if rate * step > 1.0:
         raise InputError(f"--gnss-rate {rate:g}: the reference has {1 / step:.4g} epochs a second")
-    times = t[0] + np.arange(int((t[-1] - t[0]) * rate + 0.05) + 1) / rate
-    rows = np.interp(times, t, np.arange(t.size))
-    nearest = np.rint(rows).astype(int)
-    is_epoch = np.abs(t[nearest] - times) < 0.05 * step
-    left = np.clip(rows.astype(int), 0, t.size - 2)
-    gap = (t[left + 1] - t[left] > 1.5 * step) & ~is_epoch
-    return np.where(gap, np.nan, np.where(is_epoch, nearest, rows)), times
+    slots = np.arange(int((t[-1] - t[0]) * rate) + 1)
+    rows = np.interp(t[0] + slots / rate, t, np.arange(t.size))
+    sound = np.append(whole, True)[rows.astype(int)]
+    return rows[sound], slots[sound]
 
 
 def make_fixes(
@@ -80,7 +86,8 @@ def make_fixes(
     """
     Make GNSS fixes of the reference.
 
-    Each fix of the whole flight takes its turn in `rng`: an outage leaves the others as they were.
+    Each fix of the whole flight takes its turn in `rng`: a gap or an outage leaves the others as
+    they were.
 
     Parameters
     ----------
@@ -102,12 +109,12 @@ def make_fixes(
         What a fix says of itself: the noise added, or the reference's own where that is more.
 
     """
-    rows, _ = pick_epochs(position.t, rate)
-    error = noise * rng.standard_normal((rows.size, 3)) / curvature_scale(position.lla[0])
-    rows, error = rows[np.isfinite(rows)], error[np.isfinite(rows)]
+    rows, slots = pick_epochs(position.t, rate)
+    error = noise * rng.standard_normal((slots[-1] + 1, 3)) / curvature_scale(position.lla[0])
     index = np.arange(position.t.size)
     t = np.interp(rows, index, position.t)
-    lla = np.stack([np.interp(rows, index, axis) for axis in position.lla.T], axis=-1) + error
+    lla = np.stack([np.interp(rows, index, axis) for axis in position.lla.T], axis=-1)
+    lla += error[slots]
     kept = ~in_outage(t, outages)
     return t[kept], lla[kept], np.maximum(noise, reference_std)
 
@@ -276,6 +283,7 @@ def _convert(args: argparse.Namespace) -> None:
         )
     rng = np.random.default_rng(args.seed)
     noise = np.array(args.gnss_noise)
+    outages = [(imu.t[0] + start, duration) for start, duration in outages]
     t, lla, std = make_fixes(position, layout.position.std, args.gnss_rate, noise, rng, outages)
     gnss = GnssRecord(stamps(t, layout.epoch), lla, std)
     truth = make_truth(
