@@ -220,6 +220,8 @@ class InsFilter:
             if event.t_ns > self.t_ns:
                 self._run(self._between(event.t_ns, samples[stop]), NO_ROWS)
             self._apply(event)
+            if len(rows) and stop and stamps[stop - 1] == event.t_ns:
+                rows[stop - 1] = self.nav[:N_NAV]
             start = stop
         self._run(samples[start:], rows[start:])
         if self.t_ns - self._points[-1].t_ns >= self._spacing_ns:
@@ -316,7 +318,7 @@ class InsFilter:
             if verdict.measurement is late:
                 own = verdict
         if not isinstance(late, NoiseEstimate | NoiseChange):
-            self.verdicts.append(own)
+            self.verdicts.append(replace(own, age=self.age(late)))
         return True
 
 
