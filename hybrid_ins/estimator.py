@@ -89,7 +89,8 @@ class Estimator:
                 values["alignment.window"], values["imu.accelerometer_bias_std"],
                 values["imu.gyroscope_bias_std"]),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
-            self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"])
+            self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"],
+            values["imu.zero_updates"], self._start_over)
         self.counts: Counter[str] = self.navigator.counts
         self._reader = self._make_reader()
         self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
@@ -132,7 +133,7 @@ class Estimator:
 
     def _make_gate(self) -> Gate:
         probability = self.values["gnss.gate_probability"]
-        return Gate({m: float(chi2.ppf(probability, m)) for m in (1, 2, 3)},
+        return Gate({m: float(chi2.ppf(probability, m)) for m in (1, 2, 3, 6)},
                     self.values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
@@ -294,12 +295,19 @@ class Estimator:
         if isinstance(yaw, Refused):
             self._refuse("initialpose", yaw)
             return
-        self.reset()
-        self.navigator.alignment.set_yaw(*yaw)
+        self.navigator.realign()
+        self.navigator.alignment.set_yaw(self.navigator.last_ns, *yaw)
+        self._start_over()
 
     def reset(self) -> None:
         """Forget the state and align anew; the map stays where it is."""
         self.navigator.reset()
+        self._start_over()
+
+    def _start_over(self, reason: str = "") -> None:
+        """Begin to tell anew, after the navigator did."""
+        if reason:
+            self._log("warn", f"{reason}: aligning anew")
         self._aligned = False
         self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
 
@@ -347,6 +355,9 @@ class Estimator:
         verdicts = self.navigator.verdicts
         while verdicts:
             verdict = verdicts.popleft()
+            if not verdict.measurement.aiding:
+                continue
+            self.navigator.judge_openings(verdict)
             if verdict.accepted:
                 self._accepted += 1
                 self._fused_ns = verdict.measurement.t_ns

@@ -126,6 +126,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               unit="m/s²", low=20.0, high=1e5),
     Parameter("imu.max_angular_rate", 80.0, "Readings beyond this are refused as faulty or given "
               "in degrees", unit="rad/s", low=1.0, high=1e4),
+    Parameter("imu.zero_updates", True, "Tell the filter that it does not move while the IMU and "
+              "the filter's own speed say that the vehicle stands"),
     Parameter("imu.max_gap", 0.5, "A longer gap between IMU samples ends dead reckoning: the "
               "filter aligns anew", unit="s", low=0.01, high=60.0),
 
@@ -152,7 +154,7 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               "IMU's clock", unit="s", low=-10.0, high=10.0, runtime=True),
 
     Parameter("alignment.heading_source", "auto", "Where the first heading comes from",
-              choices=("auto", "parameter", "imu", "course")),
+              choices=("auto", "motion", "parameter", "imu", "course")),
     Parameter("alignment.yaw", 0.0, "Heading at start for heading_source parameter: of base_frame "
               "in map, 0 east, counter-clockwise", unit="rad", low=-6.3, high=6.3),
     Parameter("alignment.yaw_std", 0.1, "Uncertainty of the heading given by parameter or IMU",

@@ -1,8 +1,9 @@
 """
 The first state: level from gravity, position and velocity from the fixes, heading from a source.
 
-Works standing and in slow flight: levelling averages the specific force over a window, turned into
-the window's last attitude by the gyroscopes, and is told apart from motion only by its uncertainty.
+Works standing and in flight: levelling averages the specific force over a window, turned into the
+window's last attitude by the gyroscopes; whether it stood or moved tells by its uncertainty. Where
+no source gives a heading, there is a first state for every heading around, see `hypotheses`.
 
 References
 ----------
@@ -21,22 +22,22 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.attitude import (
     matrix_from_quat,
+    quat_from_matrix,
     quat_from_rotvec,
     quat_from_rpy,
     rpy_from_quat,
 )
 from hybrid_ins.core.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.hypotheses import CELL_STD, headings
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing
 from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.80665  # m/s²
-STANDING_FORCE_STD = 0.3  # m/s², of the windowed specific force
-STANDING_RATE_STD = 0.02  # rad/s
 TILT_STD_STANDING = 0.02  # rad
-TILT_STD_MOVING = 0.1  # rad
+TILT_STD_MOVING = 0.2  # rad
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
 FIX_WINDOW = 1.5  # s, of fixes that give the first velocity
 
@@ -49,7 +50,8 @@ class AlignmentSettings:
     Attributes
     ----------
     heading_source : str
-        parameter, imu, course, or auto (course once it moves).
+        parameter, imu, course, motion, or auto, which is motion unless a heading is given by
+        hand.
     yaw, yaw_std : float
         Heading of b from north [rad] for ``parameter``, its uncertainty (also of ``imu``).
     course_min_speed : float
@@ -71,9 +73,9 @@ class AlignmentSettings:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A first state: what `InsFilter` begins with."""
+    """What filters begin with: one state, or one for each heading that is possible."""
 
-    state: NavState
+    states: tuple[NavState, ...]
     t_ns: int
     sample: Array  # (6,) the IMU sample at t_ns
 
@@ -91,6 +93,8 @@ class Alignment:
 
     Attributes
     ----------
+    stage : str
+        What it waits for in a word: imu, gnss, heading.
     waiting_for : str
         What the last attempt lacked, in words for the user.
     """
@@ -101,7 +105,9 @@ class Alignment:
         self._fixes: deque[PositionFix] = deque(maxlen=64)
         self._velocity: VelocityFix | None = None
         self._imu_yaw: float | None = None
-        self._hand: tuple[float, float] | None = None
+        self._hand: tuple[int, float, float] | None = None
+        self._source = settings.heading_source
+        self.stage = "imu"
         self.waiting_for = "IMU samples"
 
     def observe(self, measurement: Measurement) -> None:
@@ -115,71 +121,67 @@ class Alignment:
         """Take the heading [rad from north] of the IMU's own orientation."""
         self._imu_yaw = yaw
 
-    def set_yaw(self, yaw: float, std: float) -> None:
-        """Take a heading [rad from north] given by hand; it goes before every other source."""
-        self._hand = (yaw, std)
+    def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
+        """Take a heading [rad from north] that was true at a stamp; it goes before all sources."""
+        self._hand = (t_ns, yaw, std)
+
+    def forget_parameter(self) -> None:
+        """Let a heading given for the start no longer count: the vehicle has moved since."""
+        if self._source == "parameter":
+            self._source = "auto"
 
     def attempt(self) -> Start | None:
         """Return the first state at the last IMU sample, or None and set ``waiting_for``."""
-        if self._ring.count == 0:
-            self.waiting_for = "IMU samples"
-            return None
         now = int(self._ring.latest(1)["t_ns"][0])
         window_ns = int(self._settings.window * 1e9)
         samples = self._ring.after(now - window_ns - 1)
         if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
+            self.stage = "imu"
             self.waiting_for = f"{self._settings.window:g} s of IMU samples for levelling"
             return None
         recent = [f for f in self._fixes if now - f.t_ns < 2 * FIX_WINDOW * 1e9]
         if not recent:
+            self.stage = "gnss"
             self.waiting_for = "a GNSS fix"
             return None
-        roll, pitch, tilt_std, rate = self._level(samples)
         motion = self._motion(recent, now)
         if motion is None:
+            self.stage = "gnss"
             self.waiting_for = "a second GNSS fix, for the first velocity"
             return None
         lla, p_cov, velocity_n, v_cov = motion
-        heading = self._heading(velocity_n, v_cov)
-        if heading is None:
+        self.stage = "heading"
+        yaws = self._headings(velocity_n, v_cov)
+        if yaws is None:
             return None
-        yaw, yaw_std = heading
-        quat = quat_from_rpy(roll, pitch, yaw)
-        C_nb = matrix_from_quat(quat)
-        standing = tilt_std == TILT_STD_STANDING
+        down_b = _down(samples)
+        rate = samples["w"].mean(axis=0)
+        standing = is_standing(samples)
+        tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(lla[0])
-        bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d]) if standing else np.zeros(3)
         bias_g_std = 0.1 * STANDING_RATE_STD if standing else self._settings.bias_g_std
-        P = np.zeros((N_ERROR, N_ERROR))
-        P[DP, DP], P[DV, DV] = p_cov, v_cov
-        P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
-        P[B_A, B_A] = np.eye(3) * self._settings.bias_a_std**2
-        P[B_G, B_G] = np.eye(3) * min(bias_g_std, self._settings.bias_g_std) ** 2
+        states = []
+        for yaw, yaw_std in yaws:
+            quat = self._attitude(down_b, yaw)
+            C_nb = matrix_from_quat(quat)
+            bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d]) if standing else np.zeros(3)
+            P = np.zeros((N_ERROR, N_ERROR))
+            P[DP, DP], P[DV, DV] = p_cov, v_cov
+            P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
+            P[B_A, B_A] = np.eye(3) * self._settings.bias_a_std**2
+            P[B_G, B_G] = np.eye(3) * min(bias_g_std, self._settings.bias_g_std) ** 2
+            states.append(NavState(lla, velocity_n, quat, np.zeros(3), bias_g, P))
         last = samples[-1]
-        return Start(
-            NavState(lla, velocity_n, quat, np.zeros(3), bias_g, P),
-            now, np.concatenate((last["f"], last["w"])))
+        return Start(tuple(states), now, np.concatenate((last["f"], last["w"])))
 
-    def _level(self, samples: NDArray[np.void]) -> tuple[float, float, float, Array]:
-        """Roll, pitch [rad], their uncertainty, and the mean rate; [1]_ eq. 5.101."""
-        force, rate = samples["f"], samples["w"]
-        standing = bool(
-            np.all(force.std(axis=0) < STANDING_FORCE_STD)
-            and np.all(rate.std(axis=0) < STANDING_RATE_STD)
-            and np.all(np.abs(rate.mean(axis=0)) < 3.0 * STANDING_RATE_STD))
-        # Attitude of every sample relative to the last, from the gyroscopes backwards.
-        dt = np.diff(samples["t_ns"]) * 1e-9
-        C_last = np.eye(3)
-        total = force[-1].copy()
-        for k in range(len(dt) - 1, -1, -1):
-            turn = matrix_from_quat(quat_from_rotvec(-0.5 * (rate[k] + rate[k + 1]) * dt[k]))
-            C_last = C_last @ turn
-            total += C_last @ force[k]
-        up = -total / np.linalg.norm(total)
-        # g_b points along -f: roll and pitch of the frame whose down axis that is.
-        roll = math.atan2(up[1], up[2])
-        pitch = math.atan2(-up[0], math.hypot(up[1], up[2]))
-        return roll, pitch, TILT_STD_STANDING if standing else TILT_STD_MOVING, rate.mean(axis=0)
+    def _attitude(self, down_b: Array, yaw: float) -> Array:
+        """Quaternion of C_nb now; a heading given by hand is carried here by the gyroscopes."""
+        if self._hand is None:
+            return quat_from_rpy(*_roll_pitch(down_b), yaw)
+        C_then_now = _relative(self._ring.after(self._hand[0] - 1))[0].T
+        roll, pitch = _roll_pitch(C_then_now @ down_b)
+        C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
+        return quat_from_matrix(C_then @ C_then_now)
 
     def _motion(self, fixes: list[PositionFix], now: int) -> (
             tuple[Array, Array, Array, Array] | None):
@@ -217,25 +219,51 @@ class Alignment:
         p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * age**2) ** 2
         return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
 
-    def _heading(self, velocity_n: Array, v_cov: Array) -> tuple[float, float] | None:
-        """Heading [rad from north] and its uncertainty, or None and ``waiting_for``."""
+    def _headings(self, velocity_n: Array, v_cov: Array) -> list[tuple[float, float]] | None:
+        """Possible headings [rad from north] and their uncertainty, or None: ``waiting_for``."""
         settings = self._settings
         if self._hand is not None:
-            return self._hand
-        if settings.heading_source == "parameter":
-            return settings.yaw, settings.yaw_std
-        if settings.heading_source == "imu":
+            return [self._hand[1:]]
+        if self._source == "parameter":
+            return [(settings.yaw, settings.yaw_std)]
+        if self._source == "imu":
             if self._imu_yaw is None:
                 self.waiting_for = "an orientation in the IMU messages (heading_source is imu)"
                 return None
-            return self._imu_yaw, settings.yaw_std
-        speed = math.hypot(velocity_n[0], velocity_n[1])
-        if speed < settings.course_min_speed:
-            self.waiting_for = (f"motion for the heading: {speed:.1f} m/s over ground, "
-                                f"{settings.course_min_speed:g} needed")
-            return None
-        course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
-        return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
+            return [(self._imu_yaw, settings.yaw_std)]
+        if self._source == "course":
+            speed = math.hypot(velocity_n[0], velocity_n[1])
+            if speed < settings.course_min_speed:
+                self.waiting_for = (f"motion for the heading: {speed:.1f} m/s over ground, "
+                                    f"{settings.course_min_speed:g} needed")
+                return None
+            course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
+            return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
+        return [(yaw, CELL_STD) for yaw in headings()]
+
+
+def _down(samples: NDArray[np.void]) -> Array:
+    """Direction of gravity in the last attitude, from the mean specific force; [1]_ eq. 5.101."""
+    total = np.einsum("kij,kj->i", _relative(samples), samples["f"])
+    return np.asarray(-total / np.linalg.norm(total))
+
+
+def _relative(samples: NDArray[np.void]) -> Array:
+    """Rotations (N, 3, 3) from the attitude at each sample to that at the last, by gyroscopes."""
+    dt = np.diff(samples["t_ns"])[:, None] * 1e-9
+    mean_rate = 0.5 * (samples["w"][1:] + samples["w"][:-1])
+    turns = matrix_from_quat(quat_from_rotvec(-dt * mean_rate))
+    relative = np.empty((len(samples), 3, 3))
+    relative[-1] = np.eye(3)
+    for k in range(len(turns) - 1, -1, -1):
+        relative[k] = relative[k + 1] @ turns[k]
+    return relative
+
+
+def _roll_pitch(down_b: Array) -> tuple[float, float]:
+    """Roll and pitch [rad] of the b frame in which n's down axis is ``down_b``."""
+    return (math.atan2(down_b[1], down_b[2]),
+            math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])))
 
 
 def yaw_of(quat_xyzw: Array) -> float:

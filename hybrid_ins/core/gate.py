@@ -41,6 +41,8 @@ class Verdict:
         What the NIS was held against.
     sigma : ndarray, shape (m,)
         Standard deviations used for the measurement, NED [m or m/s].
+    log_det : float
+        Logarithm of the determinant of the innovation's covariance.
     reset : bool
         The state was opened for this measurement, see `Gate`.
     """
@@ -52,6 +54,7 @@ class Verdict:
     nis: float
     threshold: float
     sigma: Array
+    log_det: float = 0.0
     reset: bool = False
 
     @classmethod
@@ -85,20 +88,24 @@ class Gate:
         twin.__dict__.update(self.__dict__, _refusing_since=dict(self._refusing_since))
         return twin
 
-    def judge(self, measurement: Measurement, R: Array, nis: float, age: float) -> Verdict:
-        """Decide on a measurement with covariance ``R``, shape (m, m), and innovation's NIS."""
+    def judge(
+        self, measurement: Measurement, R: Array, S: Array, nis: float, age: float
+    ) -> Verdict:
+        """Decide on a measurement by its and its innovation's covariance, (m, m), and NIS."""
         threshold = self._thresholds[len(R)]
         sigma = np.sqrt(np.diag(R))
+        log_det = float(np.linalg.slogdet(S)[1])
         kind, t_ns = measurement.kind, measurement.t_ns
         if nis <= threshold:
             self._refusing_since.pop(kind, None)
-            return Verdict(measurement, True, "", age, nis, threshold, sigma)
+            return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
         since = self._refusing_since.setdefault(kind, t_ns)
-        if t_ns - since < self._patience_ns:
+        if t_ns - since < self._patience_ns or not measurement.aiding:
             return Verdict(
-                measurement, False, "innovation beyond the gate", age, nis, threshold, sigma)
+                measurement, False, "innovation beyond the gate", age, nis, threshold, sigma,
+                log_det)
         del self._refusing_since[kind]
         return Verdict(
             measurement, True,
             f"refused for {(t_ns - since) * 1e-9:.1f} s: state opened to the measurement",
-            age, nis, threshold, sigma, reset=True)
+            age, nis, threshold, sigma, log_det, reset=True)

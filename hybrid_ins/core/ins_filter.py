@@ -28,6 +28,7 @@ from hybrid_ins.core.state import (
     COVARIANCE,
     DP,
     DV,
+    EPS,
     LAST_F,
     LAST_W,
     N_NAV,
@@ -40,6 +41,9 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 NO_ROWS = np.empty((0, N_NAV))
+LONG_STEP = 4.0  # sample periods: a longer step lacks samples
+SHORTEST_GAP = 0.025  # s
+UNSEEN_FORCE, UNSEEN_RATE = 0.2, 0.02  # m/s², rad/s: of a calm vehicle in a gap, unseen
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +123,8 @@ class InsFilter:
         The flat state after the last sample.
     t_ns : int
         Its stamp [ns].
+    long_step_ns : int
+        A longer step [ns] is a gap in the samples.
     verdicts : deque of Verdict
         One for each measurement submitted, in order of decision; the owner empties it.
     """
@@ -142,6 +148,7 @@ class InsFilter:
         self.gate = gate
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
+        self.long_step_ns = int(max(LONG_STEP * process.period, SHORTEST_GAP) * 1e9)
         self._interval = settings.covariance_interval - 1e-6
         self._horizon_ns = int(settings.max_delay * 1e9)
         self._spacing_ns = max(self._horizon_ns // 4, 50_000_000)
@@ -169,7 +176,7 @@ class InsFilter:
 
         The stamp must be younger than ``self.t_ns``.
         """
-        if t_ns >= self._next_ns:
+        if t_ns >= self._next_ns or t_ns - self.t_ns > self.long_step_ns:
             sample = np.array([(t_ns, (fx, fy, fz), (wx, wy, wz))], SAMPLE_DTYPE)
             self._advance(sample, NO_ROWS)
             return
@@ -239,10 +246,34 @@ class InsFilter:
         if len(samples) == 0:
             return
         stamps = samples["t_ns"]
-        dt = np.diff(stamps, prepend=self.t_ns) * 1e-9
+        steps = np.diff(stamps, prepend=self.t_ns)
+        dt = steps * 1e-9
         readings = np.concatenate((samples["f"], samples["w"]), axis=1)
-        propagation.run(self.nav, dt, readings, self._interval, rows)
+        start = 0
+        for k in np.flatnonzero(steps > self.long_step_ns).tolist():
+            propagation.run(self.nav, dt[start:k], readings[start:k], self._interval,
+                            rows[start:k])
+            self._bridge(dt[k], readings[k])
+            if len(rows):
+                rows[k] = self.nav[:N_NAV]
+            start = k + 1
+        propagation.run(self.nav, dt[start:], readings[start:], self._interval, rows[start:])
         self.t_ns = int(stamps[-1])
+
+    def _bridge(self, dt: float, reading: Array) -> None:
+        """Step over missing samples; what may have happened there widens the covariance."""
+        nav = self.nav
+        jump = np.abs(reading - np.concatenate((nav[LAST_F], nav[LAST_W])))
+        rate = np.linalg.norm(reading[3:])
+        propagation.step(nav, dt, *reading, self._interval)
+        propagation.flush(nav)
+        unseen_f = UNSEEN_FORCE + 0.5 * jump[:3].max() + rate
+        unseen_w = UNSEEN_RATE + 0.5 * jump[3:].max() + 0.2 * rate
+        P = covariance(nav)
+        for block, std in ((DP, 0.25 * unseen_f * dt**2), (DV, 0.5 * unseen_f * dt),
+                           (EPS, 0.5 * unseen_w * dt)):
+            P[block, block] += std**2 * np.eye(3)
+        pack(P, nav[COVARIANCE])
 
     def _between(self, t_ns: int, following: NDArray[np.void]) -> NDArray[np.void]:
         """Return the IMU sample at ``t_ns`` on the line from the last sample to the following."""
@@ -276,8 +307,10 @@ class InsFilter:
         if verdict.reset:
             open_state(self.nav, z, H, interval)
         dx, K = correct(self.nav, z, H, R)
-        self._corrected_ns = measurement.t_ns
+        if not measurement.aiding:
+            return
         C_nb = matrix_from_quat(self.nav[QUAT])
+        self._corrected_ns = measurement.t_ns
         self.noise.learn(Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval))
 
     def _remember(self) -> None:

@@ -22,11 +22,13 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import earth_rate_n, radii
-from hybrid_ins.core.state import BIAS_G, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
+from hybrid_ins.core.state import B_G, BIAS_G, DV, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
+STANDING_SPEED_STD = 0.03  # m/s, of a vehicle that stands: it rocks
+STANDING_RATE_STD = 3e-4  # rad/s
 
 @kernel()
 def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
@@ -97,11 +99,14 @@ class Measurement(Protocol):
     ----------
     kind : str
         What it measures; measurements of one stamp are fused in the order of their kinds.
+    aiding : bool
+        It comes from a sensor of its own: worth learning from, and may prove the state wrong.
     t_ns : int
         When it was true, IMU clock [ns].
     """
 
     kind: ClassVar[str]
+    aiding: ClassVar[bool]
 
     @property
     def t_ns(self) -> int:
@@ -123,6 +128,7 @@ class PositionFix:
     lever_b: Array  # (3,) m, antenna relative to the IMU
 
     kind: ClassVar[str] = "position"
+    aiding: ClassVar[bool] = True
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
@@ -140,11 +146,43 @@ class VelocityFix:
     lever_b: Array  # (3,) m, antenna relative to the IMU
 
     kind: ClassVar[str] = "velocity"
+    aiding: ClassVar[bool] = True
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
         z, H = velocity_model(nav, self.velocity_n, self.lever_b)
         return _given(z, H, self.covariance_n)
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """Neither velocity nor turn: what a standing vehicle's IMU tells besides its readings."""
+
+    t_ns: int  # ns
+    rate_b: Array  # (3,) rad/s, mean of the gyroscopes' readings
+    rate_std: Array  # (3,) rad/s, of that mean
+
+    kind: ClassVar[str] = "standstill"
+    aiding: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, samples: NDArray[np.void]) -> Standstill:
+        """Return the one that ``samples`` (``SAMPLE_DTYPE``) of a standing IMU make."""
+        rate = samples["w"]
+        std = np.hypot(rate.std(axis=0) / np.sqrt(len(rate)), STANDING_RATE_STD)
+        return cls(int(samples["t_ns"][-1]), rate.mean(axis=0), std)
+
+    def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
+        """See `Measurement.linearise`; [1]_ section 15.3."""
+        C = np.empty(9)
+        rotation(nav[QUAT], C)
+        ie_n, ie_d = earth_rate_n(nav[LLA][0])
+        rate = C.reshape(3, 3).T @ np.array([ie_n, 0.0, ie_d])
+        z = np.concatenate((-nav[VELOCITY], self.rate_b - nav[BIAS_G] - rate))
+        H = np.zeros((6, N_ERROR))
+        H[:3, DV] = H[3:, B_G] = np.eye(3)
+        R = np.diag(np.concatenate((np.full(3, STANDING_SPEED_STD**2), self.rate_std**2)))
+        return z, H, R
 
 
 def _given(z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:

@@ -1,28 +1,47 @@
 """
 From the first IMU sample to a running filter, and back when the IMU goes away.
 
-Owns the ring of samples, the alignment, and the filter once there is one; owns no topic and no
-message. Bad stamps are named results, not exceptions.
+Owns the ring of samples, the alignment, the hypotheses it ends in, and the filter once there is
+one; owns no topic and no message. Bad stamps are named results, not exceptions.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment import Alignment, AlignmentSettings
+from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Start, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.hypotheses import YawBank
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange, NoiseEstimate
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import Measurement, Standstill
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.standstill import is_standing
+from hybrid_ins.core.state import DV, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
 ATTEMPT_NS = 100_000_000  # between two attempts to align
+STANDSTILL_NS = 500_000_000  # between two looks whether the vehicle stands
+AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU
+JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time
+SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
+TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap, unseen
+HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried over a gap
+REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
+
+STAMP_FAULTS = {
+    "imu: repeated stamp": "header.stamp repeats: a driver that stamps twice, or two publishers "
+                           "on one topic",
+    "imu: stamp out of order": "header.stamp goes back a little: a driver that stamps on receipt, "
+                               "or two publishers on one topic",
+    "imu: stamp jumps": "header.stamp jumps; the filter starts anew if it stays there",
+}
 
 
 class Navigator:
@@ -41,13 +60,23 @@ class Navigator:
         Returns a fresh gate.
     max_gap : float
         Longest pause between IMU samples that dead reckoning bridges [s].
+    zero_updates : bool
+        Tell the filter when the vehicle stands.
+    on_restart : callable
+        Called with the reason each time the state was given up.
 
     Attributes
     ----------
     filter : InsFilter or None
         None while aligning.
+    bank : YawBank or None
+        The hypotheses while only the heading is open.
     counts : Counter
-        Refused samples and restarts, by name.
+        Remarkable events, by name.
+    refusal : str
+        Why the last sample was refused, a key of ``STAMP_FAULTS``.
+    standing : bool
+        The vehicle stood at the last look.
     verdicts : deque of Verdict
         Decided since the owner last emptied it.
     """
@@ -60,31 +89,59 @@ class Navigator:
         make_noise: Callable[[ProcessNoise], NoiseModel],
         make_gate: Callable[[], Gate],
         max_gap: float,
+        zero_updates: bool = True,
+        on_restart: Callable[[str], None] = lambda reason: None,
     ) -> None:
         self.ring = ImuRing()
-        self.filter: InsFilter | None = None
         self.counts: Counter[str] = Counter()
         self.verdicts: deque[Verdict] = deque()
+        self.refusal = ""
         self._alignment_settings = alignment
         self._settings = settings
-        self._make_noise = make_noise
         self._make_process = make_process
+        self._make_noise = make_noise
         self._make_gate = make_gate
         self.max_gap_ns = int(max_gap * 1e9)
+        self._zero_updates = zero_updates
+        self._on_restart = on_restart
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the counters, and align anew."""
         self.ring.clear()
-        self.filter = None
         self.last_ns = 0
-        self._attempt_ns = 0
+        self._jumped_ns = self._jumps = 0
+        self._seen: deque[tuple[str, int]] = deque(maxlen=64)
+        self.realign()
+
+    def realign(self) -> None:
+        """Give up the state, but not the samples, and align anew."""
+        self.filter: InsFilter | None = None
+        self.bank: YawBank | None = None
+        self.standing = False
+        self.steady_ns = self.max_gap_ns  # steps up to that are plain
+        self._attempt_ns = self._look_ns = 0
+        self._opened: deque[int] = deque(maxlen=REOPENINGS)
         self.alignment = Alignment(self._alignment_settings, self.ring)
+
+    @property
+    def state(self) -> str:
+        """Where between nothing and a running filter: imu, gnss, levelling, heading, aligned."""
+        if self.filter is not None:
+            return "aligned"
+        return "heading" if self.bank is not None else self.alignment.stage
 
     @property
     def waiting_for(self) -> str:
         """What alignment lacks; empty once a filter runs."""
-        return "" if self.filter else self.alignment.waiting_for
+        if self.filter is not None:
+            return ""
+        return self.bank.waiting_for if self.bank is not None else self.alignment.waiting_for
+
+    @property
+    def best(self) -> InsFilter | None:
+        """The filter, or the likeliest while the heading is open: its position is good already."""
+        return self.bank.best if self.bank is not None else self.filter
 
     def imu(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
@@ -92,9 +149,9 @@ class Navigator:
         """
         Take a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b frame.
 
-        Returns False when its stamp makes it useless; ``counts`` says why.
+        Returns False when its stamp makes it useless; ``refusal`` says why.
         """
-        if not 0 < t_ns - self.last_ns <= self.max_gap_ns and not self._admit(t_ns):
+        if not 0 < t_ns - self.last_ns <= self.steady_ns and not self._admit(t_ns):
             return False
         self.last_ns = t_ns
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
@@ -105,7 +162,7 @@ class Navigator:
         return True
 
     def imu_block(self, samples: NDArray[np.void], rows: Array) -> None:
-        """Take samples whose stamps rise without gap while the filter runs, as `imu` would."""
+        """Take samples that follow each other closely while the filter runs, as `imu` would."""
         assert self.filter is not None
         self.ring.extend(samples)
         self.last_ns = int(samples["t_ns"][-1])
@@ -113,48 +170,136 @@ class Navigator:
 
     def _admit(self, t_ns: int) -> bool:
         """Deal with a stamp that does not follow the last one closely."""
+        step = t_ns - self.last_ns
         if self.ring.count == 0:
             return True
-        if t_ns == self.last_ns:
-            self.counts["imu: repeated stamp"] += 1
+        if 0 < step <= self.max_gap_ns:
+            self.counts["imu: gaps bridged"] += 1
+            self._jumps = 0
+            return True
+        if -self.max_gap_ns < step <= 0:
+            self.refusal = "imu: repeated stamp" if step == 0 else "imu: stamp out of order"
             return False
-        if t_ns < self.last_ns:
-            if self.last_ns - t_ns < self.max_gap_ns:
-                self.counts["imu: stamp out of order"] += 1
-                return False
-            self.counts["restart: IMU stamps jumped back"] += 1
+        # One stray stamp is the driver's fault; several in a row are a gap, a loop, a new clock.
+        follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.max_gap_ns
+        self._jumps = self._jumps + 1 if follows else 1
+        self._jumped_ns = t_ns
+        if self._jumps < JUMP_CONFIRMED:
+            self.refusal = "imu: stamp jumps"
+            return False
+        if step < 0:
+            self._restart(f"the IMU's stamps went back by {-step * 1e-9:.1f} s")
         else:
-            self.counts["restart: gap in the IMU stamps"] += 1
-        self.reset()
+            kept = self._heading_after(step * 1e-9)
+            self._restart(f"no IMU samples for {step * 1e-9:.1f} s")
+            self.alignment.forget_parameter()
+            if kept is not None:
+                self.alignment.set_yaw(t_ns, *kept)
         return True
 
+    def _heading_after(self, gap: float) -> tuple[float, float] | None:
+        """Heading and its uncertainty [rad] after seconds without samples, if still of use."""
+        if self.filter is None:
+            return None
+        state = self.filter.state
+        rate = 0.1 * TURN_IN_GAP if self.standing else TURN_IN_GAP
+        std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
+        return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None
+
+    def _restart(self, reason: str) -> None:
+        self.counts[f"restart: {reason.split(' for ')[0].split(' by ')[0]}"] += 1
+        self.reset()
+        self._on_restart(reason)
+
     def _attempt(self, t_ns: int) -> None:
+        """Come closer to a filter: a first state, or hypotheses that have learnt since."""
         self._attempt_ns = t_ns + ATTEMPT_NS
-        start = self.alignment.attempt()
-        if start is None:
+        if self.bank is None:
+            start = self.alignment.attempt()
+            if start is None:
+                return
+            filters = self._filters(start)
+            if len(filters) == 1:
+                self._run(filters[0])
+            else:
+                self.bank = YawBank(filters)
             return
+        self.bank.advance(self.ring)
+        self.verdicts.extend(self.bank.weigh())
+        self.look(t_ns)
+        winner = self.bank.decide()
+        if winner is not None:
+            self._run(winner)
+
+    def _filters(self, start: Start) -> list[InsFilter]:
         stamps = self.ring.latest(256)["t_ns"]
-        period = float(np.median(np.diff(stamps))) * 1e-9
-        process = self._make_process(period)
-        self.filter = InsFilter(
-            start.state, start.t_ns, start.sample, self._make_noise(process), process,
-            self._make_gate(), self.ring, self._settings)
+        process = self._make_process(float(np.median(np.diff(stamps))) * 1e-9)
+        return [
+            InsFilter(state, start.t_ns, start.sample, self._make_noise(process), process,
+                      self._make_gate(), self.ring, self._settings)
+            for state in start.states]
+
+    def _run(self, winner: InsFilter) -> None:
+        self.bank = None
+        self.filter = winner
         self.filter.verdicts = self.verdicts
+        self.steady_ns = min(winner.long_step_ns, self.max_gap_ns)
 
     def measure(self, measurement: Measurement) -> None:
         """Take an aiding measurement; its verdict appears in ``verdicts``."""
-        if self.filter is None:
+        key = (measurement.kind, measurement.t_ns)
+        if key in self._seen:
+            self.verdicts.append(Verdict.refused(measurement, "repeated stamp"))
+            return
+        if self.ring.count and measurement.t_ns - self.last_ns > self.max_gap_ns + AHEAD_NS:
+            self.verdicts.append(Verdict.refused(
+                measurement, "stamped ahead of the IMU",
+                (self.last_ns - measurement.t_ns) * 1e-9))
+            return
+        self._seen.append(key)
+        if self.filter is not None:
+            self.filter.submit(measurement)
+        elif self.bank is not None:
+            self.bank.submit(measurement)
+        else:
             self.alignment.observe(measurement)
             self.verdicts.append(Verdict.refused(measurement, "aligning"))
-        elif measurement.t_ns - self.last_ns > self.max_gap_ns + 1_000_000_000:
-            self.verdicts.append(Verdict.refused(
-                measurement, "stamped ahead of the IMU", self.filter.age(measurement)))
-        else:
-            self.filter.submit(measurement)
+
+    def look(self, t_ns: int) -> None:
+        """Look now and then whether the vehicle stands, and tell the filter."""
+        running = self.best
+        if t_ns < self._look_ns or running is None or not self._zero_updates:
+            return
+        self._look_ns = t_ns + STANDSTILL_NS
+        samples = self.ring.after(t_ns - 1_000_000_000)
+        span = t_ns - samples["t_ns"][0]
+        self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
+        if self.standing:
+            (self.bank or running).submit(Standstill.of(samples))
+
+    def judge_openings(self, verdict: Verdict) -> None:
+        """Start over when the state had to be opened again and again: its heading is wrong."""
+        if not verdict.reset or self.filter is None:
+            return
+        t_ns = verdict.measurement.t_ns
+        self._opened.append(t_ns)
+        speed = float(np.linalg.norm(self.filter.nav[VELOCITY]))
+        if (len(self._opened) == REOPENINGS and t_ns - self._opened[0] < REOPENING_NS
+                and speed > 1.0):
+            self.counts["restart: the state did not fit the fixes"] += 1
+            self.realign()
+            self.alignment.forget_parameter()
+            self._on_restart("the state did not fit the fixes, time and again")
 
     def change_noise(self, event: NoiseEstimate | NoiseChange) -> None:
         """Take a regressor's estimate or another noise model."""
-        if self.filter is not None:
-            self.filter.submit(event)
+        target = self.filter or self.bank
+        if target is not None:
+            target.submit(event)
 
 
+def _may_stand(running: InsFilter) -> bool:
+    """Tell whether the filter's speed may be zero: a smooth cruise looks like standing."""
+    velocity = running.nav[VELOCITY]
+    P = covariance(running.nav)[DV, DV] + 0.05**2 * np.eye(3)
+    return bool(velocity @ np.linalg.solve(P, velocity) < SPEED_NIS_STANDING)
