@@ -39,7 +39,9 @@ Array = NDArray[np.float64]
 TILT_STD_STANDING = 0.02  # rad
 TILT_STD_MOVING = 0.2  # rad
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
-FIX_WINDOW = 1.5  # s, of fixes that give the first velocity
+FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
+SHORTEST_SPAN = 0.3  # s
+ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ class Alignment:
             self.stage = "imu"
             self.waiting_for = f"{self._settings.window:g} s of IMU samples for levelling"
             return None
-        recent = [f for f in self._fixes if now - f.t_ns < 2 * FIX_WINDOW * 1e9]
+        recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
         if not recent:
             self.stage = "gnss"
             self.waiting_for = "a GNSS fix"
@@ -200,23 +202,12 @@ class Alignment:
             velocity_n = np.nan_to_num(self._velocity.velocity_n)
             v_cov = np.diag(np.maximum(np.nan_to_num(np.diag(self._velocity.covariance_n)), 0.01))
         else:
-            window = [f for f in fixes if last.t_ns - f.t_ns <= FIX_WINDOW * 1e9]
-            span = (last.t_ns - window[0].t_ns) * 1e-9
-            if span < 0.3:
-                older = [f for f in fixes if f not in window]
-                if not older:
-                    return None
-                window = [older[-1], last]
-                span = (last.t_ns - window[0].t_ns) * 1e-9
-            t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in window])
-            offsets = np.nan_to_num(np.array([(f.lla - last.lla) * scale for f in window]))
-            centred = t - t.mean()
-            velocity_n = centred @ offsets / (centred @ centred)
-            # The slope is the velocity of the window's middle: what an acceleration of a few
-            # metres per second squared may have changed since is not known.
-            v_cov = np.diag(np.diag(p_cov)) / (centred @ centred) + np.eye(3) * (0.5 * span) ** 2
+            slope = _slope(fixes, p_cov, scale)
+            if slope is None:
+                return None
+            velocity_n, v_cov = slope
         age = (now - last.t_ns) * 1e-9
-        p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * age**2) ** 2
+        p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
         return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
 
     def _headings(self, velocity_n: Array, v_cov: Array) -> list[tuple[float, float]] | None:
@@ -240,6 +231,27 @@ class Alignment:
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
             return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
         return [(yaw, CELL_STD) for yaw in headings()]
+
+
+def _slope(fixes: list[PositionFix], p_cov: Array, scale: Array) -> tuple[Array, Array] | None:
+    """
+    Velocity now [m/s, NED] and its covariance from the fixes over the best of all spans.
+
+    The slope is the velocity of the span's middle: a short span has noise, a long one is old.
+    """
+    last = fixes[-1]
+    t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in fixes])
+    offsets = np.nan_to_num(np.array([(f.lla - last.lla) * scale for f in fixes]))
+    best: tuple[Array, Array] | None = None
+    for start in range(len(fixes) - 1):
+        centred = t[start:] - t[start:].mean()
+        if t[start] > -SHORTEST_SPAN:
+            break
+        noise = np.diag(np.diag(p_cov)) / (centred @ centred)
+        covariance = noise + np.eye(3) * (0.5 * ACCELERATION_STD * t[start]) ** 2
+        if best is None or np.trace(covariance) < np.trace(best[1]):
+            best = centred @ offsets[start:] / (centred @ centred), covariance
+    return best
 
 
 def _down(samples: NDArray[np.void]) -> Array:

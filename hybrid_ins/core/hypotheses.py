@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 CELLS = 12
 CELL_STD = math.pi / CELLS  # rad, half a cell: neighbours overlap
-DECIDED_STD = 0.07  # rad, of the mixture's heading: what is left is one filter's affair
+DECIDED_STD = 0.1  # rad, of the mixture's heading: what is left is one filter's affair
 DECIDED_FOR_NS = 1_000_000_000  # that it has to hold
 LEAST_WEIGHT = 1e-6  # a hypothesis below that is dropped
 MEMORY = 25.0  # innovations over which the best one's fit is averaged
