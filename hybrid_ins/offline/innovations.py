@@ -1,0 +1,161 @@
+"""
+The innovations of a whole recording for given parameters, in one compiled pass.
+
+What `InsFilter` does to a recording in order and without a gate, made to be called thousands of
+times by an optimiser.
+
+References
+----------
+.. [1] F. C. Schweppe, "Evaluation of likelihood functions for Gaussian signals", IEEE
+       Transactions on Information Theory 11, 1965.
+.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", Journal of the American Statistical Association 84, 1989.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import lgamma, log, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.kalman import correct, innovation
+from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.propagation import flush, step
+from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV
+
+Array = NDArray[np.float64]
+
+POSITION, VELOCITY = 0, 1
+
+
+@kernel()
+def innovations(  # type: ignore[no-untyped-def]
+    nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, rows
+):
+    """
+    Run the filter from ``nav`` over all samples and aiding measurements, in order of time.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state at the first sample, its noise densities set; overwritten.
+    t, samples : ndarray, shape (N,), (N, 6)
+        Time [s], specific force [m/s²] and angular rate [rad/s], b.
+    aid_t, aid_kind, aid, aid_R : ndarray, shape (M,), (M,), (M, 3), (M, 3, 3)
+        Measurements in order of time [s, IMU clock]: positions [rad, rad, m] or velocities
+        [m/s, NED]; a component that is NaN is left out.
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b.
+    interval : float
+        The covariance is propagated once this much time [s] is pending.
+    tail : float
+        Degrees of freedom of the heavy-tailed noise that measurements are taken to have: one that
+        lies beyond what they promise is weighted down rather than gated [2]_; 0: Gaussian.
+    z, S, nis : ndarray, shape (M, 3), (M, 3, 3), (M,)
+        Written: innovations, covariances, normalised squares; NaN where a measurement lies outside
+        the samples, or in a component that was not given (S there: unit diagonal).
+    rows : ndarray, shape (M, N_NAV) or (0, N_NAV)
+        Written where there is room: the flat state after each measurement.
+    """
+    z[:], S[:], nis[:] = np.nan, np.nan, np.nan
+    keep = rows.shape[0] > 0
+    count, n, i, k, now = aid_t.shape[0], t.shape[0], 1, 0, t[0]
+    nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
+    f, w = nav[LAST_F], nav[LAST_W]
+    while k < count and aid_t[k] < now:
+        k += 1
+    while i < n:
+        aiding = k < count and aid_t[k] <= t[i]
+        then = aid_t[k] if aiding else t[i]
+        if then > now:
+            # Between two samples the reading lies on their line.
+            s, a = samples[i], (then - now) / (t[i] - now)
+            step(nav, then - now,
+                 f[0] + a * (s[0] - f[0]), f[1] + a * (s[1] - f[1]), f[2] + a * (s[2] - f[2]),
+                 w[0] + a * (s[3] - w[0]), w[1] + a * (s[4] - w[1]), w[2] + a * (s[5] - w[2]),
+                 interval)
+            now = then
+        if not aiding:
+            i += 1
+            continue
+        flush(nav)
+        if aid_kind[k] == POSITION:
+            residual, H = position_model(nav, aid[k], lever_b)
+        else:
+            residual, H = velocity_model(nav, aid[k], lever_b)
+        nis[k] = _fuse(nav, residual, H, aid_R[k], tail, z[k], S[k])
+        if keep:
+            rows[k] = nav[:N_NAV]
+        k += 1
+
+
+@kernel()
+def _fuse(nav, residual, H, R, tail, z, S):  # type: ignore[no-untyped-def]
+    given = np.flatnonzero(np.isfinite(residual))
+    m = given.shape[0]
+    r, H_given, R_given = np.empty(m), np.empty((m, N_ERROR)), np.empty((m, m))
+    for i in range(m):
+        r[i] = residual[given[i]]
+        H_given[i] = H[given[i]]
+        for j in range(m):
+            R_given[i, j] = R[given[i], given[j]]
+    S_given, square = innovation(nav, r, H_given, R_given)
+    S[:] = np.eye(3)
+    for i in range(m):
+        z[given[i]] = r[i]
+        for j in range(m):
+            S[given[i], given[j]] = S_given[i, j]
+    if tail > 0.0 and square > m:
+        R_given *= (tail + square) / (tail + m)
+    correct(nav, r, H_given, R_given)
+    return square
+
+
+def log_likelihood(z: Array, S: Array, nis: Array, tail: float) -> Array:
+    """
+    Log-density, shape (M,), of innovations that `innovations` wrote; [1]_.
+
+    Multivariate Student t with ``tail`` degrees of freedom, eq. (1) of [2]_, its scale such that
+    Gaussian innovations of covariance S are the likeliest ones; Gaussian for ``tail`` 0. Zero for
+    a measurement that was outside the samples.
+    """
+    m = np.sum(np.isfinite(z), axis=1)
+    used = np.isfinite(nis)
+    safe = np.where(used[:, None, None], S, np.eye(3))
+    half_log_det = 0.5 * np.linalg.slogdet(safe)[1]
+    square = np.where(used, nis, 0.0)
+    if tail:
+        scale = np.array([gaussian_scale(tail, k) for k in range(4)])
+        constant = np.array([
+            lgamma(0.5 * (tail + k)) - lgamma(0.5 * tail) - 0.5 * k * log(pi * scale[k])
+            for k in range(4)])
+        value = constant[m] - half_log_det - 0.5 * (tail + m) * np.log1p(square / scale[m])
+    else:
+        value = -half_log_det - 0.5 * square - 0.5 * m * log(2.0 * pi)
+    return np.where(used, value, 0.0)
+
+
+@cache
+def gaussian_scale(tail: float, m: int) -> float:
+    """
+    Return the b for which (1 + nis / b)^-((tail + m) / 2) is unbiased on Gaussian data.
+
+    That is where the mean of (tail + m) nis / (b + nis) over chi-square(m) is m: a Student t of
+    covariance S would take Gaussian innovations for larger than they are.
+    """
+    if m == 0:
+        return tail
+    probability = (np.arange(4000) + 0.5) / 4000
+    square = chi2.ppf(probability, m)
+    return float(brentq(
+        lambda b: np.mean((tail + m) * square / (b + square)) - m, 0.1 * tail, 2.0 * tail))
+
+
+def empty_rows(count: int = 0) -> Array:
+    """Return room for ``count`` flat states."""
+    return np.zeros((count, N_NAV))
