@@ -21,7 +21,7 @@ from hybrid_ins.resources import share_path
 
 LOG_LINES = 12  # of the node, shown when it fails
 ALIGNMENT_NS = 1_000_000_000  # into the flight
-PATIENCE = 60.0  # s, for the node to compile its filter on its first start
+PATIENCE = 600.0  # s, for the node to compile its filter on its first start; seconds as a rule
 
 
 class Failed(Exception):
