@@ -28,6 +28,7 @@ from hybrid_ins.core.attitude import (
     rpy_from_quat,
 )
 from hybrid_ins.core.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.health import UNUSABLE, find_fault
 from hybrid_ins.core.hypotheses import CELL_STD, headings
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.samples import ImuRing
@@ -140,6 +141,11 @@ class Alignment:
         if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
             self.stage = "imu"
             self.waiting_for = f"{self._settings.window:g} s of IMU samples for levelling"
+            return None
+        fault = find_fault(samples)
+        if fault is not None and fault[0] in UNUSABLE:
+            self.stage = "imu"
+            self.waiting_for = f"usable IMU samples: {fault[1]}"
             return None
         recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
         if not recent:

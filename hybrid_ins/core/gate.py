@@ -63,12 +63,23 @@ class Verdict:
         return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
 
 
+@dataclass(frozen=True, slots=True)
+class _Refusals:
+    """A run of measurements refused one after the other."""
+
+    first_ns: int
+    agreeing_ns: int  # since when they agree
+    z: Array  # innovation of the last
+
+
 class Gate:
     """
     Chi-square test of the innovation, with a limit on how long it may say no.
 
-    Measurements that are refused without interruption for ``patience`` seconds are taken for
-    right and the state for wrong: the next one opens the state (`Verdict.reset`).
+    Measurements that are refused without interruption for ``patience`` seconds, and agree with
+    each other, are taken for right and the state for wrong: the next one opens the state
+    (`Verdict.reset`). Those that contradict each other have to wait three times as long, but not
+    for ever.
 
     Parameters
     ----------
@@ -81,31 +92,43 @@ class Gate:
     def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
-        self._refusing_since: dict[str, int] = {}
+        self._refusals: dict[str, _Refusals] = {}
 
     def __copy__(self) -> Gate:
         twin = object.__new__(Gate)
-        twin.__dict__.update(self.__dict__, _refusing_since=dict(self._refusing_since))
+        twin.__dict__.update(self.__dict__, _refusals=dict(self._refusals))
         return twin
 
     def judge(
-        self, measurement: Measurement, R: Array, S: Array, nis: float, age: float
+        self, measurement: Measurement, z: Array, R: Array, S: Array, nis: float, age: float
     ) -> Verdict:
-        """Decide on a measurement by its and its innovation's covariance, (m, m), and NIS."""
+        """Decide by the innovation z (m,), its NIS, and the covariances R and S, (m, m)."""
         threshold = self._thresholds[len(R)]
         sigma = np.sqrt(np.diag(R))
         log_det = float(np.linalg.slogdet(S)[1])
         kind, t_ns = measurement.kind, measurement.t_ns
         if nis <= threshold:
-            self._refusing_since.pop(kind, None)
+            self._refusals.pop(kind, None)
             return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
-        since = self._refusing_since.setdefault(kind, t_ns)
-        if t_ns - since < self._patience_ns or not measurement.aiding:
+        last = self._refusals.get(kind)
+        first_ns = last.first_ns if last else t_ns
+        agreeing_ns = last.agreeing_ns if last and _agree(last.z, z, R) else t_ns
+        if not measurement.aiding or (
+                t_ns - agreeing_ns < self._patience_ns
+                and t_ns - first_ns < 3 * self._patience_ns):
+            self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z)
             return Verdict(
                 measurement, False, "innovation beyond the gate", age, nis, threshold, sigma,
                 log_det)
-        del self._refusing_since[kind]
+        self._refusals.pop(kind, None)
         return Verdict(
             measurement, True,
-            f"refused for {(t_ns - since) * 1e-9:.1f} s: state opened to the measurement",
+            f"refused for {(t_ns - first_ns) * 1e-9:.1f} s: state opened to the measurement",
             age, nis, threshold, sigma, log_det, reset=True)
+
+
+def _agree(last: Array, z: Array, R: Array) -> bool:
+    """Tell whether two innovations say the same of the state: a shift, or one that grows."""
+    m = min(len(last), len(z))
+    change = float(np.linalg.norm(z[:m] - last[:m]))
+    return change <= max(0.5 * float(np.linalg.norm(z)), 4.0 * float(np.sqrt(np.trace(R))))

@@ -41,6 +41,7 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 NO_ROWS = np.empty((0, N_NAV))
+NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: a longer step lacks samples
 SHORTEST_GAP = 0.025  # s
 UNSEEN_FORCE, UNSEEN_RATE = 0.2, 0.02  # m/s², rad/s: of a calm vehicle in a gap, unseen
@@ -167,6 +168,11 @@ class InsFilter:
         nav = self.nav.copy()
         propagation.flush(nav)
         return NavState.from_flat(nav)
+
+    @property
+    def next_event_ns(self) -> int:
+        """Stamp of the first measurement that waits for its samples; far ahead if none does."""
+        return self._pending[0].t_ns if self._pending else NEVER_NS
 
     def process_imu(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
@@ -299,7 +305,7 @@ class InsFilter:
     def _fuse(self, measurement: Measurement) -> None:
         z, H, R = measurement.linearise(self.nav)
         S, nis = innovation(self.nav, z, H, R)
-        verdict = self.gate.judge(measurement, R, S, nis, self.age(measurement))
+        verdict = self.gate.judge(measurement, z, R, S, nis, self.age(measurement))
         self.verdicts.append(verdict)
         if not verdict.accepted:
             return

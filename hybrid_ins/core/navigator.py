@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Start, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.health import Fault, find_fault
 from hybrid_ins.core.hypotheses import YawBank
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange, NoiseEstimate
 from hybrid_ins.core.measurements import Measurement, Standstill
@@ -77,6 +78,8 @@ class Navigator:
         Why the last sample was refused, a key of ``STAMP_FAULTS``.
     standing : bool
         The vehicle stood at the last look.
+    fault : (str, str) or None
+        What the readings showed to be wrong with the IMU at the last look, see `health`.
     verdicts : deque of Verdict
         Decided since the owner last emptied it.
     """
@@ -119,6 +122,7 @@ class Navigator:
         self.filter: InsFilter | None = None
         self.bank: YawBank | None = None
         self.standing = False
+        self.fault: Fault | None = None
         self.steady_ns = self.max_gap_ns  # steps up to that are plain
         self._attempt_ns = self._look_ns = 0
         self._opened: deque[int] = deque(maxlen=REOPENINGS)
@@ -266,15 +270,16 @@ class Navigator:
             self.verdicts.append(Verdict.refused(measurement, "aligning"))
 
     def look(self, t_ns: int) -> None:
-        """Look now and then whether the vehicle stands, and tell the filter."""
+        """Look now and then how the IMU does, and whether the vehicle stands."""
         running = self.best
-        if t_ns < self._look_ns or running is None or not self._zero_updates:
+        if t_ns < self._look_ns or running is None:
             return
         self._look_ns = t_ns + STANDSTILL_NS
         samples = self.ring.after(t_ns - 1_000_000_000)
         span = t_ns - samples["t_ns"][0]
+        self.fault = find_fault(samples)
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
-        if self.standing:
+        if self.standing and self._zero_updates:
             (self.bank or running).submit(Standstill.of(samples))
 
     def judge_openings(self, verdict: Verdict) -> None:

@@ -1,0 +1,83 @@
+"""
+What an IMU's readings themselves show to be wrong with it: units, gravity, a stuck sensor.
+
+Looked for now and then in the last second of samples. Each fault has a name, and words for the
+user with the value seen and what to do.
+
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.attitude import matrix_from_quat, quat_from_rotvec
+
+Array = NDArray[np.float64]
+Fault = tuple[str, str]  # name and words
+
+GRAVITY = 9.80665  # m/s²
+LEAST_FORCE, MOST_FORCE = 0.4 * GRAVITY, 4.0 * GRAVITY  # of a vehicle's mean over a second
+FROZEN = 0.5  # share of the window in which nothing changes
+AT_LIMIT = 8  # samples in a row at the largest reading
+LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
+UNUSABLE = ("imu: no gravity", "imu: too much gravity", "imu: frozen", "imu: degrees")
+WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
+
+
+def find_fault(samples: NDArray[np.void]) -> Fault | None:
+    """Return the gravest fault that about a second of samples (``SAMPLE_DTYPE``) shows."""
+    if len(samples) < 10:
+        return None
+    force, rate = samples["f"], samples["w"]
+    mean = float(np.linalg.norm(force.mean(axis=0)))
+    if mean < LEAST_FORCE and float(np.abs(force).mean()) < LEAST_FORCE:
+        remedy = ("the unit seems to be g: multiply by 9.80665" if 0.7 < mean < 1.3 else
+                  "gravity seems to be removed: let the driver publish specific force")
+        return "imu: no gravity", f"mean acceleration is {mean:.2f} m/s², not 9.8: {remedy}"
+    if mean > MOST_FORCE:
+        return "imu: too much gravity", (
+            f"mean acceleration is {mean:.1f} m/s², not 9.8: check the unit (m/s² is meant)")
+    same = np.all((force[1:] == force[:-1]) & (rate[1:] == rate[:-1]), axis=1)
+    if same[-int(FROZEN * len(same)):].all() and np.abs(rate[-1]).max() > 0.05:
+        return "imu: frozen", ("the same reading again and again while it shows a turn: restart "
+                               "the driver, check the cable")
+    for readings, least, name, unit in (
+            (force, LIMIT_FORCE, "acceleration", "m/s²"), (rate, LIMIT_RATE, "rate", "rad/s")):
+        size = np.abs(readings)
+        top = size.max(axis=0)
+        for axis in np.flatnonzero(top >= least):
+            if not same.all() and _longest_run(size[:, axis] == top[axis]) >= AT_LIMIT:
+                return f"imu: saturated {name}", (
+                    f"{name} on axis {'xyz'[axis]} stays at {top[axis]:.2f} {unit}: choose a "
+                    "larger range, or dampen the mount")
+    if _in_degrees(samples):
+        return "imu: degrees", (
+            f"rates of {np.abs(rate).max():.0f} do not fit the acceleration: they seem to be in "
+            "degrees per second; radians per second are meant")
+    return None
+
+
+def _in_degrees(samples: NDArray[np.void]) -> bool:
+    """Tell whether gravity turns as it would if the rates were in degrees, not radians."""
+    force, rate = samples["f"], samples["w"]
+    dt = np.diff(samples["t_ns"])[:, None] * 1e-9
+    turn = (0.5 * (rate[1:] + rate[:-1]) * dt)
+    if np.abs(turn).sum() < WINDMILL:
+        return False
+    part = max(len(force) // 5, 2)
+    first, last = force[:part].mean(axis=0), force[-part:].mean(axis=0)
+    middle = slice(part // 2, len(turn) - part // 2)
+    angles = []
+    for scale in (1.0, np.pi / 180.0):
+        C = np.eye(3)
+        for step in matrix_from_quat(quat_from_rotvec(-scale * turn[middle])):
+            C = step @ C
+        cosine = (C @ first) @ last / (np.linalg.norm(first) * np.linalg.norm(last) + 1e-9)
+        angles.append(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return bool(angles[0] > 0.6 and angles[1] < 0.3)
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
