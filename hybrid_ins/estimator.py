@@ -8,16 +8,17 @@ it, and takes what it has to say from ``outbox`` and, at IMU rate, from ``odomet
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from hybrid_ins import conversions, parameters
-from hybrid_ins.conversions import FLIP, OUTPUTS, GnssInput, MapFrame, Message, NewMessage, Refused
+from hybrid_ins import conversions, parameters, wire
+from hybrid_ins.conversions import FLIP, GnssInput, MapFrame, Message, NewMessage, Refused
+from hybrid_ins.core import chi_square, output
 from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, NoiseChange
@@ -31,17 +32,15 @@ from hybrid_ins.core.noise import (
     ProcessNoise,
 )
 from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.state import N_NAV
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_NAV
 from hybrid_ins.noise_reader import NoiseReader
-from hybrid_ins.wire import ImuFields
+from hybrid_ins.wire import ImuFields, Status
 
 Array = NDArray[np.float64]
 Log = Callable[[str, str], None]
 
 REPORT_NS = 100_000_000  # biases, variances and the filtered fix
 DIAGNOSTICS_NS = 1_000_000_000
-BLOCK = 256  # samples that a recorded stretch is processed in
-N_ODOMETRY = 85
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 
 
@@ -53,31 +52,29 @@ class Estimator:
     ----------
     values : mapping
         Checked parameters, see `parameters.check_all`.
-    new_message : callable
-        Returns an empty message of a type name such as ``nav_msgs/msg/Odometry``.
     log : callable
         Called with a level (info, warn, error) and a line for the user.
 
     Attributes
     ----------
-    outbox : deque of (str, Message)
-        Topic and message, for the owner to publish and remove.
+    outbox : deque of (str, bytes)
+        Topic and serialised message, for the owner to publish and remove.
     odometry : ndarray, shape (85,)
-        What an Odometry message says after the last sample (`conversions.odometry_values`).
+        What an Odometry message says after the last sample (`core.output.odometry_values`).
     counts : Counter
         Everything refused, by name.
     ever_aligned : bool
         The filter ran at some time.
     """
 
-    def __init__(self, values: Mapping[str, Any], new_message: NewMessage, log: Log) -> None:
+    def __init__(self, values: Mapping[str, Any], log: Log) -> None:
         self.values = dict(values)
-        self.outbox: deque[tuple[str, Message]] = deque()
-        self.odometry = np.zeros(N_ODOMETRY)
-        self._new = new_message
+        self.outbox: deque[tuple[str, bytes]] = deque()
+        self.odometry = np.zeros(output.N_ODOMETRY)
         self._log = log
         self._map: MapFrame | None = None
         self._mount = conversions.mount_matrix(values["imu.mount_rpy"])
+        self._turn = tuple(self._mount.ravel().tolist())
         self._arm_b = FLIP @ np.array(values["imu.position"])
         self._gnss = GnssInput.from_parameters(values)
         self._limits = (values["imu.max_specific_force"], values["imu.max_angular_rate"])
@@ -93,7 +90,12 @@ class Estimator:
             values["imu.zero_updates"], self._start_over)
         self.counts: Counter[str] = self.navigator.counts
         self._reader = self._make_reader()
-        self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
+        frame = (values["base_frame"],)
+        self._filtered_fix = wire.FixEncoder(values["base_frame"], conversions.KNOWN)
+        self._biases = wire.StampedEncoder(frame, output.N_BIAS)
+        self._variances = wire.StampedEncoder(frame, 3)
+        self._tick_ns = 1  # what is due at the next sample; none has come yet
+        self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
         self._fused_ns = 0
         self._accepted = 0
         self._aligned = False
@@ -133,7 +135,7 @@ class Estimator:
 
     def _make_gate(self) -> Gate:
         probability = self.values["gnss.gate_probability"]
-        return Gate({m: float(chi2.ppf(probability, m)) for m in (1, 2, 3, 6)},
+        return Gate({m: chi_square.quantile(probability, m) for m in (1, 2, 3, 6)},
                     self.values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
@@ -176,7 +178,7 @@ class Estimator:
         """
         Take one Imu message's readings, in its own axes (FLU unless mounted otherwise).
 
-        Returns True when ``odometry`` was renewed.
+        Returns True when ``odometry`` was renewed; `tick` is due once that is published.
         """
         fx, fy, fz = force
         wx, wy, wz = rate
@@ -187,22 +189,19 @@ class Estimator:
                 and -most_w <= wz <= most_w and t_ns > 0):
             self._refuse_imu(t_ns, force, rate)
             return False
-        m = self._mount
-        if not self.navigator.imu(
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = self._turn
+        navigator = self.navigator
+        if not navigator.imu(
                 t_ns,
-                m[0, 0] * fx + m[0, 1] * fy + m[0, 2] * fz,
-                m[1, 0] * fx + m[1, 1] * fy + m[1, 2] * fz,
-                m[2, 0] * fx + m[2, 1] * fy + m[2, 2] * fz,
-                m[0, 0] * wx + m[0, 1] * wy + m[0, 2] * wz,
-                m[1, 0] * wx + m[1, 1] * wy + m[1, 2] * wz,
-                m[2, 0] * wx + m[2, 1] * wy + m[2, 2] * wz):
+                xx * fx + xy * fy + xz * fz, yx * fx + yy * fy + yz * fz,
+                zx * fx + zy * fy + zz * fz,
+                xx * wx + xy * wy + xz * wz, yx * wx + yy * wy + yz * wz,
+                zx * wx + zy * wy + zz * wz):
             return False
-        if t_ns >= self._tick_ns or self.navigator.verdicts:
-            self._tick(t_ns)
-        running = self.navigator.filter
+        running = navigator.filter
         if running is None or self._map is None:
             return False
-        conversions.odometry_values(
+        output.odometry_values(
             running.nav, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance,
             self.odometry)
         return True
@@ -217,27 +216,40 @@ class Estimator:
         filter ran.
         """
         done: list[tuple[NDArray[np.int64], Array]] = []
-        k = 0
+        steady_ns, remarkable, k = 0, [0], 0
         while k < len(t_ns):
-            if not self.aligned or not self._steady(t_ns[k:k + 1], force[k:k + 1], rate[k:k + 1]):
-                if self.imu(int(t_ns[k]), tuple(force[k]), tuple(rate[k])):
+            navigator = self.navigator
+            if steady_ns != navigator.steady_ns:
+                steady_ns = navigator.steady_ns
+                remarkable = self._remarkable(t_ns, force, rate)
+            end = remarkable[bisect_left(remarkable, k)]
+            step = int(t_ns[k]) - navigator.last_ns
+            if not self.aligned or end == k or not 0 < step <= steady_ns:
+                if self.imu(int(t_ns[k]), tuple(force[k].tolist()), tuple(rate[k].tolist())):
                     done.append((t_ns[k:k + 1], self.odometry[None].copy()))
+                self.tick()
                 k += 1
                 continue
-            stop = k + 1 + int(np.searchsorted(t_ns[k + 1:k + BLOCK], self._tick_ns))
-            while not self._steady(t_ns[k:stop], force[k:stop], rate[k:stop]):
-                stop = k + max(1, (stop - k) // 2)
-            done.append((t_ns[k:stop], self._run(t_ns[k:stop], force[k:stop], rate[k:stop])))
-            k = stop
+            part = slice(k, min(end, k + 1 + int(np.searchsorted(t_ns[k:end], self._next_ns))))
+            done.append((t_ns[part], self._run(t_ns[part], force[part], rate[part])))
+            self.tick()
+            k = part.stop
         return done
 
-    def _steady(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> bool:
-        """No sample of a stretch is in any way remarkable."""
-        gaps = np.diff(t_ns, prepend=self.navigator.last_ns)
+    @property
+    def _next_ns(self) -> int:
+        """Stamp after which more than the next sample is to be taken care of."""
+        assert self.navigator.filter is not None
+        return min(self._tick_ns, self.navigator.filter.next_event_ns)
+
+    def _remarkable(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> list[int]:
+        """Rows that do not plainly follow the one before, and the end."""
         most_f, most_w = self._limits
-        return bool(
-            np.all((gaps > 0) & (gaps <= self.navigator.max_gap_ns))
-            and np.all(np.abs(force) <= most_f) and np.all(np.abs(rate) <= most_w))
+        steps = np.diff(t_ns, prepend=t_ns[0] - 1)
+        plain = (steps > 0) & (steps <= self.navigator.steady_ns)
+        for values, most in ((force, most_f), (rate, most_w)):
+            plain &= np.abs(values).max(axis=1) <= most
+        return [*np.flatnonzero(~plain).tolist(), len(t_ns)]
 
     def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Array:
         assert self._map is not None and self.navigator.filter is not None
@@ -246,13 +258,10 @@ class Estimator:
         samples["f"], samples["w"] = force @ self._mount.T, rate @ self._mount.T
         rows = np.empty((len(t_ns), N_NAV))
         self.navigator.imu_block(samples, rows)
-        values = np.empty((len(t_ns), N_ODOMETRY))
-        conversions.odometry_block(
+        values = np.empty((len(t_ns), output.N_ODOMETRY))
+        output.odometry_block(
             rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
         self.odometry[:] = values[-1]
-        end = int(t_ns[-1])
-        if end >= self._tick_ns or self.navigator.verdicts:
-            self._tick(end)
         return values
 
     def orientation(self, quat_xyzw: tuple[float, float, float, float]) -> None:
@@ -309,7 +318,8 @@ class Estimator:
         if reason:
             self._log("warn", f"{reason}: aligning anew")
         self._aligned = False
-        self._tick_ns = self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
+        self._tick_ns = 1
+        self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
 
     # What goes wrong.
 
@@ -342,8 +352,9 @@ class Estimator:
 
     def _set_datum(self, lla: Array, t_ns: int) -> None:
         self._map = MapFrame(lla)
-        self.outbox.append(("datum", conversions.datum_fix(
-            self._new, t_ns, self.values["map_frame"], lla)))
+        datum = wire.FixEncoder(self.values["map_frame"], 0)
+        datum.values[:3] = *np.degrees(lla[:2]), lla[2]
+        self.outbox.append(("datum", datum.message(t_ns)))
 
     @property
     def _rate_variance(self) -> Array:
@@ -366,11 +377,14 @@ class Estimator:
                     self._log("warn", f"gnss: {verdict.reason}")
             else:
                 self.counts[f"gnss: {verdict.reason}"] += 1
-            self.outbox.append(("gnss/verdict", conversions.verdict_status(
-                self._new, verdict, self._gnss.time_offset)))
+            self.outbox.append(("gnss/verdict", wire.encode_status(
+                conversions.verdict_status(verdict, self._gnss.time_offset))))
 
-    def _tick(self, t_ns: int) -> None:
-        """Do what is not done with every sample."""
+    def tick(self) -> None:
+        """Do what is not done with every sample; the owner calls it after each, once published."""
+        t_ns = self.navigator.last_ns
+        if t_ns < self._tick_ns and not self.navigator.verdicts:
+            return
         self._tell_verdicts()
         if self._reader is not None and t_ns >= self._refresh_ns:
             self._refresh_ns = t_ns + int(self.values["noise.refresh_period"] * 1e9)
@@ -385,46 +399,40 @@ class Estimator:
     def _report(self, t_ns: int) -> None:
         """Say what is said ten times a second."""
         running = self.navigator.filter
-        base = self.values["base_frame"]
         if running is not None:
             if not self._aligned:
                 self._aligned = self.ever_aligned = True
                 self._log("info", "aligned: the filter runs")
-            state = running.state
-            q = running.noise.levels()
-            for topic, message in (
-                ("gnss/filtered", conversions.filtered_fix(
-                    self._new, t_ns, base, state, self._arm_b)),
-                ("imu/bias", conversions.biases(self._new, t_ns, base, state)),
-                ("q/accelerometer", conversions.variances(self._new, t_ns, base, q[:3])),
-                ("q/gyroscope", conversions.variances(self._new, t_ns, base, q[3:])),
-            ):
-                self.outbox.append((topic, message))
+            output.fix_values(running.nav, self._arm_b, self._filtered_fix.values)
+            self.outbox.append(("gnss/filtered", self._filtered_fix.message(t_ns)))
+            output.bias_values(running.nav, self._biases.values)
+            self.outbox.append(("imu/bias", self._biases.message(t_ns)))
+            levels = running.noise.levels()
+            for topic, q in (("q/accelerometer", levels[:3]), ("q/gyroscope", levels[3:])):
+                self._variances.values[:] = q
+                self.outbox.append((topic, self._variances.message(t_ns)))
         if t_ns >= self._diagnostics_ns:
             self._diagnostics_ns = t_ns + DIAGNOSTICS_NS
-            self.outbox.append(("/diagnostics", self.diagnostics(t_ns)))
+            self.outbox.append((
+                "/diagnostics", wire.encode_diagnostics(t_ns, self.diagnostics(t_ns))))
 
-    def diagnostics(self, t_ns: int) -> Message:
-        """Return the DiagnosticArray of the present state, stamped ``t_ns`` [ns]."""
-        array = self._new(OUTPUTS["/diagnostics"])
-        conversions.set_stamp(array.header.stamp, t_ns)
-        array.status = [self._filter_status(t_ns), self._input_status(), self._noise_status()]
-        return array
+    def diagnostics(self, t_ns: int) -> list[Status]:
+        """Say how the filter is at ``t_ns`` [ns]."""
+        return [self._filter_status(t_ns), self._input_status(), self._noise_status()]
 
-    def _filter_status(self, t_ns: int) -> Message:
+    def _filter_status(self, t_ns: int) -> Status:
         running = self.navigator.filter
         if running is None:
             waiting = self.navigator.waiting_for
             return conversions.status(
-                self._new, "filter", 1, f"aligning: waiting for {waiting}",
+                "filter", 1, f"aligning: waiting for {waiting}",
                 {"state": "aligning", "waiting_for": waiting})
         since = (t_ns - max(self._fused_ns, 1)) * 1e-9 if self._fused_ns else math.inf
-        P = running.state.P
-        sigma = np.sqrt(np.diag(P))
+        sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
         outage = since > DEAD_RECKONING_AFTER
         text = (f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m" if outage
                 else "aligned, GNSS fused")
-        return conversions.status(self._new, "filter", int(outage), text, {
+        return conversions.status("filter", int(outage), text, {
             "state": "dead reckoning" if outage else "aligned",
             "since_last_fix": since,
             "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
@@ -433,13 +441,13 @@ class Estimator:
             "fixes_fused": self._accepted,
         })
 
-    def _input_status(self) -> Message:
+    def _input_status(self) -> Status:
         refused = sum(self.counts.values())
         text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
         return conversions.status(
-            self._new, "input", int(refused > 0), text, dict(sorted(self.counts.items())))
+            "input", int(refused > 0), text, dict(sorted(self.counts.items())))
 
-    def _noise_status(self) -> Message:
+    def _noise_status(self) -> Status:
         running = self.navigator.filter
         source = running.noise.source if running else "none"
         reader = self._reader
@@ -449,7 +457,7 @@ class Estimator:
         text = f"source: {source}"
         if reader is not None and reader.fault and running is not None:
             text += f"; last estimate refused: {reader.fault}"
-        return conversions.status(self._new, "process noise", int(source == "fallback"), text, {
+        return conversions.status("process noise", int(source == "fallback"), text, {
             "source": source, "mode": self.values["noise.mode"],
             **({f"refused: {why}": n for why, n in sorted(reader.refusals.items())}
                if reader is not None else {}),
@@ -466,13 +474,14 @@ def warm_up(new_message: NewMessage) -> None:
     """Compile, or load from the cache, everything that runs at the IMU's rate."""
     values = {**parameters.defaults(), "alignment.heading_source": "parameter",
               "alignment.window": 0.05}
-    estimator = Estimator(values, new_message, lambda level, text: None)
+    estimator = Estimator(values, lambda level, text: None)
     fix = new_message("sensor_msgs/msg/NavSatFix")
     fix.status.status = conversions.STATUS_FIX
     velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
     for k in range(1, 101):
         t_ns = k * 10_000_000
         estimator.imu(t_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+        estimator.tick()
         if k % 20 == 0:
             for message in (fix, velocity):
                 conversions.set_stamp(message.header.stamp, t_ns)

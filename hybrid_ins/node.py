@@ -41,7 +41,7 @@ from std_srvs.srv import Trigger
 from hybrid_ins import conversions, parameters
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator, warm_up
-from hybrid_ins.wire import ImuDecoder, OdometryEncoder
+from hybrid_ins.wire import ImuDecoder, OdometryEncoder, Status, encode_diagnostics
 
 MESSAGES = {
     "nav_msgs/msg/Odometry": Odometry,
@@ -76,7 +76,7 @@ class InsNode(Node):
             name: _plain(self.get_parameter(name).value) for name in parameters.PARAMETERS})
         self._decoder = ImuDecoder()
         self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
-        self._estimator = Estimator(values, lambda name: MESSAGES[name](), self._say)
+        self._estimator = Estimator(values, self._say)
         self._estimator.odometry = self._encoder.values
         self._last_imu = time.monotonic()
         self._next_odometry_ns = 0
@@ -128,6 +128,7 @@ class InsNode(Node):
             self._publish_odometry(self._encoder.message(imu.stamp_ns))
             self._next_odometry_ns = (
                 imu.stamp_ns - imu.stamp_ns % self._odometry_ns + self._odometry_ns)
+        estimator.tick()
         if estimator.outbox:
             self._flush()
 
@@ -154,14 +155,12 @@ class InsNode(Node):
         if silent < SILENCE:
             return
         now = self.get_clock().now().nanoseconds
-        message = self._estimator.diagnostics(now)
         topic = self.resolve_topic_name("imu/data")
-        message.status.append(conversions.status(
-            lambda name: MESSAGES[name](), "imu", 2,
+        self._publish_diagnostics(now, [*self._estimator.diagnostics(now), conversions.status(
+            "imu", 2,
             f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
             "remapped, the QoS compatible?",
-            {"topic": topic, "publishers": self.count_publishers(topic)}))
-        self._publishers_by_topic["/diagnostics"].publish(message)
+            {"topic": topic, "publishers": self.count_publishers(topic)})])
 
     # Output.
 
@@ -170,6 +169,9 @@ class InsNode(Node):
         while outbox:
             topic, message = outbox.popleft()
             self._publishers_by_topic[topic].publish(message)
+
+    def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
+        self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))
 
     def _say(self, level: str, text: str) -> None:
         logger = self.get_logger()
@@ -201,9 +203,10 @@ class InsNode(Node):
     def say_goodbye(self) -> None:
         """Publish what is left and a last diagnostics message."""
         self._flush()
-        message = self._estimator.diagnostics(self.get_clock().now().nanoseconds)
-        message.status[0].message = "shut down; " + message.status[0].message
-        self._publishers_by_topic["/diagnostics"].publish(message)
+        now = self.get_clock().now().nanoseconds
+        first, *others = self._estimator.diagnostics(now)
+        first = first._replace(text=f"shut down; {first.text}")
+        self._publish_diagnostics(now, [first, *others])
 
 
 def _descriptor(parameter: parameters.Parameter) -> ParameterDescriptor:

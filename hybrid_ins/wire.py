@@ -1,5 +1,5 @@
 """
-Byte layouts of the two messages that pass at IMU rate: Imu in, Odometry out.
+Byte layouts: Imu, which comes in at its rate, and all that goes out.
 
 Decoding and encoding them here, without message objects, costs about a microsecond each; the typed
 path of rclpy costs twenty times that. The layout is plain CDR (XCDR version 1), little endian: a
@@ -108,13 +108,58 @@ class ImuDecoder:
         self._name = name
 
 
-class OdometryEncoder:
+class StampedEncoder:
     """
-    Serialises nav_msgs/Odometry by patching one prepared message.
+    Serialises messages that consist of a header and doubles by patching one prepared message.
 
-    The array attributes are windows into that message: fill them in place, then take
-    `message(stamp_ns)`; or give everything to `encode`. The bytes equal those of the typed path,
+    Fill `values` in place, then take `message(stamp_ns)`. The bytes equal those of the typed path,
     with zeros in the gaps before aligned fields.
+
+    Parameters
+    ----------
+    names
+        The header's frame_id and further texts, as they follow each other.
+    count
+        Number of doubles.
+    before, after
+        Small fields between the texts and the doubles, and behind them, as they lie there.
+
+    Attributes
+    ----------
+    values : ndarray, shape (count,)
+        The doubles, a window into the prepared message.
+
+    """
+
+    def __init__(
+        self, names: Sequence[str], count: int, before: bytes = b"", after: bytes = b""
+    ) -> None:
+        text = bytearray(_LITTLE_ENDIAN + bytes(8))
+        for name in names:
+            _put_text(text, name)
+        text += before
+        start = _body_start(len(text))
+        # Four bytes ahead of the message bring its doubles to a multiple of eight.
+        self._buffer = bytearray(4 + start + 8 * count + len(after))
+        self._buffer[4 : 4 + len(text)] = text
+        self._buffer[len(self._buffer) - len(after) :] = after
+        self._message = memoryview(self._buffer)[4:]
+        self._pack_stamp = struct.Struct("<iI").pack_into
+        self.values: NDArray[np.float64] = np.frombuffer(
+            self._buffer, "<f8", offset=4 + start, count=count
+        )
+
+    def message(self, stamp_ns: int) -> bytes:
+        """Serialise the present values with the stamp `stamp_ns` [ns]."""
+        self._pack_stamp(self._buffer, 8, *divmod(stamp_ns, 1_000_000_000))
+        return bytes(self._message)
+
+
+class OdometryEncoder(StampedEncoder):
+    """
+    Serialises nav_msgs/Odometry.
+
+    Fill the windows and take `message(stamp_ns)`, or give everything to `encode`.
 
     Attributes
     ----------
@@ -129,29 +174,13 @@ class OdometryEncoder:
     """
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
-        text = bytearray(_LITTLE_ENDIAN + bytes(8))
-        for name in (frame_id, child_frame_id):
-            encoded = name.encode() + b"\0"
-            text += bytes(-len(text) % 4) + struct.pack("<I", len(encoded)) + encoded
-        start = _body_start(len(text))
-        # Four bytes ahead of the message bring its doubles to a multiple of eight.
-        self._buffer = bytearray(4 + start + 8 * _ODOMETRY_BODY_COUNT)
-        self._buffer[4 : 4 + len(text)] = text
-        self._message = memoryview(self._buffer)[4:]
-        self._pack_stamp = struct.Struct("<iI").pack_into
-
-        self.values: NDArray[np.float64] = np.frombuffer(self._buffer, "<f8", offset=4 + start)
+        super().__init__((frame_id, child_frame_id), _ODOMETRY_BODY_COUNT)
         self.position = self.values[0:3]
         self.quat_xyzw = self.values[3:7]
         self.pose_covariance = self.values[7:43].reshape(6, 6)
         self.linear = self.values[43:46]
         self.angular = self.values[46:49]
         self.twist_covariance = self.values[49:85].reshape(6, 6)
-
-    def message(self, stamp_ns: int) -> bytes:
-        """Serialise the present values with the stamp `stamp_ns` [ns]."""
-        self._pack_stamp(self._buffer, 8, *divmod(stamp_ns, 1_000_000_000))
-        return bytes(self._message)
 
     def encode(
         self,
@@ -171,6 +200,44 @@ class OdometryEncoder:
         self.angular[:] = angular
         self.twist_covariance[:] = twist_covariance
         return self.message(stamp_ns)
+
+
+class FixEncoder(StampedEncoder):
+    """
+    Serialises sensor_msgs/NavSatFix with status FIX, of no particular service.
+
+    Its values are latitude, longitude [deg], height [m], covariance [m², ENU] (9).
+    """
+
+    def __init__(self, frame_id: str, covariance_type: int) -> None:
+        gap = bytes(-(len(frame_id.encode()) + 1 + 1) % 2)  # the service is a 16-bit number
+        super().__init__((frame_id,), 12, b"\0" + gap + bytes(2), bytes([covariance_type]))
+
+
+class Status(NamedTuple):
+    """What a diagnostic_msgs/DiagnosticStatus says; level 0 OK, 1 WARN, 2 ERROR."""
+
+    level: int
+    name: str
+    text: str
+    values: Sequence[tuple[str, str]]
+
+
+def encode_status(status: Status) -> bytes:
+    """Serialise a diagnostic_msgs/DiagnosticStatus."""
+    buffer = bytearray(_LITTLE_ENDIAN)
+    _put_status(buffer, status)
+    return bytes(buffer)
+
+
+def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
+    """Serialise a diagnostic_msgs/DiagnosticArray with the stamp `stamp_ns` [ns]."""
+    buffer = bytearray(_LITTLE_ENDIAN + struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000)))
+    _put_text(buffer, "")
+    _put_count(buffer, len(statuses))
+    for status in statuses:
+        _put_status(buffer, status)
+    return bytes(buffer)
 
 
 def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
@@ -244,3 +311,23 @@ def _body_start(text_end: int) -> int:
 
 def _text(name: bytes) -> str:
     return name.rstrip(b"\0").decode(errors="replace")
+
+
+def _put_status(buffer: bytearray, status: Status) -> None:
+    buffer.append(status.level)
+    for text in (status.name, status.text, ""):  # without hardware_id
+        _put_text(buffer, text)
+    _put_count(buffer, len(status.values))
+    for key, value in status.values:
+        _put_text(buffer, key)
+        _put_text(buffer, value)
+
+
+def _put_text(buffer: bytearray, text: str) -> None:
+    encoded = text.encode(errors="replace") + b"\0"
+    _put_count(buffer, len(encoded))
+    buffer += encoded
+
+
+def _put_count(buffer: bytearray, count: int) -> None:
+    buffer += bytes(-len(buffer) % 4) + count.to_bytes(4, "little")

@@ -31,6 +31,7 @@ from hybrid_ins.core.state import (
     EPS,
     LAST_F,
     LAST_W,
+    N_ERROR,
     N_NAV,
     PSD,
     QUAT,
@@ -307,17 +308,20 @@ class InsFilter:
         S, nis = innovation(self.nav, z, H, R)
         verdict = self.gate.judge(measurement, z, R, S, nis, self.age(measurement))
         self.verdicts.append(verdict)
-        if not verdict.accepted:
-            return
+        before = self.nav.copy()
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
-        if verdict.reset:
-            open_state(self.nav, z, H, interval)
-        dx, K = correct(self.nav, z, H, R)
+        dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
+        if verdict.accepted:
+            if verdict.reset:
+                open_state(self.nav, z, H, interval)
+            dx, K = correct(self.nav, z, H, R)
         if not measurement.aiding:
             return
+        if verdict.accepted:
+            self._corrected_ns = measurement.t_ns
         C_nb = matrix_from_quat(self.nav[QUAT])
-        self._corrected_ns = measurement.t_ns
-        self.noise.learn(Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval))
+        self.noise.learn(Correction(
+            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted))
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""

@@ -21,7 +21,7 @@ from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline import program
-from hybrid_ins.offline.bags import BagReader, BagWriter, ImuTable, new_message
+from hybrid_ins.offline.bags import BagReader, BagWriter, ImuTable
 from hybrid_ins.wire import OdometryEncoder
 
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -63,7 +63,7 @@ def replay(
     """
     imu = bag.imu(imu_topic)
     fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
-    estimator = Estimator(values, new_message, _say)
+    estimator = Estimator(values, _say)
     writer = _OdometryWriter(out, values)
     handlers = {fix_topic: estimator.fix}
     if bag.topics.get(velocity_topic) == VELOCITY:
@@ -73,8 +73,8 @@ def replay(
 
     def flush(log_ns: int) -> None:
         while estimator.outbox:
-            topic, message = estimator.outbox.popleft()
-            out.write("/" + topic.lstrip("/"), message, log_ns)
+            topic, data = estimator.outbox.popleft()
+            out.write_raw("/" + topic.lstrip("/"), OUTPUTS[topic], data, log_ns)
 
     for stretch, item in _in_order(imu, bag.messages(*handlers)):
         for stamps, odometry in estimator.imu_block(
