@@ -108,7 +108,7 @@ class Alignment:
         self._fixes: deque[PositionFix] = deque(maxlen=64)
         self._velocity: VelocityFix | None = None
         self._imu_yaw: float | None = None
-        self._hand: tuple[int, float, float] | None = None
+        self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
         self._source = settings.heading_source
         self.stage = "imu"
         self.waiting_for = "IMU samples"
@@ -126,16 +126,19 @@ class Alignment:
 
     def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
         """Take a heading [rad from north] that was true at a stamp; it goes before all sources."""
-        self._hand = (t_ns, yaw, std)
+        self._given = (t_ns, yaw, std)
 
     def forget_parameter(self) -> None:
         """Let a heading given for the start no longer count: the vehicle has moved since."""
         if self._source == "parameter":
-            self._source = "auto"
+            self._source, self._given = "auto", None
 
     def attempt(self) -> Start | None:
         """Return the first state at the last IMU sample, or None and set ``waiting_for``."""
         now = int(self._ring.latest(1)["t_ns"][0])
+        if self._given is None and self._source == "parameter":
+            first_ns = int(self._ring.after(0)["t_ns"][0])
+            self._given = first_ns, self._settings.yaw, self._settings.yaw_std
         window_ns = int(self._settings.window * 1e9)
         samples = self._ring.after(now - window_ns - 1)
         if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
@@ -183,10 +186,10 @@ class Alignment:
         return Start(tuple(states), now, np.concatenate((last["f"], last["w"])))
 
     def _attitude(self, down_b: Array, yaw: float) -> Array:
-        """Quaternion of C_nb now; a heading given by hand is carried here by the gyroscopes."""
-        if self._hand is None:
+        """Quaternion of C_nb now; a heading given for earlier is carried on by the gyroscopes."""
+        if self._given is None:
             return quat_from_rpy(*_roll_pitch(down_b), yaw)
-        C_then_now = _relative(self._ring.after(self._hand[0] - 1))[0].T
+        C_then_now = _relative(self._ring.after(self._given[0] - 1))[0].T
         roll, pitch = _roll_pitch(C_then_now @ down_b)
         C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
         return quat_from_matrix(C_then @ C_then_now)
@@ -219,10 +222,8 @@ class Alignment:
     def _headings(self, velocity_n: Array, v_cov: Array) -> list[tuple[float, float]] | None:
         """Possible headings [rad from north] and their uncertainty, or None: ``waiting_for``."""
         settings = self._settings
-        if self._hand is not None:
-            return [self._hand[1:]]
-        if self._source == "parameter":
-            return [(settings.yaw, settings.yaw_std)]
+        if self._given is not None:
+            return [self._given[1:]]
         if self._source == "imu":
             if self._imu_yaw is None:
                 self.waiting_for = "an orientation in the IMU messages (heading_source is imu)"

@@ -230,7 +230,7 @@ class Navigator:
             return
         self.bank.advance(self.ring)
         self.verdicts.extend(self.bank.weigh())
-        self.look(t_ns)
+        self.look()
         winner = self.bank.decide()
         if winner is not None:
             self._run(winner)
@@ -269,9 +269,9 @@ class Navigator:
             self.alignment.observe(measurement)
             self.verdicts.append(Verdict.refused(measurement, "aligning"))
 
-    def look(self, t_ns: int) -> None:
+    def look(self) -> None:
         """Look now and then how the IMU does, and whether the vehicle stands."""
-        running = self.best
+        running, t_ns = self.best, self.last_ns
         if t_ns < self._look_ns or running is None:
             return
         self._look_ns = t_ns + STANDSTILL_NS

@@ -1,0 +1,99 @@
+"""Which fixes are believed, and how belief returns."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.measurements import PositionFix, Standstill
+
+R = np.eye(3)
+S = 2.0 * np.eye(3)
+RNG = np.random.default_rng(0)
+
+
+def fix(t: float) -> PositionFix:
+    return PositionFix(int(t * 1e9), np.zeros(3), R, np.zeros(3))
+
+
+def judge(gate: Gate, t: float, z: float | np.ndarray) -> Verdict:
+    innovation = np.broadcast_to(np.asarray(z, float), 3)
+    nis = float(innovation @ np.linalg.solve(S, innovation))
+    return gate.judge(fix(t), innovation, R, S, nis, 0.0)
+
+
+@pytest.fixture
+def gate() -> Gate:
+    return Gate({2: 18.4, 3: 21.1}, patience=3.0)
+
+
+def test_sound_fix_is_accepted_with_all_that_was_used(gate: Gate) -> None:
+    verdict = judge(gate, 1.0, 0.5)
+
+    assert verdict.accepted and not verdict.reset and verdict.reason == ""
+    assert verdict.nis == pytest.approx(0.375) and verdict.threshold == 21.1
+    assert verdict.sigma == pytest.approx([1.0, 1.0, 1.0])
+    assert verdict.log_det == pytest.approx(3.0 * np.log(2.0))
+
+
+def test_one_outlier_is_refused_with_a_reason(gate: Gate) -> None:
+    verdict = judge(gate, 1.0, 50.0)
+
+    assert not verdict.accepted and "gate" in verdict.reason
+    assert judge(gate, 2.0, 0.1).accepted
+
+
+def test_fixes_that_agree_win_after_the_patience(gate: Gate) -> None:
+    verdicts = [judge(gate, t, 50.0 + 0.1 * t) for t in np.arange(0.0, 4.0, 0.5)]
+
+    assert [v.accepted for v in verdicts[:6]] == [False] * 6
+    assert verdicts[6].accepted and verdicts[6].reset and "3.0 s" in verdicts[6].reason
+    assert not verdicts[7].accepted  # and from there on as before
+
+
+def test_shift_that_grows_is_agreement(gate: Gate) -> None:
+    verdicts = [judge(gate, t, 10.0 + 10.0 * t) for t in np.arange(0.0, 4.0, 1.0)]
+
+    assert verdicts[-1].reset
+
+
+def test_fixes_that_contradict_each_other_wait_longer_but_not_for_ever(gate: Gate) -> None:
+    verdicts = [judge(gate, t, RNG.normal(0.0, 100.0, 3)) for t in np.arange(0.0, 9.5, 0.5)]
+
+    assert not any(v.accepted for v in verdicts[:12])
+    assert any(v.reset for v in verdicts)
+
+
+def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
+    for t in (0.0, 1.0, 2.0):
+        judge(gate, t, 50.0)
+    judge(gate, 2.5, 0.0)
+
+    assert not judge(gate, 3.5, 50.0).accepted
+    assert not judge(gate, 6.0, 50.0).accepted
+    assert judge(gate, 6.5, 50.0).reset
+
+
+def test_kinds_are_judged_apart(gate: Gate) -> None:
+    judge(gate, 0.0, 50.0)
+    still = Standstill(int(4e9), np.zeros(3), np.ones(3))
+
+    verdict = gate.judge(still, np.full(3, 50.0), R, S, 9e3, 0.0)
+
+    assert not verdict.accepted
+
+
+def test_standstill_never_opens_the_state(gate: Gate) -> None:
+    for t in range(60):
+        still = Standstill(t * 1_000_000_000, np.zeros(3), np.ones(3))
+        assert not gate.judge(still, np.full(3, 50.0), R, S, 9e3, 0.0).accepted
+
+
+def test_copy_does_not_share_its_memory(gate: Gate) -> None:
+    judge(gate, 0.0, 50.0)
+    twin = copy.copy(gate)
+    judge(gate, 1.0, 0.0)
+
+    assert judge(twin, 3.0, 50.0).reset
+    assert not judge(gate, 3.0, 50.0).accepted
