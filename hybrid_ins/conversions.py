@@ -125,9 +125,9 @@ class GnssInput:
             values["gnss.velocity_std_default"], values["gnss.velocity_std_min"],
             values["gnss.time_offset.value"])
 
-    def position(self, message: Message) -> PositionFix | Refused:
-        """Convert a sensor_msgs/NavSatFix."""
-        t_ns = stamp_ns(message.header.stamp)
+    def position(self, message: Message, received_ns: int | None = None) -> PositionFix | Refused:
+        """Convert a sensor_msgs/NavSatFix; ``received_ns`` takes its stamp's place if given."""
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return Refused("gnss: zero stamp", "header.stamp is zero: the driver must stamp fixes")
         if message.status.status < STATUS_FIX:
@@ -165,9 +165,9 @@ class GnssInput:
             covariance = default
         return floor_covariance(covariance, self.position_std_min, default)
 
-    def velocity(self, message: Message) -> VelocityFix | Refused:
-        """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
-        t_ns = stamp_ns(message.header.stamp)
+    def velocity(self, message: Message, received_ns: int | None = None) -> VelocityFix | Refused:
+        """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return Refused("velocity: zero stamp", "header.stamp is zero: the driver must stamp")
         linear = message.twist.twist.linear
@@ -195,6 +195,10 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     """
     if not np.all(np.isfinite(covariance)):
         return default
+    diagonal = np.diagonal(covariance)
+    if np.count_nonzero(covariance) == 3 and diagonal.all():  # most receivers give no more
+        low, high = diagonal.min(), diagonal.max()
+        return default if low <= 1e-12 * high else np.diag(np.maximum(diagonal, std_min**2))
     values, axes = np.linalg.eigh(covariance)
     if values[0] <= 1e-12 * values[2] or values[2] <= 0.0:
         return default

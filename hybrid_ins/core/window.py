@@ -67,12 +67,14 @@ def find_fault(
         return WindowFault.RATE
     # A whole sample that repeats is stale; one channel that repeats is merely quantised.
     repeated = (readings[1:] == readings[:-1]).all(axis=1)
-    if repeated.mean() > LARGEST_REPEATED_SHARE or _longest_run(repeated) > LONGEST_REPEAT:
+    count = np.count_nonzero(repeated)
+    if count > LARGEST_REPEATED_SHARE * len(repeated) or (
+            count > LONGEST_REPEAT and _longest_run(repeated) > LONGEST_REPEAT):
         return WindowFault.REPEATED
-    for sign in (-1.0, 1.0):
-        below = (sign * readings).max(axis=0) - sign * readings
-        for channel in np.flatnonzero((below == 0.0).sum(axis=0) >= LONGEST_AT_LIMIT):
-            if _is_cut_off(below[:, channel]):
+    for limit in (readings.max(axis=0), readings.min(axis=0)):
+        dwelling = (readings == limit).sum(axis=0) >= LONGEST_AT_LIMIT
+        for channel in np.flatnonzero(dwelling):
+            if _is_cut_off(np.abs(limit[channel] - readings[:, channel])):
                 return WindowFault.SATURATED
     return None
 
@@ -113,8 +115,10 @@ def quantisation_step(readings: Array) -> Array:
     # Decimal values in binary differ from their grid by rounding.
     rounding = 8.0 * np.finfo(float).eps * np.maximum(-ordered[0], ordered[-1]) + 1e-300
     distinct = gaps > rounding
-    step = np.where(distinct, gaps, np.inf).min(axis=0)
     recurring = distinct.sum(axis=0) + 1 <= 0.75 * size
+    if not recurring.any():
+        return np.zeros(readings.shape[1])
+    step = np.where(distinct, gaps, np.inf).min(axis=0)
     with np.errstate(invalid="ignore"):
         multiples = np.where(distinct, gaps, 0.0) / step
     on_grid = np.abs(multiples - np.round(multiples)).max(axis=0) < 0.05
