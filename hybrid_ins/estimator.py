@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from hybrid_ins import conversions, parameters, wire
 from hybrid_ins.conversions import FLIP, GnssInput, MapFrame, Message, NewMessage, Refused
-from hybrid_ins.core import chi_square, output
+from hybrid_ins.core import chi_square, local_frame, output
 from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, NoiseChange
-from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
@@ -34,6 +34,7 @@ from hybrid_ins.core.noise import (
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_NAV
 from hybrid_ins.noise_reader import NoiseReader
+from hybrid_ins.static_transforms import StaticTransforms
 from hybrid_ins.wire import ImuFields, Status
 
 Array = NDArray[np.float64]
@@ -42,6 +43,8 @@ Log = Callable[[str, str], None]
 REPORT_NS = 100_000_000  # biases, variances and the filtered fix
 DIAGNOSTICS_NS = 1_000_000_000
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
+WAITING = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
+Stretch = tuple[NDArray[np.int64], Array, Array]
 
 
 class Estimator:
@@ -61,6 +64,8 @@ class Estimator:
         Topic and serialised message, for the owner to publish and remove.
     odometry : ndarray, shape (85,)
         What an Odometry message says after the last sample (`core.output.odometry_values`).
+    local : ndarray, shape (85,)
+        The same in ``odom`` (`core.local_frame`).
     counts : Counter
         Everything refused, by name.
     ever_aligned : bool
@@ -71,12 +76,14 @@ class Estimator:
         self.values = dict(values)
         self.outbox: deque[tuple[str, bytes]] = deque()
         self.odometry = np.zeros(output.N_ODOMETRY)
+        self.local = np.zeros(output.N_ODOMETRY)
         self._log = log
         self._map: MapFrame | None = None
-        self._mount = conversions.mount_matrix(values["imu.mount_rpy"])
-        self._turn = tuple(self._mount.ravel().tolist())
-        self._arm_b = FLIP @ np.array(values["imu.position"])
-        self._gnss = GnssInput.from_parameters(values)
+        self._local_state = local_frame.start()
+        self._local_ns = 0  # of the last sample in odom; 0: the filter has just started
+        self._transforms = StaticTransforms()
+        self._frames = {"imu/data": "", "gnss/fix": ""}  # that messages come in
+        self._place_sensors()
         self._limits = (values["imu.max_specific_force"], values["imu.max_angular_rate"])
         self.navigator = Navigator(
             AlignmentSettings(
@@ -138,12 +145,67 @@ class Estimator:
         return Gate({m: chi_square.quantile(probability, m) for m in (1, 2, 3, 6)},
                     self.values["gnss.patience"])
 
+    def _place_sensors(self) -> None:
+        """Take mount and lever arm from the parameters, or from fixed transforms without them."""
+        values = dict(self.values)
+        mount = conversions.mount_matrix(values["imu.mount_rpy"])
+        if not any(values["imu.position"]) and not any(values["imu.mount_rpy"]):
+            C, position = self._find_frame("imu/data")
+            mount, values["imu.position"] = FLIP @ C, position.tolist()
+        if not any(values["gnss.antenna_position"]):
+            values["gnss.antenna_position"] = self._find_frame("gnss/fix")[1].tolist()
+        self._mount = mount
+        self._turn = tuple(mount.ravel().tolist())
+        self._arm_b = FLIP @ np.array(values["imu.position"])
+        self._gnss = GnssInput.from_parameters(values)
+
+    def _find_frame(self, topic: str) -> tuple[Array, Array]:
+        """Rotation and place in the base frame of the frame that a topic's messages come in."""
+        base, frame = self.values["base_frame"], self._frames[topic]
+        found = None
+        if frame and self.values["use_tf_static"]:
+            found = self._transforms.find(base, frame)
+        return (np.eye(3), np.zeros(3)) if found is None else found
+
+    def take_frame(self, topic: str, frame: str) -> None:
+        """Take the frame_id of the messages on ``imu/data`` or ``gnss/fix``."""
+        known, self._frames[topic] = self._frames[topic], frame
+        if known and frame != known:
+            self._remark(topic, Refused(
+                f"{topic}: frame_id changes", f"frame_id changes from '{known}' to '{frame}': two "
+                "publishers on one topic?"))
+        base = self.values["base_frame"]
+        names = ("imu.position", "imu.mount_rpy") if topic == "imu/data" else (
+            "gnss.antenna_position",)
+        if not known and frame not in ("", base) and not any(
+                any(self.values[name]) for name in names) and (
+                self._transforms.find(base, frame) is None):
+            self._log("info", f"{topic}: comes in frame '{frame}', which neither {names[0]} nor "
+                      f"/tf_static places in '{base}': taken to be there, with the same axes")
+        self._move_sensors()
+
+    def static_transforms(self, message: Message) -> None:
+        """Take a tf2_msgs/TFMessage of /tf_static."""
+        self._transforms.add(message)
+        self._move_sensors()
+
+    def _move_sensors(self) -> None:
+        before = self._mount, self._arm_b, self._gnss.lever_b
+        self._place_sensors()
+        if all(map(np.array_equal, before, (self._mount, self._arm_b, self._gnss.lever_b))):
+            return
+        self._log("info", "sensors placed by /tf_static: IMU and antenna in "
+                  f"'{self.values['base_frame']}'")
+        self._reader = self._make_reader()
+        if self.navigator.ring.count:
+            self.navigator.reset()
+            self._start_over()
+
     def change(self, changes: Mapping[str, Any]) -> None:
         """Take checked values of run-time parameters without losing the state."""
         self.values.update(changes)
-        self._gnss = GnssInput.from_parameters(self.values)
-        running = self.navigator.filter
-        if running is not None:
+        self._place_sensors()
+        for running in self.navigator.filters:
             running.process = self._make_process(running.process.period)
             running.gate = self._make_gate()
             if any(name.startswith("noise.") for name in changes):
@@ -158,16 +220,25 @@ class Estimator:
         """The filter runs and odometry is valid."""
         return self._map is not None and self.navigator.filter is not None
 
-    def imu_message(self, imu: ImuFields) -> bool:
+    def imu_message(self, imu: ImuFields, received_ns: int | None = None) -> bool:
         """Take one Imu message; True when ``odometry`` was renewed."""
+        if imu.frame_id != self._frames["imu/data"]:
+            self.take_frame("imu/data", imu.frame_id)
         if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
-            self._refuse("imu/data", Refused(
-                "imu: no reading", "covariance[0] is -1: the message says that it carries no "
-                "acceleration or no angular rate"))
+            self.imu_without_reading()
             return False
         if self.wants_orientation and imu.orientation_cov0 != -1.0:
             self.orientation(imu.orientation_xyzw)
-        return self.imu(imu.stamp_ns, imu.specific_force, imu.angular_rate)
+        t_ns = imu.stamp_ns
+        if received_ns is not None and self.values["use_receive_time"]:
+            t_ns = received_ns
+        return self.imu(t_ns, imu.specific_force, imu.angular_rate)
+
+    def imu_without_reading(self) -> None:
+        """Take an Imu message whose covariances say that it carries no reading."""
+        self._remark("imu/data", Refused(
+            "imu: no reading", "covariance[0] is -1: the message says that it carries no "
+            "acceleration or no angular rate"))
 
     def imu(
         self,
@@ -197,6 +268,8 @@ class Estimator:
                 zx * fx + zy * fy + zz * fz,
                 xx * wx + xy * wy + xz * wz, yx * wx + yy * wy + yz * wz,
                 zx * wx + zy * wy + zz * wz):
+            name = navigator.refusal
+            self._remark("imu/data", Refused(name, STAMP_FAULTS[name]))
             return False
         running = navigator.filter
         if running is None or self._map is None:
@@ -204,18 +277,22 @@ class Estimator:
         output.odometry_values(
             running.nav, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance,
             self.odometry)
+        dt = (t_ns - self._local_ns) * 1e-9 if self._local_ns else 0.0
+        self._local_ns = t_ns
+        local_frame.advance(self._local_state, dt, self.odometry, self.local)
         return True
 
     def imu_block(
-        self, t_ns: NDArray[np.int64], force: Array, rate: Array
-    ) -> list[tuple[NDArray[np.int64], Array]]:
+        self, t_ns: NDArray[np.int64], force: Array, rate: Array,
+        orientation_xyzw: Array | None = None,
+    ) -> list[Stretch]:
         """
         Take many samples, shapes (N,), (N, 3), (N, 3); the result is that of `imu` one by one.
 
-        Returns the stamps and odometry values, (n,) and (n, 85), of each stretch in which the
-        filter ran.
+        Returns the stamps (n,), odometry values (n, 85) and local ones (n, 85) of each stretch in
+        which the filter ran. Orientations (N, 4) matter to heading_source imu only.
         """
-        done: list[tuple[NDArray[np.int64], Array]] = []
+        done: list[Stretch] = []
         steady_ns, remarkable, k = 0, [0], 0
         while k < len(t_ns):
             navigator = self.navigator
@@ -225,13 +302,16 @@ class Estimator:
             end = remarkable[bisect_left(remarkable, k)]
             step = int(t_ns[k]) - navigator.last_ns
             if not self.aligned or end == k or not 0 < step <= steady_ns:
+                if orientation_xyzw is not None and self.wants_orientation:
+                    self.orientation(tuple(orientation_xyzw[k].tolist()))
                 if self.imu(int(t_ns[k]), tuple(force[k].tolist()), tuple(rate[k].tolist())):
-                    done.append((t_ns[k:k + 1], self.odometry[None].copy()))
+                    done.append((
+                        t_ns[k:k + 1], self.odometry[None].copy(), self.local[None].copy()))
                 self.tick()
                 k += 1
                 continue
             part = slice(k, min(end, k + 1 + int(np.searchsorted(t_ns[k:end], self._next_ns))))
-            done.append((t_ns[part], self._run(t_ns[part], force[part], rate[part])))
+            done.append(self._run(t_ns[part], force[part], rate[part]))
             self.tick()
             k = part.stop
         return done
@@ -251,7 +331,7 @@ class Estimator:
             plain &= np.abs(values).max(axis=1) <= most
         return [*np.flatnonzero(~plain).tolist(), len(t_ns)]
 
-    def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Array:
+    def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Stretch:
         assert self._map is not None and self.navigator.filter is not None
         samples = np.empty(len(t_ns), SAMPLE_DTYPE)
         samples["t_ns"] = t_ns
@@ -262,7 +342,12 @@ class Estimator:
         output.odometry_block(
             rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
         self.odometry[:] = values[-1]
-        return values
+        local = np.empty_like(values)
+        dt = np.diff(t_ns, prepend=self._local_ns or t_ns[0]) * 1e-9
+        self._local_ns = int(t_ns[-1])
+        local_frame.advance_block(self._local_state, dt, values, local)
+        self.local[:] = local[-1]
+        return t_ns, values, local
 
     def orientation(self, quat_xyzw: tuple[float, float, float, float]) -> None:
         """Take the orientation of an Imu message; it matters only for the first heading."""
@@ -277,11 +362,16 @@ class Estimator:
         return (self.navigator.filter is None
                 and self.values["alignment.heading_source"] == "imu")
 
-    def fix(self, message: Message) -> None:
+    def _by_receipt(self, received_ns: int | None) -> int | None:
+        return received_ns if self.values["use_receive_time"] else None
+
+    def fix(self, message: Message, received_ns: int | None = None) -> None:
         """Take a sensor_msgs/NavSatFix."""
-        fix = self._gnss.position(message)
+        if message.header.frame_id != self._frames["gnss/fix"]:
+            self.take_frame("gnss/fix", message.header.frame_id)
+        fix = self._gnss.position(message, self._by_receipt(received_ns))
         if isinstance(fix, Refused):
-            self._refuse("gnss/fix", fix)
+            self._remark("gnss/fix", fix)
             return
         if self._map is None:
             lla = np.nan_to_num(fix.lla)
@@ -289,11 +379,11 @@ class Estimator:
         self.navigator.measure(fix)
         self._tell_verdicts()
 
-    def velocity(self, message: Message) -> None:
+    def velocity(self, message: Message, received_ns: int | None = None) -> None:
         """Take a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
-        velocity = self._gnss.velocity(message)
+        velocity = self._gnss.velocity(message, self._by_receipt(received_ns))
         if isinstance(velocity, Refused):
-            self._refuse("gnss/velocity", velocity)
+            self._remark("gnss/velocity", velocity)
             return
         self.navigator.measure(velocity)
         self._tell_verdicts()
@@ -302,7 +392,7 @@ class Estimator:
         """Take a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
         yaw = conversions.initial_yaw(message)
         if isinstance(yaw, Refused):
-            self._refuse("initialpose", yaw)
+            self._remark("initialpose", yaw)
             return
         self.navigator.realign()
         self.navigator.alignment.set_yaw(self.navigator.last_ns, *yaw)
@@ -318,6 +408,7 @@ class Estimator:
         if reason:
             self._log("warn", f"{reason}: aligning anew")
         self._aligned = False
+        self._local_ns = 0
         self._tick_ns = 1
         self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
 
@@ -338,15 +429,15 @@ class Estimator:
             refused = Refused(
                 "imu: absurd rate", f"{max(map(abs, rate)):.0f} rad/s exceeds "
                 "imu.max_angular_rate: is the rate given in degrees?")
-        self._refuse("imu/data", refused)
+        self._remark("imu/data", refused)
 
-    def _refuse(self, topic: str, refused: Refused) -> None:
-        """Count what was refused; tell the first, tenth, hundredth... of its name."""
-        self.counts[refused.name] += 1
-        count = self.counts[refused.name]
+    def _remark(self, topic: str, remark: Refused) -> None:
+        """Count what was refused or odd; tell the first, tenth, hundredth... of its name."""
+        self.counts[remark.name] += 1
+        count = self.counts[remark.name]
         if count == 10 ** (len(str(count)) - 1):
             so_far = f" ({count} so far)" if count > 1 else ""
-            self._log("warn", f"{topic}: {refused.text}{so_far}")
+            self._log("warn", f"{topic}: {remark.text}{so_far}")
 
     # Messages out.
 
@@ -391,18 +482,28 @@ class Estimator:
             self.navigator.change_noise(self._reader.read(self.navigator.ring, t_ns))
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
+            self._look()
             self._report(t_ns)
         self._tick_ns = self._report_ns
         if self._reader is not None:
             self._tick_ns = min(self._tick_ns, self._refresh_ns)
 
+    def _look(self) -> None:
+        """Let the navigator look at the IMU's health, and tell what it finds."""
+        before = self.navigator.fault
+        self.navigator.look()
+        fault = self.navigator.fault
+        if fault is not None and fault != before:
+            self._remark("imu/data", Refused(*fault))
+
     def _report(self, t_ns: int) -> None:
-        """Say what is said ten times a second."""
-        running = self.navigator.filter
+        """Say what is said ten times a second; position is known before the heading is."""
+        running = self.navigator.best
         if running is not None:
-            if not self._aligned:
+            if not self._aligned and self.navigator.filter is not None:
                 self._aligned = self.ever_aligned = True
-                self._log("info", "aligned: the filter runs")
+                sigma = math.degrees(math.sqrt(running.nav[COVARIANCE][DIAGONAL][8]))
+                self._log("info", f"aligned: heading known to {sigma:.1f}°")
             output.fix_values(running.nav, self._arm_b, self._filtered_fix.values)
             self.outbox.append(("gnss/filtered", self._filtered_fix.message(t_ns)))
             output.bias_values(running.nav, self._biases.values)
@@ -423,10 +524,14 @@ class Estimator:
     def _filter_status(self, t_ns: int) -> Status:
         running = self.navigator.filter
         if running is None:
-            waiting = self.navigator.waiting_for
+            state, waiting = WAITING[self.navigator.state], self.navigator.waiting_for
+            values: dict[str, object] = {"state": state, "waiting_for": waiting}
+            if self.navigator.bank is not None:
+                heading_std = self.navigator.bank.heading()[1]
+                values["sigma_heading_deg"] = min(math.degrees(heading_std), 104.0)
+                values["hypotheses"] = len(self.navigator.bank.filters)
             return conversions.status(
-                "filter", 1, f"aligning: waiting for {waiting}",
-                {"state": "aligning", "waiting_for": waiting})
+                "filter", 1, f"aligning, {state}: it needs {waiting}", values)
         since = (t_ns - max(self._fused_ns, 1)) * 1e-9 if self._fused_ns else math.inf
         sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
         outage = since > DEAD_RECKONING_AFTER
@@ -439,9 +544,14 @@ class Estimator:
             "sigma_position_vertical": float(sigma[2]),
             "sigma_heading_deg": math.degrees(sigma[8]),
             "fixes_fused": self._accepted,
+            "standing": str(self.navigator.standing).lower(),
         })
 
     def _input_status(self) -> Status:
+        fault = self.navigator.fault
+        if fault is not None:
+            return conversions.status("input", 2, f"{fault[0]}: {fault[1]}",
+                                      dict(sorted(self.counts.items())))
         refused = sum(self.counts.values())
         text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
         return conversions.status(

@@ -112,6 +112,11 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               "height [m]; empty: the first good fix", lengths=(0, 3),
               low=-12000.0, high=1e7),
 
+    Parameter("use_receive_time", False, "Take the time of arrival for the stamp of every message: "
+              "only for drivers that do not stamp, it costs accuracy"),
+    Parameter("use_tf_static", True, "Where imu.position and imu.mount_rpy, or "
+              "gnss.antenna_position, are all zero: take them from /tf_static by frame_id"),
+
     Parameter("imu.position", [0.0, 0.0, 0.0], "IMU in base_frame (forward, left, up)", **_METRES),
     Parameter("imu.mount_rpy", [0.0, 0.0, 0.0], "Roll, pitch, yaw that turn base_frame's axes "
               "into the IMU's", unit="rad", low=-6.3, high=6.3),

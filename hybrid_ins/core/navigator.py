@@ -147,6 +147,13 @@ class Navigator:
         """The filter, or the likeliest while the heading is open: its position is good already."""
         return self.bank.best if self.bank is not None else self.filter
 
+    @property
+    def filters(self) -> list[InsFilter]:
+        """All filters that run: one, or one for each hypothesis, or none."""
+        if self.bank is not None:
+            return self.bank.filters
+        return [] if self.filter is None else [self.filter]
+
     def imu(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
     ) -> bool:

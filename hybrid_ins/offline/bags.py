@@ -27,6 +27,7 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
+from hybrid_ins.conversions import imu_fields
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import mcap_file
 from hybrid_ins.offline.mcap_file import Channel, McapReader, McapWriter, Record
@@ -57,6 +58,9 @@ class ImuTable:
     log_ns: NDArray[np.int64]  # (N,) recorder's clock
     specific_force: NDArray[np.float64]  # (N, 3) m/s2, axes of the message (FLU)
     angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
+    orientation_xyzw: NDArray[np.float64]  # (N, 4) in ENU; zeros where the message has none
+    has_reading: NDArray[np.bool_]  # (N,) false where a covariance[0] of -1 says there is none
+    frame_id: str  # of the last message
 
 
 def is_standard(type_name: str) -> bool:
@@ -191,6 +195,10 @@ class BagReader:
         for log_ns, channel, data in self._records(topics):
             yield channel.topic, log_ns, self._decoded(log_ns, channel, data)
 
+    def decode(self, topic: str, log_ns: int, data: bytes) -> Message:
+        """Return the message object of what `raw` yielded."""
+        return self._decoded(log_ns, Channel(topic, self.topics[topic], "cdr"), data)
+
     def imu(self, topic: str = "/imu/data", option: str = "--imu-topic") -> ImuTable:
         """
         Read a whole Imu topic at once.
@@ -223,6 +231,11 @@ class BagReader:
             log_ns,
             np.ascontiguousarray(table["specific_force"]),
             np.ascontiguousarray(table["angular_rate"]),
+            np.where(table["orientation_covariance"][:, :1] == -1.0, 0.0,
+                     table["orientation_xyzw"]),
+            (table["angular_rate_covariance"][:, 0] != -1.0)
+            & (table["specific_force_covariance"][:, 0] != -1.0),
+            ImuDecoder().decode(records[-1][2]).frame_id,
         )
 
     def _imu_one_by_one(self, records: list[Record], log_ns: NDArray[np.int64]) -> ImuTable:
@@ -230,25 +243,21 @@ class BagReader:
         decoder = ImuDecoder()
         stamps = np.empty(len(records), np.int64)
         vectors = np.empty((2, len(records), 3))
+        orientation = np.zeros((len(records), 4))
+        has_reading = np.ones(len(records), bool)
+        frame_id = ""
         for row, record in enumerate(records):
-            stamps[row], *vectors[:, row] = self._imu_row(record, decoder)
-        return ImuTable(stamps, log_ns, vectors[0], vectors[1])
-
-    def _imu_row(
-        self, record: Record, decoder: ImuDecoder
-    ) -> tuple[int, tuple[float, float, float], tuple[float, float, float]]:
-        try:
-            fields = decoder.decode(record[2])
-        except ValueError:
-            message = self._decoded(*record)
-            stamp, a, w = (
-                message.header.stamp,
-                message.linear_acceleration,
-                message.angular_velocity,
-            )
-            stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-            return stamp_ns, (a.x, a.y, a.z), (w.x, w.y, w.z)
-        return fields.stamp_ns, fields.specific_force, fields.angular_rate
+            try:
+                imu = decoder.decode(record[2])
+            except ValueError:
+                imu = imu_fields(self._decoded(*record))
+            stamps[row], frame_id = imu.stamp_ns, imu.frame_id
+            vectors[:, row] = imu.specific_force, imu.angular_rate
+            if imu.orientation_cov0 != -1.0:
+                orientation[row] = imu.orientation_xyzw
+            has_reading[row] = -1.0 not in (imu.specific_force_cov0, imu.angular_rate_cov0)
+        return ImuTable(
+            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, frame_id)
 
     def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
         wanted = {_absolute(topic) for topic in topics} or self.topics.keys()

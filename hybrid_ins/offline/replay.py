@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from hybrid_ins import parameters
@@ -21,13 +22,14 @@ from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline import program
-from hybrid_ins.offline.bags import BagReader, BagWriter, ImuTable
+from hybrid_ins.offline.bags import BagReader, BagWriter
 from hybrid_ins.wire import OdometryEncoder
 
 FIX = "sensor_msgs/msg/NavSatFix"
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-CARRIED_OVER = ("/truth/odometry", "/truth/datum")
+TRUTH = "/truth/"
 
 
 def replay(
@@ -38,6 +40,8 @@ def replay(
     imu_topic: str = "/imu/data",
     fix_topic: str = "/gnss/fix",
     velocity_topic: str = "/gnss/velocity",
+    log: Callable[[str, str], None] | None = None,
+    progress: bool = True,
 ) -> Estimator:
     """
     Run an estimator over a recording and write what it says.
@@ -50,6 +54,10 @@ def replay(
         Checked parameters.
     imu_topic, fix_topic, velocity_topic : str
         Where the input is.
+    log : callable, optional
+        Told what the estimator has to say, see there; by default stderr is.
+    progress : bool
+        Show a bar on a terminal.
 
     Returns
     -------
@@ -62,69 +70,82 @@ def replay(
         A topic is missing or of another type.
     """
     imu = bag.imu(imu_topic)
+    order = np.arange(len(imu.stamp_ns))
+    stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
     fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
-    estimator = Estimator(values, _say)
-    writer = _OdometryWriter(out, values)
-    handlers = {fix_topic: estimator.fix}
+    estimator = Estimator(values, log or _say)
+    writers = [_OdometryWriter(out, values, topic, values[frame]) for topic, frame in
+               (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))]
+    handlers: dict[str, Callable[[Message, int], None]] = {fix_topic: estimator.fix}
     if bag.topics.get(velocity_topic) == VELOCITY:
         handlers[velocity_topic] = estimator.velocity
     if bag.topics.get("/initialpose") == INITIAL_POSE:
-        handlers["/initialpose"] = estimator.initial_pose
+        handlers["/initialpose"] = lambda message, _: estimator.initial_pose(message)
+    if bag.topics.get("/tf_static") == TRANSFORMS:
+        handlers["/tf_static"] = lambda message, _: estimator.static_transforms(message)
+    if len(order):
+        estimator.take_frame("imu/data", imu.frame_id)
 
     def flush(log_ns: int) -> None:
         while estimator.outbox:
             topic, data = estimator.outbox.popleft()
             out.write_raw("/" + topic.lstrip("/"), OUTPUTS[topic], data, log_ns)
 
-    for stretch, item in _in_order(imu, bag.messages(*handlers)):
-        for stamps, odometry in estimator.imu_block(
-                imu.stamp_ns[stretch], imu.specific_force[stretch], imu.angular_rate[stretch]):
-            writer.write(stamps, odometry)
+    def run(stretch: slice) -> None:
+        rows = order[stretch]
+        for _ in range(len(rows) - np.count_nonzero(imu.has_reading[stretch])):
+            estimator.imu_without_reading()
+        rows = rows[imu.has_reading[stretch]]
+        for stamps, *values_by_frame in estimator.imu_block(
+                stamps_ns[rows], imu.specific_force[rows], imu.angular_rate[rows],
+                imu.orientation_xyzw[rows]):
+            for writer, odometry in zip(writers, values_by_frame, strict=True):
+                writer.write(stamps, odometry)
         flush(int(imu.stamp_ns[max(stretch.stop, 1) - 1]))
-        if item is not None:
-            topic, log_ns, message = item
-            handlers[topic](message)
-            flush(log_ns)
-    for topic, log_ns, data in bag.raw(fix_topic, *CARRIED_OVER):
-        name = "/gnss/fix" if topic == fix_topic else topic
-        out.write_raw(name, bag.topics[topic], data, log_ns)
+        bar.update(stretch.stop - stretch.start)
+
+    carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
+    carried[fix_topic] = "/gnss/fix"
+    start, total = 0, len(imu.log_ns)
+    hidden = None if progress else True
+    with tqdm(total=total, desc="replay", unit="sample", unit_scale=True, disable=hidden) as bar:
+        for topic, log_ns, data in bag.raw(*handlers, *carried):
+            if topic in handlers:
+                stop = max(start, int(np.searchsorted(imu.log_ns, log_ns, side="right")))
+                run(slice(start, stop))
+                start = stop
+                handlers[topic](bag.decode(topic, log_ns, data), log_ns)
+                flush(log_ns)
+            if topic in carried:
+                out.write_raw(carried[topic], bag.topics[topic], data, log_ns)
+        run(slice(start, total))
     return estimator
 
 
-def _in_order(
-    imu: ImuTable, others: Iterator[tuple[str, int, Message]]
-) -> Iterator[tuple[slice, tuple[str, int, Message] | None]]:
-    """Yield stretches of IMU samples, each with the message that was recorded after it."""
-    start, total = 0, len(imu.log_ns)
-    with tqdm(total=total, desc="replay", unit="sample", unit_scale=True, disable=None) as bar:
-        for item in others:
-            stop = max(start, int(np.searchsorted(imu.log_ns, item[1], side="right")))
-            yield slice(start, stop), item
-            bar.update(stop - start)
-            start = stop
-        yield slice(start, total), None
-        bar.update(total - start)
-
-
 class _OdometryWriter:
-    """Writes odometry at the rate that the parameters ask for."""
+    """Writes odometry of one frame at the rate that the parameters ask for."""
 
-    def __init__(self, out: BagWriter, values: Mapping[str, Any]) -> None:
+    def __init__(self, out: BagWriter, values: Mapping[str, Any], topic: str, frame: str) -> None:
         self._out = out
-        self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
+        self._topic = topic
+        self._encoder = OdometryEncoder(frame, values["base_frame"])
         rate = values["odometry_rate"]
         self._period_ns = int(1e9 / rate) if rate else 0
         self._next_ns = 0
 
-    def write(self, stamps: np.ndarray[Any, Any], values: np.ndarray[Any, Any]) -> None:
-        for t_ns, row in zip(stamps.tolist(), values, strict=True):
-            if t_ns < self._next_ns:
-                continue
-            self._next_ns = t_ns - t_ns % self._period_ns + self._period_ns if (
-                self._period_ns) else 0
-            self._encoder.values[:] = row
-            self._out.write_raw(
-                "/odometry", OUTPUTS["odometry"], self._encoder.message(t_ns), t_ns)
+    def write(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        if self._period_ns:
+            due = [k for k, t_ns in enumerate(stamps.tolist()) if self._is_due(t_ns)]
+            stamps, values = stamps[due], values[due]
+        messages = self._encoder.messages(stamps, values)
+        for t_ns, data in zip(stamps.tolist(), messages, strict=True):
+            self._out.write_raw(self._topic, OUTPUTS["odometry"], data, t_ns)
+
+    def _is_due(self, t_ns: int) -> bool:
+        if self._next_ns - self._period_ns <= t_ns < self._next_ns:
+            return False
+        self._next_ns = t_ns - t_ns % self._period_ns + self._period_ns
+        return True
 
 
 def _say(level: str, text: str) -> None:
@@ -173,11 +194,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _body(args: argparse.Namespace) -> int:
     values = read_values(args.params_file, args.param)
-    with BagReader(Path(args.input)) as bag:
-        with BagWriter(Path(args.output), overwrite=args.overwrite) as out:
-            estimator = replay(
-                bag, out, values, imu_topic=args.imu_topic, fix_topic=args.fix_topic,
-                velocity_topic=args.velocity_topic)
+    with BagReader(Path(args.input)) as bag, BagWriter(
+            Path(args.output), overwrite=args.overwrite) as out:
+        estimator = replay(
+            bag, out, values, imu_topic=args.imu_topic, fix_topic=args.fix_topic,
+            velocity_topic=args.velocity_topic)
     if not estimator.ever_aligned:
         raise InputError(f"{args.input}: the filter never started: it waited for "
                          f"{estimator.navigator.waiting_for}; {args.output} holds no odometry")
