@@ -154,6 +154,19 @@ class StampedEncoder:
         self._pack_stamp(self._buffer, 8, *divmod(stamp_ns, 1_000_000_000))
         return bytes(self._message)
 
+    def messages(self, stamp_ns: NDArray[np.int64], values: NDArray[np.float64]) -> list[bytes]:
+        """Serialise many: stamps (N,) [ns] and values (N, count); the prepared message stays."""
+        size, count = len(self._message), len(self.values)
+        start = self.values.ctypes.data - np.frombuffer(self._message, np.uint8).ctypes.data
+        layout = np.dtype({
+            "names": ["seconds", "nanoseconds", "values"],
+            "formats": ["<i4", "<u4", ("<f8", count)], "offsets": [4, 8, start], "itemsize": size})
+        rows = np.frombuffer(bytearray(self._message) * len(stamp_ns), layout)
+        rows["seconds"], rows["nanoseconds"] = np.divmod(stamp_ns, 1_000_000_000)
+        rows["values"] = values
+        data = rows.tobytes()
+        return [data[k : k + size] for k in range(0, len(data), size)]
+
 
 class OdometryEncoder(StampedEncoder):
     """
