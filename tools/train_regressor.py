@@ -88,8 +88,8 @@ class Recipe(NamedTuple):
     loss: Loss
     batch: int
     epochs: int
-    rates: Callable[[int], float]
-    """Learning rate of an epoch."""
+    rates: Callable[[float], float]
+    """Learning rate after so many epochs."""
 
 
 def paper_recipe(args: argparse.Namespace, data: noise_data.Windows) -> Recipe:
@@ -112,17 +112,18 @@ def paper_recipe(args: argparse.Namespace, data: noise_data.Windows) -> Recipe:
 def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> Recipe:
     """Return our recipe: energies computed once, errors of log q weighed by the network's doubt."""
     network = networks.PlateauNet(args.window)
-    total = args.windows or (4000 if args.quick else 1_000_000)
+    # Many windows seen few times: a million seen forty times were learned by heart.
     chunk = 4000
-    parts: list[tuple[Tensor, Tensor, Tensor]] = []
+    total = -(-(args.windows or (4000 if args.quick else 3_000_000)) // chunk) * chunk
+    energies = torch.empty(total, len(network.averages))
+    repeats, target = torch.empty(total, 1), torch.empty(total)
     for index in tqdm(range(total // chunk), desc="windows", disable=not sys.stderr.isatty()):
         seed = args.seed * 1_000_003 + index
         data = noise_data.randomised_set(seed, chunk, args.window, backgrounds=backgrounds)
+        rows = slice(index * chunk, (index + 1) * chunk)
         with torch.no_grad():
-            energies, repeats, scale = network.energies(torch.from_numpy(data.readings))
-        target = torch.from_numpy(np.log(data.variance)).float() - 2.0 * torch.log(scale)
-        parts.append((energies, repeats, target))
-    energies, repeats, target = (torch.cat(columns) for columns in zip(*parts, strict=True))
+            energies[rows], repeats[rows], scale = network.energies(torch.from_numpy(data.readings))
+        target[rows] = torch.from_numpy(np.log(data.variance)).float() - 2.0 * torch.log(scale)
 
     def loss(batch: Sequence[Tensor]) -> Tensor:
         energies, repeats, target = batch
@@ -135,9 +136,9 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
         guide = nn.functional.huber_loss(coarse, target, delta=0.3)
         return torch.log(scale).mean() + miss + 0.1 * guide
 
-    epochs = args.epochs or (2 if args.quick else 40)
+    epochs = args.epochs or (2 if args.quick else 10)
 
-    def rate(epoch: int) -> float:
+    def rate(epoch: float) -> float:
         return float(3e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)) + 1e-5)
 
     return Recipe(network, (energies, repeats, target), loss, 2000, epochs, rate)
@@ -160,10 +161,10 @@ def fit(recipe: Recipe, checkpoint: Path, resume: bool, seed: int) -> None:
     for epoch in progress:
         # The order depends on seed and epoch alone, so that a resumed run is the same run.
         order = np.random.default_rng((seed, epoch)).permutation(size)
-        for group in optimiser.param_groups:
-            group["lr"] = recipe.rates(epoch)
         losses = []
         for start in range(0, size, recipe.batch):
+            for group in optimiser.param_groups:
+                group["lr"] = recipe.rates(epoch + start / size)
             rows = torch.from_numpy(order[start : start + recipe.batch])
             loss = recipe.loss([column[rows] for column in recipe.inputs])
             optimiser.zero_grad()
