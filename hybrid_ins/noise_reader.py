@@ -23,6 +23,9 @@ from hybrid_ins.resources import share_path
 
 Array = NDArray[np.float64]
 
+ROUNDING = 2.0**36
+"""Per m/s² or rad/s: equal readings are equal again once they are turned into b and back."""
+
 
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
     """
@@ -43,7 +46,6 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
     except InputError as error:
         log("warn", f"noise.model: {error}; the spectral estimator takes its place")
         return SpectralRegressor()
-
 
 class NoiseReader:
     """
@@ -94,12 +96,13 @@ class NoiseReader:
         if len(samples) < size:
             return None, "window not full yet"
         readings = np.hstack((samples["f"] @ self._mount, samples["w"] @ self._mount))
+        readings = np.round(readings * ROUNDING) / ROUNDING
         fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
         if fault is not None:
             return None, fault.value
         q = self.regressor.estimate(readings.T, sampling_rate(samples["t_ns"]))
-        if not np.all(np.isfinite(q)):
-            return None, "the model answered with NaN"
+        if not np.all(np.isfinite(q) & (q >= 0.0)):
+            return None, "the model answered with no variance"
         q = np.maximum(q, quantisation_step(readings) ** 2 / 12.0)
         q = np.concatenate((self._turn @ q[:3], self._turn @ q[3:]))
         if np.any(q > self._high):

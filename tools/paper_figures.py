@@ -48,7 +48,7 @@ def rmse_against_length(path: Path, curves: Mapping[str, Mapping[int, float]], r
                   linestyle="-", label=name)
     axis.plot([200], [0.0032], "kx", markersize=8, label="reported in the paper")
     axis.set(xlabel="window length N [samples]", ylabel="q RMSE on the paper's set", ylim=(0, None))
-    axis.legend()
+    figure.legend(loc="outside right center")
     _save(figure, path)
 
 
