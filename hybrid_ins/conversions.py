@@ -205,6 +205,18 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     return np.asarray((axes * np.maximum(values, std_min**2)) @ axes.T)
 
 
+def fill_transform(
+    transform: Message, t_ns: int, parent: str, child: str, position: ArrayLike,
+    quat_xyzw: ArrayLike,
+) -> None:
+    """Fill a geometry_msgs/TransformStamped: pose of ``child`` in ``parent``."""
+    set_stamp(transform.header.stamp, t_ns)
+    transform.header.frame_id, transform.child_frame_id = parent, child
+    p, q = transform.transform.translation, transform.transform.rotation
+    p.x, p.y, p.z = np.asarray(position, float).tolist()
+    q.x, q.y, q.z, q.w = np.asarray(quat_xyzw, float).tolist()
+
+
 def initial_yaw(message: Message) -> tuple[float, float] | Refused:
     """
     Heading [rad from north] and its uncertainty of a PoseWithCovarianceStamped in the map frame.

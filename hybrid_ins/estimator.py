@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,8 @@ class Estimator:
         Everything refused, by name.
     ever_aligned : bool
         The filter ran at some time.
+    fixes_fused : int
+        Measurements that the filter took.
     """
 
     def __init__(self, values: Mapping[str, Any], log: Log) -> None:
@@ -104,7 +106,7 @@ class Estimator:
         self._tick_ns = 1  # what is due at the next sample; none has come yet
         self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
         self._fused_ns = 0
-        self._accepted = 0
+        self.fixes_fused = 0
         self._aligned = False
         self.ever_aligned = False
         if values["datum"]:
@@ -171,7 +173,7 @@ class Estimator:
         """Take the frame_id of the messages on ``imu/data`` or ``gnss/fix``."""
         known, self._frames[topic] = self._frames[topic], frame
         if known and frame != known:
-            self._remark(topic, Refused(
+            self.remark(topic, Refused(
                 f"{topic}: frame_id changes", f"frame_id changes from '{known}' to '{frame}': two "
                 "publishers on one topic?"))
         base = self.values["base_frame"]
@@ -236,7 +238,7 @@ class Estimator:
 
     def imu_without_reading(self) -> None:
         """Take an Imu message whose covariances say that it carries no reading."""
-        self._remark("imu/data", Refused(
+        self.remark("imu/data", Refused(
             "imu: no reading", "covariance[0] is -1: the message says that it carries no "
             "acceleration or no angular rate"))
 
@@ -269,7 +271,7 @@ class Estimator:
                 xx * wx + xy * wy + xz * wz, yx * wx + yy * wy + yz * wz,
                 zx * wx + zy * wy + zz * wz):
             name = navigator.refusal
-            self._remark("imu/data", Refused(name, STAMP_FAULTS[name]))
+            self.remark("imu/data", Refused(name, STAMP_FAULTS[name]))
             return False
         running = navigator.filter
         if running is None or self._map is None:
@@ -281,6 +283,18 @@ class Estimator:
         self._local_ns = t_ns
         local_frame.advance(self._local_state, dt, self.odometry, self.local)
         return True
+
+    def fill_transforms(self, transforms: Sequence[Message]) -> None:
+        """Fill two geometry_msgs/TransformStamped: map→odom and odom→base of the last sample."""
+        odom = self.values["odom_frame"]
+        origin, yaw = local_frame.map_from_odom(self.odometry, self.local)
+        turn = (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
+        first, second = transforms
+        conversions.fill_transform(
+            first, self._local_ns, self.values["map_frame"], odom, origin, turn)
+        conversions.fill_transform(
+            second, self._local_ns, odom, self.values["base_frame"],
+            self.local[:3], self.local[3:7])
 
     def imu_block(
         self, t_ns: NDArray[np.int64], force: Array, rate: Array,
@@ -371,7 +385,7 @@ class Estimator:
             self.take_frame("gnss/fix", message.header.frame_id)
         fix = self._gnss.position(message, self._by_receipt(received_ns))
         if isinstance(fix, Refused):
-            self._remark("gnss/fix", fix)
+            self.remark("gnss/fix", fix)
             return
         if self._map is None:
             lla = np.nan_to_num(fix.lla)
@@ -383,7 +397,7 @@ class Estimator:
         """Take a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
         velocity = self._gnss.velocity(message, self._by_receipt(received_ns))
         if isinstance(velocity, Refused):
-            self._remark("gnss/velocity", velocity)
+            self.remark("gnss/velocity", velocity)
             return
         self.navigator.measure(velocity)
         self._tell_verdicts()
@@ -392,7 +406,7 @@ class Estimator:
         """Take a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
         yaw = conversions.initial_yaw(message)
         if isinstance(yaw, Refused):
-            self._remark("initialpose", yaw)
+            self.remark("initialpose", yaw)
             return
         self.navigator.realign()
         self.navigator.alignment.set_yaw(self.navigator.last_ns, *yaw)
@@ -429,9 +443,9 @@ class Estimator:
             refused = Refused(
                 "imu: absurd rate", f"{max(map(abs, rate)):.0f} rad/s exceeds "
                 "imu.max_angular_rate: is the rate given in degrees?")
-        self._remark("imu/data", refused)
+        self.remark("imu/data", refused)
 
-    def _remark(self, topic: str, remark: Refused) -> None:
+    def remark(self, topic: str, remark: Refused) -> None:
         """Count what was refused or odd; tell the first, tenth, hundredth... of its name."""
         self.counts[remark.name] += 1
         count = self.counts[remark.name]
@@ -461,7 +475,7 @@ class Estimator:
                 continue
             self.navigator.judge_openings(verdict)
             if verdict.accepted:
-                self._accepted += 1
+                self.fixes_fused += 1
                 self._fused_ns = verdict.measurement.t_ns
                 if verdict.reset:
                     self.counts["gnss: state opened"] += 1
@@ -494,7 +508,7 @@ class Estimator:
         self.navigator.look()
         fault = self.navigator.fault
         if fault is not None and fault != before:
-            self._remark("imu/data", Refused(*fault))
+            self.remark("imu/data", Refused(*fault))
 
     def _report(self, t_ns: int) -> None:
         """Say what is said ten times a second; position is known before the heading is."""
@@ -543,7 +557,7 @@ class Estimator:
             "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
             "sigma_position_vertical": float(sigma[2]),
             "sigma_heading_deg": math.degrees(sigma[8]),
-            "fixes_fused": self._accepted,
+            "fixes_fused": self.fixes_fused,
             "standing": str(self.navigator.standing).lower(),
         })
 
@@ -577,7 +591,7 @@ class Estimator:
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""
         refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.counts.items()))
-        return f"{self._accepted} fixes fused" + (f"; {refused}" if refused else "")
+        return f"{self.fixes_fused} fixes fused" + (f"; {refused}" if refused else "")
 
 
 def warm_up(new_message: NewMessage) -> None:

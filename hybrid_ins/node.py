@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     AccelWithCovarianceStamped,
     PoseWithCovarianceStamped,
+    TransformStamped,
     TwistWithCovarianceStamped,
     Vector3Stamped,
 )
@@ -26,7 +27,9 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -37,6 +40,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # the wheels of ROS have none
+    TFMessage = None
 
 from hybrid_ins import conversions, parameters
 from hybrid_ins.errors import InputError
@@ -62,6 +70,10 @@ OUTPUT_QOS = QoSProfile(
 LATCHED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TRANSFORM_NS = 20_000_000  # between transforms on /tf
+FIXED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
 
@@ -70,14 +82,21 @@ class InsNode(Node):
 
     def __init__(self) -> None:
         super().__init__(parameters.NODE_NAME)
+        given: dict[str, Any] = {}
         for p in parameters.PARAMETERS.values():
-            self.declare_parameter(p.name, p.default, _descriptor(p))
-        values = parameters.check_all({
-            name: _plain(self.get_parameter(name).value) for name in parameters.PARAMETERS})
+            value = self.declare_parameter(p.name, p.default, _descriptor(p)).value
+            if value is not None:  # what ROS makes of an empty list in a file
+                given[p.name] = _plain(value)
+        values = parameters.check_all(given)
         self._decoder = ImuDecoder()
         self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
         self._estimator = Estimator(values, self._say)
+        self._local_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
         self._estimator.odometry = self._encoder.values
+        self._estimator.local = self._local_encoder.values
+        self._by_receipt = bool(values["use_receive_time"])
+        self._next_transform_ns = 0
+        self._crowded: set[str] = set()
         self._last_imu = time.monotonic()
         self._next_odometry_ns = 0
         self._set_rate(values["odometry_rate"])
@@ -89,6 +108,19 @@ class InsNode(Node):
                 qos_overriding_options=overriding)
             for topic, type_name in conversions.OUTPUTS.items()}
         self._publish_odometry = self._publishers_by_topic["odometry"].publish
+        self._publish_local = self._publishers_by_topic["odometry/local"].publish
+        self._transforms: Any = None
+        if TFMessage is None:
+            if values["publish_tf"]:
+                self.get_logger().info("tf2_msgs is not installed: nothing is said on /tf, and "
+                                       "nothing heard on /tf_static")
+        else:
+            if values["publish_tf"]:
+                self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
+                self._publish_transforms = self.create_publisher(
+                    TFMessage, "/tf", OUTPUT_QOS).publish
+            self.create_subscription(
+                TFMessage, "/tf_static", self._estimator.static_transforms, FIXED_QOS)
         self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, raw=True)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
         self._subscribe(
@@ -96,7 +128,7 @@ class InsNode(Node):
         self._subscribe(
             PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(1.0, self._on_silence, clock=rclpy.clock.Clock())
+        self.create_timer(1.0, self._on_second, clock=rclpy.clock.Clock())
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self._flush()
@@ -124,20 +156,21 @@ class InsNode(Node):
         except ValueError:
             imu = conversions.imu_fields(deserialize_message(data, Imu))
         self._last_imu = time.monotonic()
-        if estimator.imu_message(imu) and imu.stamp_ns >= self._next_odometry_ns:
-            self._publish_odometry(self._encoder.message(imu.stamp_ns))
-            self._next_odometry_ns = (
-                imu.stamp_ns - imu.stamp_ns % self._odometry_ns + self._odometry_ns)
+        if estimator.imu_message(imu, self._received_ns()):
+            self._tell_pose(estimator.navigator.last_ns)
         estimator.tick()
         if estimator.outbox:
             self._flush()
 
+    def _received_ns(self) -> int | None:
+        return self.get_clock().now().nanoseconds if self._by_receipt else None
+
     def _on_fix(self, message: NavSatFix) -> None:
-        self._estimator.fix(message)
+        self._estimator.fix(message, self._received_ns())
         self._flush()
 
     def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
-        self._estimator.velocity(message)
+        self._estimator.velocity(message, self._received_ns())
         self._flush()
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
@@ -149,8 +182,16 @@ class InsNode(Node):
         response.success, response.message = True, "aligning anew"
         return response
 
-    def _on_silence(self) -> None:
-        """Keep diagnostics alive when no IMU sample drives them."""
+    def _on_second(self) -> None:
+        """Look at the topics, and keep diagnostics alive when no IMU sample drives them."""
+        for name in ("imu/data", "gnss/fix", "gnss/velocity"):
+            topic = self.resolve_topic_name(name)
+            if topic not in self._crowded and self.count_publishers(topic) > 1:
+                self._crowded.add(topic)
+                nodes = [info.node_name for info in self.get_publishers_info_by_topic(topic)]
+                self._estimator.remark(name, conversions.Refused(
+                    f"{name}: several publishers", f"{topic} has {len(nodes)} publishers "
+                    f"({', '.join(nodes)}): stop or remap all but one"))
         silent = time.monotonic() - self._last_imu
         if silent < SILENCE:
             return
@@ -164,6 +205,18 @@ class InsNode(Node):
 
     # Output.
 
+    def _tell_pose(self, t_ns: int) -> None:
+        """Publish odometry and transforms where they are due; time may have jumped back."""
+        if not self._next_odometry_ns - self._odometry_ns <= t_ns < self._next_odometry_ns:
+            self._publish_odometry(self._encoder.message(t_ns))
+            self._publish_local(self._local_encoder.message(t_ns))
+            self._next_odometry_ns = t_ns - t_ns % self._odometry_ns + self._odometry_ns
+        if self._transforms is not None and not (
+                self._next_transform_ns - TRANSFORM_NS <= t_ns < self._next_transform_ns):
+            self._next_transform_ns = t_ns - t_ns % TRANSFORM_NS + TRANSFORM_NS
+            self._estimator.fill_transforms(self._transforms.transforms)
+            self._publish_transforms(self._transforms)
+
     def _flush(self) -> None:
         outbox = self._estimator.outbox
         while outbox:
@@ -174,8 +227,13 @@ class InsNode(Node):
         self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))
 
     def _say(self, level: str, text: str) -> None:
-        logger = self.get_logger()
-        {"info": logger.info, "warn": logger.warning, "error": logger.error}[level](text)
+        # One line for each level: rclpy ties a severity to the line it is logged from.
+        if level == "info":
+            self.get_logger().info(text)
+        elif level == "warn":
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
 
     # Parameters.
 
@@ -236,7 +294,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if {"-h", "--help"} & set(arguments[1:]):
         print(_help())
         return 0
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, RCLInvalidROSArgsError, UnknownROSArgsError) as error:
+        return _refuse_start(error)
     asked_to_stop: Future[None] = Future()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_to_stop.set_result(None))
@@ -252,9 +313,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             executor.spin_until_future_complete(asked_to_stop, 0.2)
     except ExternalShutdownException:
         pass
-    except InputError as error:
-        print(f"ins_node: error: {error}", file=sys.stderr)
-        return 2
+    except (InputError, ParameterException) as error:
+        return _refuse_start(error)
     finally:
         if node is not None:
             if rclpy.ok():
@@ -262,6 +322,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _refuse_start(error: Exception) -> int:
+    """Say in one line why the node does not start."""
+    line = " ".join(str(error).split())
+    if isinstance(error, UnknownROSArgsError):
+        line = f"unknown ROS arguments {line}: see ins_node --help"
+    print(f"ins_node: error: {line[:400]}", file=sys.stderr)
+    return 2
 
 
 def _help() -> str:
