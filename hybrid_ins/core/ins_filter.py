@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core import propagation
 from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.kalman import correct, innovation
+from hybrid_ins.core.kalman import correct, inject, innovation
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.noise import Correction, NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
@@ -305,6 +305,8 @@ class InsFilter:
 
     def _fuse(self, measurement: Measurement) -> None:
         z, H, R = measurement.linearise(self.nav)
+        if measurement.aiding:
+            R = R * self.noise.fix_factor
         S, nis = innovation(self.nav, z, H, R)
         verdict = self.gate.judge(measurement, z, R, S, nis, self.age(measurement))
         self.verdicts.append(verdict)
@@ -320,8 +322,11 @@ class InsFilter:
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         C_nb = matrix_from_quat(self.nav[QUAT])
-        self.noise.learn(Correction(
+        reseat = self.noise.learn(Correction(
             measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted))
+        if reseat is not None:
+            inject(self.nav, reseat.dx)
+            pack(reseat.P, self.nav[COVARIANCE])
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""

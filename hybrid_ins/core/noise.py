@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Correction:
     """
-    What a fused measurement tells about the process noise.
+    What a measurement tells about the process noise, and what it did to the state.
 
     Attributes
     ----------
@@ -47,6 +48,10 @@ class Correction:
         Attitude.
     interval : float
         Time since the previous correction [s].
+    nav : ndarray, shape (N_FLAT,)
+        Flat state before it.
+    fused : bool
+        False for a measurement that the gate refused: K and dx are zero.
     """
 
     t_ns: int
@@ -57,6 +62,32 @@ class Correction:
     dx: Array
     C_nb: Array
     interval: float
+    nav: Array
+    fused: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reseat:
+    """Where the state belongs by another noise than the one that it was run with."""
+
+    dx: Array  # (15,) to be added to the state
+    P: Array  # (15, 15) covariance after that
+
+
+class Scale(Protocol):
+    """What `ScaledNoise` asks of `NoiseScale`."""
+
+    def scale(self) -> tuple[float, float]:
+        """Return the factors on the variances of accelerometer and gyroscope."""
+        ...
+
+    def gnss(self) -> float:
+        """Return the factor on the covariance of fixes."""
+        ...
+
+    def learn(self, correction: Correction, psd: Array) -> Reseat | None:
+        """Take a correction into account, given Qc's diagonal (12,) at factor 1."""
+        ...
 
 
 class NoiseModel(Protocol):
@@ -71,12 +102,17 @@ class NoiseModel(Protocol):
         """Per-sample variances now: accelerometer x y z, gyroscope x y z, shape (6,), b frame."""
         ...
 
+    @property
+    def fix_factor(self) -> float:
+        """Factor on the covariance that fixes claim."""
+        ...
+
     def refresh(self, t_ns: int, q: Array | None) -> None:
         """Take a regressor's levels at a stamp, shape (6,), or None when it could not tell."""
         ...
 
-    def learn(self, correction: Correction) -> None:
-        """Take a correction into account."""
+    def learn(self, correction: Correction) -> Reseat | None:
+        """Take a correction into account; may say where the state belongs instead."""
         ...
 
 
@@ -124,6 +160,7 @@ class ConstantNoise:
     """
 
     source = "constant"
+    fix_factor = 1.0
 
     def __init__(self, q: Array) -> None:
         self._q = np.array(q, float)
@@ -150,6 +187,7 @@ class LearnedNoise:
     """
 
     HOLD_NS = 800_000_000
+    fix_factor = 1.0
 
     def __init__(self, fallback: Array) -> None:
         self._fallback = np.array(fallback, float)
@@ -182,8 +220,10 @@ class InnovationNoise:
 
     ``K C K'`` is what the corrections of one GNSS interval moved the state by. As process noise
     that is a sum over the interval's IMU steps, so its density is K C K' over the interval; its
-    diagonal on velocity and misalignment, turned into b, gives the levels. (Taken literally, as
-    the Q^d of every single IMU step, it diverges; ``literal`` does that for comparison.)
+    diagonal on velocity and misalignment, turned into b, gives the levels. A high level raises the
+    gain that measures it: the levels stay bounded, but settle far above the noise. (Taken
+    literally, as the Q^d of every single IMU step, they run away by many orders of magnitude and
+    the filter follows the fixes blindly; ``literal`` does that for comparison.)
 
     Parameters
     ----------
@@ -198,6 +238,7 @@ class InnovationNoise:
     """
 
     source = "innovation"
+    fix_factor = 1.0
 
     def __init__(
         self, initial: Array, floor: Array, window: int, process: ProcessNoise,
@@ -219,7 +260,7 @@ class InnovationNoise:
 
     def learn(self, correction: Correction) -> None:
         """Average the innovations and map them through the present gain."""
-        if correction.interval <= 0.0 or len(correction.z) != 3:
+        if not correction.fused or correction.interval <= 0.0 or len(correction.z) != 3:
             return
         self._innovations = (*self._innovations, correction.z)[-self._window:]
         if len(self._innovations) < self._window:
@@ -230,3 +271,50 @@ class InnovationNoise:
             np.mean((moved[:, block] @ correction.C_nb) ** 2, axis=0) / interval
             for block in (DV, EPS)])
         self._q = np.maximum(self._process.q(density), self._floor)
+
+
+class ScaledNoise:
+    """
+    Another model's levels, times what the innovations say of them.
+
+    Parameters
+    ----------
+    inner : NoiseModel
+        Tells the levels that the IMU shows.
+    process : ProcessNoise
+        Converts them to densities.
+    scale : NoiseScale
+        Finds the factors.
+    """
+
+    def __init__(self, inner: NoiseModel, process: ProcessNoise, scale: Scale) -> None:
+        self.inner = inner
+        self.scale = scale
+        self._process = process
+
+    def __copy__(self) -> ScaledNoise:
+        return ScaledNoise(copy.copy(self.inner), self._process, copy.copy(self.scale))
+
+    @property
+    def source(self) -> str:
+        """See `NoiseModel.source`."""
+        return self.inner.source
+
+    @property
+    def fix_factor(self) -> float:
+        """See `NoiseModel.fix_factor`."""
+        return self.scale.gnss()
+
+    def levels(self) -> Array:
+        """See `NoiseModel.levels`."""
+        levels: Array = self.inner.levels() * np.repeat(self.scale.scale(), 3)
+        return levels
+
+    def refresh(self, t_ns: int, q: Array | None) -> None:
+        """See `NoiseModel.refresh`."""
+        self.inner.refresh(t_ns, q)
+
+    def learn(self, correction: Correction) -> Reseat | None:
+        """See `NoiseModel.learn`."""
+        self.inner.learn(correction)
+        return self.scale.learn(correction, self._process.psd(self.inner.levels()))

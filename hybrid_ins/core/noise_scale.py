@@ -1,0 +1,176 @@
+"""
+What the IMU cannot show: how far its errors exceed its noise, told by the fixes.
+
+A clock offset, a tilted or flexing mount, scale errors: to the filter they are process noise that
+no look at the IMU reveals. The innovations do, but their size alone does not say whether the IMU
+or the receiver is to blame. Their sequence does: process noise makes successive errors grow
+together, a wrong R makes them jump back and forth, an outlier comes alone. So a grid of
+hypotheses (factors on the accelerometer's and the gyroscope's noise, and on R) is compared by the
+likelihood that each would have given the whole sequence.
+
+Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. What the
+running filter knows is in its innovations and corrections; a hypothesis only keeps how far its
+own estimate leads the running one.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, sections 5.4 (innovations) and 11.6 (multiple models).
+.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", Journal of the American Statistical Association 84, 1989.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.attitude import matrix_from_quat
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.earth import normal_gravity
+from hybrid_ins.core.error_model import system_matrix
+from hybrid_ins.core.noise import Correction, Reseat
+from hybrid_ins.core.state import DV, LLA, N_ERROR, QUAT, VELOCITY, covariance
+
+Array = NDArray[np.float64]
+
+DECADES = np.array([0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
+RATE_DECADES = np.array([0.0, 2.0, 4.0])  # on the gyroscope's
+GNSS_DECADES = np.array([0.0, 1.0, 2.0, 4.0])  # on R
+COST = (1.5, 3.0, 3.0)  # nats that a decade must be worth: the model is right until shown wrong
+MEMORY = 20.0  # s over which the likelihood is remembered
+TAIL = 6.0  # degrees of freedom of an innovation, [2]_
+RESEAT = 3.0  # rise of a factor
+LONGEST = 60.0  # s without a fix after which the hypotheses begin anew
+
+_A, _G, _R = (grid.ravel() for grid in np.meshgrid(
+    DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
+_PRIOR = -(COST[0] * _A + COST[1] * _G + COST[2] * _R)
+_FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R), axis=1)
+
+
+class NoiseScale:
+    """
+    Factors on the process noise, from the likelihood of the innovations.
+
+    Nothing is changed in place: a shallow copy is a snapshot.
+    """
+
+    def __init__(self) -> None:
+        self._evidence = np.zeros(len(_PRIOR))  # log-likelihood of each hypothesis, fading
+        self._P: Array | None = None  # (hypotheses, 15, 15)
+        self._lead = np.zeros((len(_PRIOR), N_ERROR))  # own minus running estimate
+        self._t_ns = 0
+        self._velocity_n = np.zeros(3)  # after the last correction
+        self._C_nb = np.eye(3)
+        self._scale = (1.0, 1.0)
+        self._seated = np.ones(3)  # lowest since the state was last put where it belongs
+        self._gnss = 1.0
+
+    def scale(self) -> tuple[float, float]:
+        """Factors on the noise variances of accelerometer and gyroscope, 1 to 10⁴."""
+        return self._scale
+
+    def gnss(self) -> float:
+        """Factor on the fixes' covariance, 1 to 10⁴: receivers claim too much, too."""
+        return self._gnss
+
+    def learn(self, correction: Correction, psd: Array) -> Reseat | None:
+        """
+        Take a correction, or a measurement that was refused, into account.
+
+        Returns where the state belongs when the factors have risen: the running filter, with too
+        small a noise, has gone astray meanwhile, the hypotheses that are believed now have not.
+
+        Parameters
+        ----------
+        correction : Correction
+            With the state before it, its S with `gnss` in force; dx is zero if the measurement
+            was refused.
+        psd : ndarray, shape (12,)
+            Qc's diagonal at factor 1.
+        """
+        nav = correction.nav
+        P = covariance(nav)
+        C_nb = matrix_from_quat(nav[QUAT])
+        T = (correction.t_ns - self._t_ns) * 1e-9
+        if self._P is None or not 0.0 <= T <= LONGEST:
+            self._P = np.tile(P, (len(_PRIOR), 1, 1))
+            self._lead = np.zeros((len(_PRIOR), N_ERROR))
+            T = 0.0
+        gravity = np.array([0.0, 0.0, normal_gravity(nav[LLA.start], nav[LLA.stop - 1])[1]])
+        f_n = -gravity
+        if T > 0.0:
+            f_n = (nav[VELOCITY] - self._velocity_n) / T - gravity
+        C_mean = 0.5 * (C_nb + self._C_nb) if T > 0.0 else C_nb
+        F = np.zeros((N_ERROR, N_ERROR))
+        system_matrix(nav[LLA], nav[VELOCITY], f_n, C_mean.ravel(), F)
+        R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
+        self._P, self._lead, gained = _advance(
+            self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
+            correction.dx, TAIL)
+        evidence = self._evidence * np.exp(-T / MEMORY) + gained
+        self._evidence = evidence - np.max(evidence)
+        self._t_ns = correction.t_ns
+        self._velocity_n = nav[VELOCITY] + correction.dx[DV]
+        self._C_nb = C_nb
+        posterior = self._evidence + _PRIOR
+        weights = np.exp(posterior - np.max(posterior))
+        weights /= np.sum(weights)
+        a, g, r = (float(10.0 ** (weights @ decades)) for decades in (_A, _G, _R))
+        self._scale, self._gnss = (a, g), r
+        factors = np.array([a, g, r])
+        risen = np.max(factors / self._seated)
+        self._seated = np.minimum(self._seated, factors)
+        if risen < RESEAT:
+            return None
+        self._seated = factors
+        dx = weights @ self._lead
+        apart = self._lead - dx
+        P = np.einsum("i,ijk->jk", weights, self._P) + (weights[:, None] * apart).T @ apart
+        self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
+        return Reseat(dx, P)
+
+
+@kernel()
+def _advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type: ignore[no-untyped-def]
+    """Predict and update every hypothesis; returns covariances, leads, log-likelihoods."""
+    count, m, n = P_all.shape[0], z.shape[0], N_ERROR
+    FT = F * T
+    FT2 = FT @ FT
+    transition = np.eye(n) + FT + 0.5 * FT2 + FT2 @ FT / 6.0
+    half = np.eye(n) + 0.5 * FT + 0.125 * FT2
+    # Density of each source, then Simpson's rule over the interval.
+    noise = np.zeros((3, n, n))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                noise[0, 3 + i, 3 + j] += C[i, k] * C[j, k] * psd[k]
+                noise[1, 6 + i, 6 + j] += C[i, k] * C[j, k] * psd[3 + k]
+        noise[2, 9 + i, 9 + i] = psd[6 + i]
+        noise[2, 12 + i, 12 + i] = psd[9 + i]
+    for s in range(3):
+        d = noise[s].copy()
+        noise[s] = (T / 6.0) * (
+            d + 4.0 * (half @ d @ half.T) + transition @ d @ transition.T)
+    P_out, lead_out, gained = np.empty_like(P_all), np.empty_like(lead_all), np.empty(count)
+    for i in range(count):
+        P = transition @ P_all[i] @ transition.T
+        P += factors[i, 0] * noise[0] + factors[i, 1] * noise[1] + noise[2]
+        lead = transition @ lead_all[i]
+        own = z - H @ lead
+        PHt = P @ H.T
+        Ri = factors[i, 2] * R
+        S = H @ PHt + Ri
+        nis = own @ np.linalg.solve(S, own)
+        gained[i] = -0.5 * np.log(np.linalg.det(S)) - 0.5 * (tail + m) * np.log1p(
+            nis / (tail - 1.3))
+        if nis > m:
+            # An outlier is weighted down, by each hypothesis for itself.
+            Ri = Ri * ((tail + nis) / (tail + m))
+        K = np.linalg.solve(H @ PHt + Ri, PHt.T).T
+        lead_out[i] = lead + K @ own - dx
+        A = np.eye(n) - K @ H
+        P = A @ P @ A.T + K @ Ri @ K.T
+        P_out[i] = 0.5 * (P + P.T)
+    return P_out, lead_out, gained
