@@ -11,6 +11,7 @@ MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 NAME = MANIFEST.findtext("name")
 
 RUNTIME = [
+    "joblib>=1.4",
     "numba>=0.58",
     "numpy>=1.26",
     "onnxruntime>=1.17",
@@ -29,6 +30,7 @@ EXTRAS = {
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     ],
     "plot": ["matplotlib>=3.6"],
+    "fleet": ["dask", "distributed"],  # bags on a cluster
     "test": [
         "colcon-core",
         "colcon-package-selection",

@@ -25,6 +25,7 @@ PROGRAMS = {
     "ins_simulate",
 }
 ROSDEP_KEYS = {
+    "joblib": "python3-joblib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "onnxruntime": "python3-onnxruntime-pip",

@@ -20,6 +20,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import attitude
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import plots, program
+from hybrid_ins.offline import fleet, plots, program
 from hybrid_ins.offline.recording import Recording, Topics, Verdicts, read_recording
 from hybrid_ins.offline.result import Epochs, Errors, FixCount, Outage, Result, Scoring, TimeOffset
 from hybrid_ins.offline.statistics import Consistency, nees
@@ -440,7 +441,10 @@ EXAMPLE = "ins_evaluate flight_estimate --truth flight.mcap --plot flight.png"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program ``ins_evaluate``."""
     parser = program.parser("ins_evaluate", DESCRIPTION, EXAMPLE)
-    parser.add_argument("estimate", metavar="EST", type=Path, help="bag with the filter's output")
+    parser.add_argument(
+        "estimate", metavar="EST", type=Path, nargs="+",
+        help="bag with the filter's output; several, or a folder of bags",
+    )  # fmt: skip
     parser.add_argument("--truth", metavar="BAG", type=Path, help="bag with truth (default EST)")
     parser.add_argument(
         "--no-truth", action="store_true", help="only NIS, fixes and the picture: a flight as it is"
@@ -476,6 +480,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="time without an accepted fix that counts as outage (default %(default)s)",
     )  # fmt: skip
 
+    fleet.add_options(parser).add_argument(
+        "--results", metavar="DIR", type=Path,
+        help="keep what is found of each bag there: the same command again does only what is new",
+    )  # fmt: skip
+
     names = parser.add_argument_group("topics")
     topics = Topics()
     for option, default in (
@@ -496,28 +505,26 @@ def _run(args: argparse.Namespace) -> int:
     topics = Topics(
         odometry=args.odometry, truth=args.truth_topic, fix=args.fix, verdict=args.verdict
     )
-    recording = read_recording(args.estimate, args.truth, topics)
-    if args.no_truth:
-        recording = replace(recording, truth=None)
-    elif recording.truth is None:
-        raise InputError(
-            f"{args.estimate}: no truth on {args.truth_topic}: give its bag with --truth, or look "
-            "at the filter alone with --no-truth"
-        )
-    result = evaluate_recording(
-        recording,
-        Scoring(
-            args.skip,
-            args.start,
-            args.end,
-            args.time_offset,
-            args.include_fed,
-            args.max_gap,
-            args.outage_gap,
-        ),
+    scoring = Scoring(
+        args.skip,
+        args.start,
+        args.end,
+        args.time_offset,
+        args.include_fed,
+        args.max_gap,
+        args.outage_gap,
     )
+    if len(args.estimate) > 1 or not fleet.is_bag(args.estimate[0]):
+        if args.truth or args.json or args.plot:
+            raise InputError("--truth, --json and --plot are for one bag at a time")
+        settings = {"topics": vars(topics), "scoring": vars(scoring), "no_truth": args.no_truth}
+        work = partial(_evaluate_one, topics, scoring, args.no_truth)
+        return fleet.run(args, fleet.find_jobs(args.estimate, args.results), work, settings)
+    [path] = args.estimate
+    recording = _read(path, args.truth, topics, args.no_truth)
+    result = evaluate_recording(recording, scoring)
     if args.json:
-        bags = {"estimate": str(args.estimate), "truth": str(args.truth or args.estimate)}
+        bags = {"estimate": str(path), "truth": str(args.truth or path)}
         print(json.dumps({**bags, **_finite_only(result.as_dict())}, indent=2, allow_nan=False))
     else:
         print(result.table())
@@ -526,6 +533,42 @@ def _run(args: argparse.Namespace) -> int:
         if not args.json:
             print(f"picture: {args.plot}")
     return 0
+
+
+def _read(path: Path, truth: Path | None, topics: Topics, no_truth: bool) -> Recording:
+    recording = read_recording(path, truth, topics)
+    if no_truth:
+        return replace(recording, truth=None)
+    if recording.truth is None:
+        raise InputError(
+            f"{path}: no truth on {topics.truth}: give its bag with --truth, or look at the filter "
+            "alone with --no-truth"
+        )
+    return recording
+
+
+def _evaluate_one(
+    topics: Topics, scoring: Scoring, no_truth: bool, job: fleet.Job
+) -> dict[str, Any]:
+    """Evaluate one bag of many."""
+    result = evaluate_recording(_read(job.source, None, topics, no_truth), scoring)
+    degrees = None if result.heading_rmse is None else math.degrees(result.heading_rmse)
+    means = {
+        f"{name} {part}": None if consistency is None else consistency.mean
+        for name, part, consistency in (
+            ("NEES", "position", result.nees_position),
+            ("NIS", "position", result.nis_position),
+        )
+    }
+    return {
+        "PRMSE [m]": result.prmse,
+        "PMAE [m]": result.pmae,
+        "velocity [m/s]": result.velocity_rmse,
+        "heading [deg]": degrees,
+        **means,
+        "coverage": result.coverage,
+        "outages": len(result.outages),
+    }
 
 
 def _finite(text: str) -> float:

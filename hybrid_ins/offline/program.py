@@ -14,6 +14,7 @@ from tqdm import tqdm
 from hybrid_ins.errors import InputError
 
 T = TypeVar("T")
+_hidden = False
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -90,8 +91,14 @@ def progress(
     items: Iterable[T], label: str, total: int | None = None, unit: str = "msg"
 ) -> Iterator[T]:
     """Pass `items` on while a bar on stderr counts them; no bar when stderr is no terminal."""
-    bar = tqdm(items, desc=label, total=total, unit=unit, unit_scale=True, disable=None)
-    return iter(bar)
+    hidden = True if _hidden else None
+    return iter(tqdm(items, desc=label, total=total, unit=unit, unit_scale=True, disable=hidden))
+
+
+def hide_progress() -> None:
+    """Show no bars in this process: it is one of many that work side by side."""
+    global _hidden
+    _hidden = True
 
 
 def _raise_terminated(_signal: int, _frame: object) -> NoReturn:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from hybrid_ins import parameters
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
-from hybrid_ins.offline import program
+from hybrid_ins.offline import fleet, program
 from hybrid_ins.offline.bags import BagReader, BagWriter
 from hybrid_ins.wire import OdometryEncoder
 
@@ -177,9 +178,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         "Estimate a recorded run: IMU and GNSS from a bag (rosbag2 MCAP or SQLite, ROS 1) through\n"
         "the node's own estimator, without middleware, faster than real time and repeatably.\n"
         "The output bag holds the node's topics, the fixes and any truth: ready for ins_evaluate.",
-        "ins_replay flight.mcap estimate.mcap --params-file params.yaml")
-    parser.add_argument("input", metavar="IN", help="bag with sensor_msgs/Imu and NavSatFix")
-    parser.add_argument("output", metavar="OUT", help="bag to write (directory, or *.mcap file)")
+        "ins_replay flight.mcap estimate.mcap --params-file params.yaml\n"
+        "  ins_replay flights/ estimates/     all bags in a folder; again to resume")
+    parser.add_argument("input", metavar="IN", nargs="+", type=Path,
+                        help="bag with sensor_msgs/Imu and NavSatFix; several, or a folder of bags")
+    parser.add_argument("output", metavar="OUT", type=Path,
+                        help="bag to write (directory, or *.mcap file); the folder for several")
     parser.add_argument("--params-file", metavar="F",
                         help="parameter file, the same as the node's (default: the defaults)")
     parser.add_argument("-p", "--param", metavar="NAME:=VALUE", action="append", default=[],
@@ -189,18 +193,48 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--velocity-topic", default="/gnss/velocity", metavar="T",
                         help="%(default)s, used where the bag has it")
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
+    fleet.add_options(parser)
     return program.run(_body, parser.parse_args(argv))
 
 
 def _body(args: argparse.Namespace) -> int:
     values = read_values(args.params_file, args.param)
-    with BagReader(Path(args.input)) as bag, BagWriter(
-            Path(args.output), overwrite=args.overwrite) as out:
-        estimator = replay(
-            bag, out, values, imu_topic=args.imu_topic, fix_topic=args.fix_topic,
-            velocity_topic=args.velocity_topic)
+    topics = {"imu_topic": args.imu_topic, "fix_topic": args.fix_topic,
+              "velocity_topic": args.velocity_topic}
+    if len(args.input) > 1 or not fleet.is_bag(args.input[0]):
+        return fleet.run(
+            args, fleet.find_jobs(args.input, args.output),
+            partial(_replay_one, values, topics, args.overwrite),
+            {"values": values, "topics": topics}, args.overwrite)
+    [source] = args.input
+    with BagReader(source) as bag, BagWriter(args.output, overwrite=args.overwrite) as out:
+        estimator = replay(bag, out, values, **topics)
     if not estimator.ever_aligned:
-        raise InputError(f"{args.input}: the filter never started: it waited for "
+        raise InputError(f"{source}: the filter never started: it waited for "
                          f"{estimator.navigator.waiting_for}; {args.output} holds no odometry")
     print(estimator.summary())
     return 0
+
+
+def _replay_one(
+    values: parameters.Values, topics: Mapping[str, str], overwrite: bool, job: fleet.Job
+) -> fleet.Row:
+    """Replay one bag of many; its output appears under its name once it is complete."""
+    assert job.record is not None
+    target = job.record.with_suffix(".mcap")
+    if target.exists() and not job.record.exists() and not overwrite:
+        raise InputError(f"{target} exists, but no record of its making: --overwrite to replace it")
+    unfinished = target.with_name(f".{target.name}")
+    remarks: list[str] = []
+    with BagReader(job.source) as bag, BagWriter(unfinished, overwrite=True) as out:
+        estimator = replay(bag, out, values, **topics, progress=False,
+                           log=lambda level, text: remarks.append(level))
+        duration = (bag.end_ns - bag.start_ns) * 1e-9
+    if not estimator.ever_aligned:
+        unfinished.unlink()
+        raise InputError(f"the filter never started: it waited for "
+                         f"{estimator.navigator.waiting_for}")
+    unfinished.replace(target)
+    refused = sum(estimator.counts.values())
+    return {"duration [s]": duration, "fixes fused": estimator.fixes_fused,
+            "refused or remarkable": refused, "warnings": remarks.count("warn")}
