@@ -1,5 +1,6 @@
 """What the documentation says is so: links, commands, parameters, topics, layouts, policy."""
 
+import ast
 import json
 import re
 import subprocess
@@ -132,6 +133,25 @@ def test_vehicles_are_parameter_files(path: Path) -> None:
     assert values != parameters.defaults()
 
 
+def test_messages_in_troubleshooting_are_the_programs_own() -> None:
+    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    quoted = [
+        span for line in re.findall(r"^> (.*)$", text, re.M) for span in re.findall("`(.+?)`", line)
+    ]
+    constants = "\n".join(
+        node.value
+        for path in (*(ROOT / "hybrid_ins").rglob("*.py"), *(ROOT / "tools").glob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+    script = (ROOT / "tools" / "setup.sh").read_text(encoding="utf-8")
+
+    assert len(quoted) > 15
+    for message in quoted:
+        for part in message.split("…"):
+            assert part.strip() in constants + script, message
+
+
 class TestViewers:
     FOLDER = ROOT / "config" / "viewers"
 
@@ -252,7 +272,7 @@ def test_policy_grants_what_the_node_has_and_nothing_else() -> None:
     ).stdout
     subscribed, published, served = map(set, json.loads(output.splitlines()[-1]))
 
-    # /clock is heard with use_sim_time only, /tf is spoken where tf2 is installed
-    assert granted("topics[@subscribe]/topic") == subscribed | {"/clock"}
+    # /clock is heard with use_sim_time only; /tf and /tf_static need tf2's messages
+    assert granted("topics[@subscribe]/topic") == subscribed | {"/clock", "/tf_static"}
     assert granted("topics[@publish]/topic") == published | {"/tf"}
     assert granted("services[@reply]/service") == served
