@@ -87,7 +87,7 @@ class InsNode(Node):
             value = self.declare_parameter(p.name, p.default, _descriptor(p)).value
             if value is not None:  # what ROS makes of an empty list in a file
                 given[p.name] = _plain(value)
-        values = parameters.check_all(given)
+        values: dict[str, Any] = dict(parameters.check_all(given))
         self._decoder = ImuDecoder()
         self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
         self._estimator = Estimator(values, self._say)

@@ -102,7 +102,7 @@ class Parameter:
         return InputError(f"parameter {self.name}: {shown} is not {wanted} ({self.text})")
 
 
-_METRES = {"unit": "m", "low": -1000.0, "high": 1000.0}
+_METRES: dict[str, Any] = {"unit": "m", "low": -1000.0, "high": 1000.0}
 
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("map_frame", "map", "Frame of odometry: ENU at the datum (REP-105)"),
@@ -260,7 +260,7 @@ def parse_value(name: str, text: str) -> object:
     """Return a value given on a command line, or raise `InputError`."""
     find(name)
     try:
-        return yaml.load(text, _PlainLoader)  # noqa: S506
+        return yaml.load(text, _PlainLoader)
     except yaml.YAMLError:
         raise InputError(f"parameter {name}: {text!r} is no value") from None
 
@@ -307,7 +307,7 @@ def _read_yaml(path: Path) -> object:
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(f"{path}: larger than {LARGEST_FILE} bytes: no parameter file")
-        return yaml.load(path.read_text(encoding="utf-8"), _PlainLoader)  # noqa: S506
+        return yaml.load(path.read_text(encoding="utf-8"), _PlainLoader)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}: give a parameter file") from None
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:

@@ -60,7 +60,7 @@ def flight(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(folder: Path, flight: Path) -> Iterator[tuple[Path, str, int]]:
+def recorded(folder: Path, flight: Path) -> tuple[Path, str, int]:
     """What the live node published of a flight, its log, and its exit status after SIGTERM."""
     out, log = folder / "live.mcap", folder / "node.log"
     with Processes() as processes:
@@ -71,7 +71,7 @@ def recorded(folder: Path, flight: Path) -> Iterator[tuple[Path, str, int]]:
         text, _ = player.communicate(timeout=90)
         assert player.returncode == 0, text
         status = processes.stop(node)
-    yield out, log.read_text(), status
+    return out, log.read_text(), status
 
 
 def odometry(bag: Path) -> dict[int, Any]:

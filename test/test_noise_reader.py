@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
 
 from hybrid_ins import parameters
 from hybrid_ins.conversions import mount_matrix
@@ -21,6 +22,7 @@ from hybrid_ins.offline.bags import new_message
 from hybrid_ins.regressor import SpectralRegressor
 
 Array = NDArray[np.float64]
+TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 RATE = 200
 STD = np.repeat((0.02, 0.002), 3)
@@ -276,7 +278,7 @@ class Standing:
         self.estimator = Estimator(
             parameters.check_all({
                 "alignment.heading_source": "parameter", "alignment.yaw_std": 0.01,
-                "imu.zero_updates": False, **given}), new_message, self.lines)
+                "imu.zero_updates": False, **given}), self.lines)
         self.rng = np.random.default_rng(1)
         self.t_ns = 10**9
         self.last = np.zeros(6)
@@ -289,6 +291,7 @@ class Standing:
                 self.last = std * self.rng.standard_normal(6)
                 self.last[2] += 9.7955
             self.estimator.imu(self.t_ns, tuple(self.last[:3]), tuple(self.last[3:]))
+            self.estimator.tick()
             if k % 40 == 0:
                 self._fix()
         return self
@@ -309,9 +312,9 @@ class Standing:
     @property
     def told(self) -> dict[str, str]:
         """The diagnostics of the process noise."""
-        array = self.estimator.diagnostics(self.t_ns)
-        status = next(s for s in array.status if "noise" in s.name)
-        return {"message": status.message, **{v.key: v.value for v in status.values}}
+        statuses = self.estimator.diagnostics(self.t_ns)
+        status = next(s for s in statuses if "noise" in s.name)
+        return {"message": status.text, **dict(status.values)}
 
 
 def test_levels_are_learned_and_published() -> None:
@@ -319,8 +322,9 @@ def test_levels_are_learned_and_published() -> None:
 
     assert standing.noise.source == "learned"
     assert standing.noise.levels() == pytest.approx(STD**2, rel=0.6)
-    published = dict(standing.estimator.outbox)
-    q = published["q/accelerometer"].vector
+    q = TYPES.deserialize_cdr(
+        dict(standing.estimator.outbox)["q/accelerometer"], "geometry_msgs/msg/Vector3Stamped"
+    ).vector
     assert [q.x, q.y, q.z] == pytest.approx(standing.noise.levels()[:3])
     assert "learned" in standing.told["source"] and "spectral" in standing.told["source"]
 

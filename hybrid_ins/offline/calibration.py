@@ -433,7 +433,8 @@ def _courses(after: Pass) -> Array:
     rows = after.rows[known]
     velocity = np.einsum("kji,kj->ki", matrix_from_quat(rows[:, QUAT]), rows[:, VELOCITY])
     velocity = velocity[np.hypot(velocity[:, 0], velocity[:, 1]) > 1.0]
-    return np.arctan2(velocity[:, 1], velocity[:, 0])
+    courses: Array = np.arctan2(velocity[:, 1], velocity[:, 0])
+    return courses
 
 
 def _heading_std(after: Pass) -> Array:
