@@ -227,8 +227,7 @@ def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
     message = new_message(ODOMETRY)
     message.child_frame_id = "base_link"
     quats = np.zeros((count, 4)) if track.quat_xyzw is None else track.quat_xyzw
-    C_map_base = matrix_from_quat(quats)
-    C_base_map = np.swapaxes(C_map_base, -1, -2)
+    C_base_map = np.swapaxes(matrix_from_quat(quats), -1, -2)
     pose_covariance = np.zeros((count, 6, 6))
     twist_covariance = np.zeros((count, 6, 6))
     linear, angular = np.zeros((count, 3)), np.zeros((count, 3))
@@ -240,7 +239,7 @@ def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
     if track.quat_xyzw is not None and track.velocity_enu is not None:
         linear = (C_base_map @ track.velocity_enu[..., None])[..., 0]
         if track.velocity_cov is not None:
-            twist_covariance[:, :3, :3] = C_base_map @ track.velocity_cov @ C_map_base
+            twist_covariance[:, :3, :3] = track.velocity_cov
     if track.quat_xyzw is not None and truth.angular_rate_b is not None:
         angular = truth.angular_rate_b @ FLIP
         twist_covariance[:, 3:, 3:] = truth.angular_rate_std**2 * np.eye(3)

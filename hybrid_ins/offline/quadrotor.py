@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.attitude import matrix_from_quat, skew
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import flight_bag, options, program
@@ -191,14 +192,21 @@ def make_truth(
     velocity, gain = differentiate(position.t, track.position_enu)
     roll_std, pitch_std, yaw_std = attitude_std
     horizontal = max(roll_std, pitch_std) ** 2
+    attitude_cov = np.broadcast_to(
+        np.diag([horizontal, horizontal, yaw_std**2]), position_cov.shape)
+    assert track.quat_xyzw is not None
+    # Along the vehicle's axes, which the attitude's error turns.
+    C_base_map = np.swapaxes(matrix_from_quat(track.quat_xyzw), -1, -2)
+    turn = C_base_map @ skew(velocity)
+    velocity_cov = (
+        gain[:, None, None] ** 2 * (C_base_map @ position_cov @ np.swapaxes(C_base_map, -1, -2))
+        + turn @ attitude_cov @ np.swapaxes(turn, -1, -2))
     track = replace(
         track,
         velocity_enu=velocity,
         position_cov=position_cov,
-        velocity_cov=gain[:, None, None] ** 2 * position_cov,
-        attitude_cov=np.broadcast_to(
-            np.diag([horizontal, horizontal, yaw_std**2]), position_cov.shape
-        ),
+        velocity_cov=velocity_cov,
+        attitude_cov=attitude_cov,
     )
     between = AttitudeSeries(attitude.path, position.t, quat).angular_rate_b
     angular_rate = 0.5 * (between[[0, *range(len(between))]] + between[[*range(len(between)), -1]])
