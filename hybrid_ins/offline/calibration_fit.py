@@ -150,13 +150,14 @@ class Pass:
         return log_likelihood(self.z, self.S, self.nis, TAIL)
 
 
-def start_state(run: Run, offset: float, given: Given, yaw: float, yaw_std: float) -> (
-        tuple[int, Array]):
+def start_state(
+    run: Run, offset: float, lever_b: Array, given: Given, yaw: float, yaw_std: float,
+) -> tuple[int, Array]:
     """
     Sample and flat state to start a run with: both sides of the start may be looked at.
 
-    The first fixes give position, velocity and acceleration; the specific force that goes with
-    the acceleration gives the tilt.
+    The first fixes give position, velocity and acceleration, outliers among them outvoted; the
+    specific force that goes with the acceleration gives the tilt.
     """
     fixes = np.flatnonzero(run.aid_kind == POSITION)
     t_fix = run.aid_t[fixes] + offset
@@ -172,9 +173,9 @@ def start_state(run: Run, offset: float, given: Given, yaw: float, yaw_std: floa
     places = np.nan_to_num((run.aid[window] - origin) * scale)
     order = 2 if len(window) > 3 and np.ptp(dt) > 0.5 else 1
     design = np.vander(dt, order + 1, increasing=True)
-    coefficients = np.linalg.lstsq(design, places, rcond=None)[0]
     R0 = np.nan_to_num(run.aid_R[window[0]], posinf=1e4)
-    spread = np.linalg.pinv(design.T @ design)
+    coefficients, weights = _outvoted(design, places, np.sqrt(np.diag(R0)))
+    spread = np.linalg.pinv((design * weights[:, None]).T @ design)
     position, velocity = coefficients[0], coefficients[1]
     acceleration = 2.0 * coefficients[2] if order == 2 else np.zeros(3)
     acceleration = np.clip(acceleration, -5.0, 5.0)
@@ -188,8 +189,20 @@ def start_state(run: Run, offset: float, given: Given, yaw: float, yaw_std: floa
     P[range(6, 15), range(6, 15)] = np.repeat(
         np.square([TILT_STD, given.bias_a_std, given.bias_g_std]), 3)
     P[8, 8] = yaw_std**2
+    position = position - matrix_from_quat(quat) @ lever_b
     state = NavState(origin + position / scale, velocity, quat, np.zeros(3), np.zeros(3), P)
     return first, state.to_flat()
+
+
+def _outvoted(design: Array, places: Array, std: Array) -> tuple[Array, Array]:
+    """Coefficients (order + 1, 3) of least absolute residuals, and the rows' weights (K,)."""
+    weights = np.ones(len(design))
+    for _ in range(20):
+        root = np.sqrt(weights)[:, None]
+        coefficients = np.linalg.lstsq(root * design, root * places, rcond=None)[0]
+        away = np.linalg.norm((places - design @ coefficients) / std, axis=1)
+        weights = 1.0 / np.maximum(away, 1.5)
+    return coefficients, weights / np.max(weights)
 
 
 def _levelled(run: Run, near: slice, first: int, f_n: Array, yaw: float) -> Array:
@@ -223,7 +236,7 @@ def run_filter(
     gnss_scale : float
         Factor on the measurements' covariances.
     """
-    first, nav = start_state(run, offset, given, yaw, yaw_std)
+    first, nav = start_state(run, offset, lever_b, given, yaw, yaw_std)
     nav[PSD] = psd
     M = len(run.aid_t)
     result = Pass(np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M),
