@@ -196,13 +196,13 @@ def start_state(
 
 def _outvoted(design: Array, places: Array, std: Array) -> tuple[Array, Array]:
     """Coefficients (order + 1, 3) of least absolute residuals, and the rows' weights (K,)."""
-    weights = np.ones(len(design))
+    weights: Array = np.ones(len(design))
     for _ in range(20):
         root = np.sqrt(weights)[:, None]
         coefficients = np.linalg.lstsq(root * design, root * places, rcond=None)[0]
         away = np.linalg.norm((places - design @ coefficients) / std, axis=1)
-        weights = 1.0 / np.maximum(away, 1.5)
-    return coefficients, weights / np.max(weights)
+        weights = np.asarray(1.0 / np.maximum(away, 1.5), float)
+    return np.asarray(coefficients, float), weights / np.max(weights)
 
 
 def _levelled(run: Run, near: slice, first: int, f_n: Array, yaw: float) -> Array:
