@@ -16,7 +16,15 @@ from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import PSD, NavState
 from hybrid_ins.offline import parameter_file, sensors, trajectories
-from hybrid_ins.offline.calibration import Calibration, calibrate, main, table
+from hybrid_ins.offline.bags import BagWriter, new_message
+from hybrid_ins.offline.calibration import (
+    Calibration,
+    _Report,
+    antenna_is_base,
+    calibrate,
+    main,
+    table,
+)
 from hybrid_ins.offline.calibration_fit import Run
 from hybrid_ins.offline.innovations import (
     POSITION,
@@ -116,6 +124,27 @@ def test_offset_and_lever_arm_are_found(found: Calibration) -> None:
             assert abs(fitted.value(name) - true) < 4.0 * fitted.sigma(name) + 0.01
     assert found.findings[0].verdict == "identified"
     assert "identified" in table(found.findings)
+
+
+def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
+    found: Calibration, tmp_path: Path
+) -> None:
+    # GIVEN a recording whose fixes come in the base frame
+    bag = tmp_path / "bag.mcap"
+    message = new_message("sensor_msgs/msg/NavSatFix")
+    message.header.frame_id = "base_link"
+    with BagWriter(bag) as out:
+        out.write("/gnss/fix", message, 1)
+    values = parameters.defaults()
+    assert antenna_is_base([bag], values)
+    assert not antenna_is_base([bag], {**values, "gnss.antenna_position": [0.0, 0.0, 0.1]})
+    # WHEN the lever arm is told
+    report = _Report(found.fitted, found.fitted, found.after, dict(values), 0.01)  # type: ignore[arg-type]
+    report.lever(np.eye(3), antenna_is_base=True)
+    # THEN it is the IMU that is away from the base
+    arm = np.array(found.values["gnss.antenna_position"])
+    np.testing.assert_allclose(report.values["imu.position"], -arm)
+    assert report.values["gnss.antenna_position"] == [0.0, 0.0, 0.0]
 
 
 def test_parameter_file_is_read_back(found: Calibration, tmp_path: Path) -> None:

@@ -159,6 +159,14 @@ def test_the_imu_is_written_at_its_own_stamps_in_flu(made: Path, tmp_path: Path)
     assert {m.header.frame_id for m in imu} == {"imu_link"}
 
 
+def test_fixes_come_in_the_frame_whose_positions_they_are_made_of(
+    made: Path, tmp_path: Path
+) -> None:
+    _, fixes = messages(convert(made, tmp_path / "bag"), "/gnss/fix")
+
+    assert {m.header.frame_id for m in fixes} == {"base_link"}
+
+
 def test_the_imus_orientation_is_kept_and_its_yaw_is_said_to_be_unknown(
     made: Path, tmp_path: Path
 ) -> None:

@@ -157,6 +157,18 @@ def read_run(
         reference)
 
 
+def antenna_is_base(
+    paths: Sequence[Path], values: Mapping[str, Any], fix_topic: str = "/gnss/fix"
+) -> bool:
+    """Whether the fixes are of base_frame itself, by their frame_id; a given antenna is not."""
+    def frame(path: Path) -> str:
+        with BagReader(path) as bag:
+            return next((str(m.header.frame_id) for *_, m in bag.messages(fix_topic)), "")
+
+    return not any(values["gnss.antenna_position"]) and all(
+        frame(path).lstrip("/") == values["base_frame"] for path in paths)
+
+
 def _truth(bag: BagReader) -> tuple[
         list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
     """Positions of the truth as fixes, and its attitude: stamps [ns] and C_nb (K, 4)."""
@@ -196,6 +208,7 @@ def _longest_stretch(stamps: NDArray[np.int64], max_gap_ns: int) -> slice:
 def calibrate(
     runs: Sequence[Run], values: Mapping[str, Any], *, own_offsets: bool = False,
     search: float = 1.5, nose_first: bool = False, trust_fixes: bool = False,
+    antenna_is_base: bool = False,
     tell: Callable[[str], Callable[[], None]] = lambda stage: lambda: None,
 ) -> Calibration:
     """
@@ -214,6 +227,8 @@ def calibrate(
         The vehicle moves where it points: its course tells how the IMU is turned about its axis.
     trust_fixes : bool
         The fixes' covariances are right; else a factor on them is found, too.
+    antenna_is_base : bool
+        The antenna is the base frame's origin: the lever arm tells where the IMU is.
     tell : callable
         Given a stage's name, returns what to call with every run of the filter.
     """
@@ -230,7 +245,7 @@ def calibrate(
     report = _Report(fitted, given, after, dict(values), period)
     report.offsets(own_offsets, search)
     turn = report.mount(runs, nose_first)
-    report.lever(turn)
+    report.lever(turn, antenna_is_base)
     report.biases()
     report.noise()
     return Calibration(fitted, before, after, report.findings, report.values, report.notes)
@@ -321,15 +336,18 @@ class _Report:
     def _no_mount(self, why: str) -> None:
         self._add("IMU mount", "as given", "", "not identifiable", why, "imu.mount_rpy")
 
-    def lever(self, turn: Array) -> None:
-        """Antenna in the base frame."""
+    def lever(self, turn: Array, antenna_is_base: bool) -> None:
+        """Antenna in the base frame; or the IMU, where the antenna is that frame's origin."""
         lever_b = np.array([self.fitted.value(f"lever_{axis}") for axis in "xyz"])
-        antenna = np.add(self.values["imu.position"], FLIP @ turn @ lever_b)
+        arm = FLIP @ turn @ lever_b
+        sensor, parameter, place = (
+            ("IMU", "imu.position", -arm) if antenna_is_base else
+            ("antenna", "gnss.antenna_position", np.add(self.values["imu.position"], arm)))
         words = []
         for k, axis in enumerate("xyz"):
             name = f"lever_{axis}"
             sigma = self.fitted.sigma(name)
-            label = "antenna " + ("forward", "left", "up")[k]
+            label = f"{sensor} " + ("forward", "left", "up")[k]
             if name in self.fitted.frozen:
                 verdict = "not identifiable"
                 note = ("roll and pitch hardly change" if axis == "z" else
@@ -338,10 +356,10 @@ class _Report:
                 verdict, note = "identified", ""
             else:
                 verdict, note = "weak", "few turns" if axis != "z" else "little roll and pitch"
-            self._add(label, f"{antenna[k]:+.3f} m", f"{sigma:.3f} m", verdict, note)
-            words.append(f"{label} {antenna[k]:+.3f} ± {sigma:.3f} ({verdict})")
-        self.values["gnss.antenna_position"] = [round(float(a), 3) for a in antenna]
-        self.notes["gnss.antenna_position"] = "; ".join(words)
+            self._add(label, f"{place[k]:+.3f} m", f"{sigma:.3f} m", verdict, note)
+            words.append(f"{label} {place[k]:+.3f} ± {sigma:.3f} ({verdict})")
+        self.values[parameter] = [round(float(a), 3) for a in place]
+        self.notes[parameter] = "; ".join(words)
 
     def biases(self) -> None:
         """Biases at the end of each recording, as the filter has them."""
@@ -513,7 +531,8 @@ def _body(args: argparse.Namespace) -> int:
     with _Bar() as bar:
         found = calibrate(
             runs, values, own_offsets=args.offset_per_bag and len(runs) > 1, search=args.search,
-            nose_first=args.nose_first, trust_fixes=args.use_truth, tell=bar.stage)
+            nose_first=args.nose_first, trust_fixes=args.use_truth, tell=bar.stage,
+            antenna_is_base=antenna_is_base(list(map(Path, args.bags)), values, args.fix_topic))
     print(table(found.findings))
     print(innovation_lines(found))
     if args.out:

@@ -7,11 +7,14 @@ What the converted and the simulated flights have in common: both end here.
 topic               type                                         frame
 ==================  ===========================================  ======================
 /imu/data           sensor_msgs/Imu                              imu_link (FLU)
-/gnss/fix           sensor_msgs/NavSatFix                        gnss_link
-/gnss/velocity      geometry_msgs/TwistWithCovarianceStamped     gnss_link, ENU axes
+/gnss/fix           sensor_msgs/NavSatFix                        gnss_link (1)
+/gnss/velocity      geometry_msgs/TwistWithCovarianceStamped     gnss_link (1), ENU axes
 /truth/odometry     nav_msgs/Odometry                            map, base_link
 /truth/datum        sensor_msgs/NavSatFix, once                  origin of map
 ==================  ===========================================  ======================
+
+(1) base_link where the fixes are made from the reference's own positions: the antenna is there,
+and ins_calibrate finds where the IMU is.
 
 The truth's map has its origin at the first fix, noise and all: it is the map of a filter that
 takes its datum from the first fix.
@@ -75,6 +78,7 @@ class GnssRecord:
     position_std: Array  # (3,) m: north, east, down
     velocity_n: Array | None = None  # (M, 3) m/s
     velocity_std: Array | None = None  # (3,) m/s: north, east, down
+    frame_id: str = "gnss_link"  # where the antenna is
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +206,7 @@ def _fix_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     message.position_covariance[[0, 4, 8]] = (gnss.position_std @ SWAP) ** 2
     message.position_covariance_type = DIAGONAL
     for stamp_ns, lla in zip(gnss.stamp_ns.tolist(), gnss.lla, strict=True):
-        stamp(message, stamp_ns, "gnss_link")
+        stamp(message, stamp_ns, gnss.frame_id)
         message.latitude, message.longitude = np.degrees(lla[:2]).tolist()
         message.altitude = float(lla[2])
         yield stamp_ns + log_offset_ns, 1, "/gnss/fix", message
@@ -216,7 +220,7 @@ def _velocity_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     variances = [*(gnss.velocity_std @ SWAP) ** 2, *np.full(3, UNKNOWN_VARIANCE)]
     message.twist.covariance[:] = np.diag(variances).ravel()
     for stamp_ns, velocity in zip(gnss.stamp_ns.tolist(), gnss.velocity_n @ SWAP, strict=True):
-        stamp(message, stamp_ns, "gnss_link")
+        stamp(message, stamp_ns, gnss.frame_id)
         set_vector(message.twist.twist.linear, velocity)
         yield stamp_ns + log_offset_ns, 2, "/gnss/velocity", message
 

@@ -293,7 +293,8 @@ def _convert(args: argparse.Namespace) -> None:
     noise = np.array(args.gnss_noise)
     outages = [(imu.t[0] + start, duration) for start, duration in outages]
     t, lla, std = make_fixes(position, layout.position.std, args.gnss_rate, noise, rng, outages)
-    gnss = GnssRecord(stamps(t, layout.epoch), lla, std)
+    # Made from the reference's positions, which are base_link's.
+    gnss = GnssRecord(stamps(t, layout.epoch), lla, std, frame_id="base_link")
     truth = make_truth(
         position,
         layout.position.std,
