@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid_ins.offline import noise_data
+from hybrid_ins.offline import noise_data, noise_trials
 from hybrid_ins.offline.noise_data import Mix
 
 CALM = Mix(0, 0, 0, 0, 0, 0, 0, 0, 0)
@@ -89,7 +89,7 @@ def _low_end(noise: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", ["low-pass", "vibration", "blue", "ar"])
 def test_every_colour_of_noise_has_unit_plateau(shape):
     count, window = 4000, 200
-    grid = noise_data._frequencies(window)
+    grid = noise_data.shaping_grid(window)
     full = np.full(count, 1.0)
     spectrum = {
         "low-pass": noise_data.low_pass_spectrum(grid, 0.25 * full, 2 * full),
@@ -97,7 +97,7 @@ def test_every_colour_of_noise_has_unit_plateau(shape):
         "blue": noise_data.blue_spectrum(grid, 100 * full, 0.3 * full, 3 * full),
         "ar": noise_data.ar_spectrum(grid, 0.3 * full),
     }[shape]
-    noise = noise_data._shaped_noise(np.random.default_rng(1), spectrum, window)
+    noise = noise_data.shaped_noise(np.random.default_rng(1), spectrum, window)
     assert _low_end(noise).mean() == pytest.approx(1.0, abs=0.05)
 
 
@@ -150,9 +150,11 @@ def test_unknown_trajectory_is_named():
 
 def test_evaluation_sets_are_finite_and_labelled():
     trials = [
-        *noise_data.level_trials(1, 50),
-        *noise_data.disturbance_trials(1, 50),
-        *noise_data.unseen_trials(1, 50),
+        *noise_trials.level_trials(1, 50),
+        *noise_trials.disturbance_trials(1, 50),
+        *noise_trials.validation_trials(1, 50),
+        *noise_trials.once_unseen_trials(1, 50),
+        *noise_trials.fresh_trials(1, 50),
     ]
     assert len({trial.name for trial in trials}) == len(trials)
     for trial in trials:

@@ -12,7 +12,7 @@ from hybrid_ins import regressor
 from hybrid_ins.core import spectral
 from hybrid_ins.core.window import WindowFault, find_fault, quantisation_step, sampling_rate
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import noise_data
+from hybrid_ins.offline import noise_data, noise_trials
 from hybrid_ins.regressor import Regressor, SpectralRegressor
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
@@ -187,14 +187,14 @@ BARS = {
 
 
 def test_plateau_model_under_disturbances(plateau):
-    for trial in noise_data.disturbance_trials(seed=11, count=500):
+    for trial in noise_trials.disturbance_trials(seed=11, count=500):
         ratio = plateau.estimate(trial.windows.readings, 100.0) / trial.windows.variance
         median_off, _ = BARS[trial.name]
         assert np.median(ratio) == pytest.approx(1.0, abs=median_off), trial.name
 
 
 def test_plateau_model_at_every_level(plateau):
-    for trial in noise_data.level_trials(seed=12, count=600):
+    for trial in noise_trials.level_trials(seed=12, count=600):
         ratio = plateau.estimate(trial.windows.readings, 100.0) / trial.windows.variance
         assert np.sqrt(np.mean((ratio - 1) ** 2)) < 1.35 * 0.1 * 1.1, trial.name
 
@@ -233,13 +233,13 @@ def test_spectral_variance_ignores_slow_motion():
 
 
 def test_spectral_plateau_sees_the_low_end():
-    grid = noise_data._frequencies(200)
+    grid = noise_data.shaping_grid(200)
     one = np.ones(2000)
     for spectrum in (
         noise_data.low_pass_spectrum(grid, 0.25 * one, 4 * one),
         noise_data.blue_spectrum(grid, 100 * one, 0.35 * one, 4 * one),
     ):
-        noise = noise_data._shaped_noise(np.random.default_rng(3), spectrum, 200)
+        noise = noise_data.shaped_noise(np.random.default_rng(3), spectrum, 200)
         assert np.median(spectral.plateau(noise)) == pytest.approx(1.0, abs=0.35)
         assert abs(np.log(np.median(spectral.variance(noise)))) > 0.5
 

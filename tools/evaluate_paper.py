@@ -22,7 +22,7 @@ import numpy as np
 import paper_figures
 from regressor_card import estimate_all, inference_time, score
 
-from hybrid_ins.offline import noise_data, options, plots, program
+from hybrid_ins.offline import noise_data, noise_trials, options, plots, program
 from hybrid_ins.offline.montecarlo import CONSTANTS, Flight, Method, Scenario, draw, fly_all
 from hybrid_ins.offline.noise_data import Windows
 from hybrid_ins.offline.sensors import ImuErrors, Tone
@@ -132,7 +132,7 @@ def load(name: str) -> NoiseRegressor:
 
 
 def ratio_table(
-    regressors: dict[str, NoiseRegressor], trials: Iterable[noise_data.Trial]
+    regressors: dict[str, NoiseRegressor], trials: Iterable[noise_trials.Trial]
 ) -> tuple[str, dict[tuple[str, str], tuple[float, float]]]:
     """Return a table of RMSE over the bound and median q̂/q, and those figures."""
     figures: dict[tuple[str, str], tuple[float, float]] = {}
@@ -162,17 +162,17 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
     paper_figures.predicted_against_true(
         args.figures / "paper_fig6.png", test.variance, estimates)
     held_out = [
-        noise_data.Trial(name, noise_data.trajectory_split(fresh, index)[1])
+        noise_trials.Trial(name, noise_data.trajectory_split(fresh, index)[1])
         for index, name in enumerate(noise_data.PAPER_TRAJECTORIES)]
     by_trajectory, of_trajectory = ratio_table(regressors, program.progress(
         held_out, "trajectories", len(held_out), "set"))
-    levels = noise_data.level_trials(DATA_SEED + 1, count)
+    levels = noise_trials.level_trials(DATA_SEED + 1, count)
     by_level, of_level = ratio_table(regressors, program.progress(
         levels, "levels", len(levels), "set"))
-    disturbances = noise_data.disturbance_trials(DATA_SEED + 2, count)
+    disturbances = noise_trials.disturbance_trials(DATA_SEED + 2, count)
     by_disturbance, of_disturbance = ratio_table(regressors, program.progress(
         disturbances, "disturbances", len(disturbances), "set"))
-    aside = noise_data.unseen_trials(DATA_SEED + 3, count)
+    aside = noise_trials.once_unseen_trials(DATA_SEED + 3, count)
     by_unseen, _ = ratio_table(regressors, program.progress(
         aside, "kept aside", len(aside), "set"))
     times = {name: inference_time(r, 200 if args.quick else 2000) for name, r in regressors.items()}

@@ -149,9 +149,12 @@ def plateau_analysis(window: int) -> Analysis:
 
     full = modes(window, np.ones(window))
     add(_unit_gain(without(polynomial(window, 3), full)), 5, window)
-    # Sequences beyond these hold less than 1e-9 of a motion slower than 0.02 cycles/sample.
-    slow = np.vstack((np.ones(window), dpss(window, 4.0, 17)))
-    add(_unit_gain(without(slow, full)), len(slow), window)
+    for half_bandwidth in (4, 7):
+        # Sequences beyond these hold less than 1e-9 of a motion slower than 0.02, 0.035
+        # cycles/sample in a window of 200.
+        sequences = dpss(window, half_bandwidth, 2 * half_bandwidth + 9)
+        slow = np.vstack((np.ones(window), sequences))
+        add(_unit_gain(without(slow, full)), len(slow), window)
     for beta, low in ((6.0, 6), (14.0, 10)):
         taper = np.asarray(kaiser(window, beta))
         # The constant goes after the taper has been applied: rows must sum to zero themselves.

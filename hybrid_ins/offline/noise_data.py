@@ -293,15 +293,15 @@ class Mix:
     ----------
     coloured : share of windows whose noise is not white (low-passed, vibration, blue, AR). Most
         are white: a network doubts steady white noise as often as its training gives it reason.
-    moving : share with random motion; manoeuvring : share with steps or smooth bumps.
+    moving : share with random motion; manoeuvring : share with steps, bumps, ramps or shocks.
     toned : share with one to four vibration tones.
     switching : share whose variance changes inside the window.
     outliers, duplicates, clipped, quantised : shares of these sensor faults.
     """
 
-    coloured: float = 0.15
+    coloured: float = 0.12
     moving: float = 0.6
-    manoeuvring: float = 0.2
+    manoeuvring: float = 0.25
     toned: float = 0.25
     switching: float = 0.06
     outliers: float = 0.05
@@ -310,17 +310,18 @@ class Mix:
     quantised: float = 0.12
 
 
-def _log_uniform(
+def log_uniform(
     rng: np.random.Generator, low: float | Array, high: float | Array, size: int
 ) -> Array:
+    """Return values (size,) between `low` and `high` whose logarithm is uniform."""
     return np.exp(rng.uniform(np.log(low), np.log(high), size))
 
 
-def _shaped_noise(rng: np.random.Generator, spectrum: Array, window: int) -> Array:
+def shaped_noise(rng: np.random.Generator, spectrum: Array, window: int) -> Array:
     """
     Return Gaussian noise rows whose two-sided PSD is `spectrum` (1 = unit-variance white).
 
-    The noise is shaped over twice the window on the frequency grid of `_frequencies`, and one
+    The noise is shaped over twice the window on the frequency grid of `shaping_grid`, and one
     window is cut from it, so that the rows do not wrap around.
     """
     length = 2 * (spectrum.shape[1] - 1)
@@ -329,7 +330,7 @@ def _shaped_noise(rng: np.random.Generator, spectrum: Array, window: int) -> Arr
     return shaped[:, :window]
 
 
-def _frequencies(window: int) -> Array:
+def shaping_grid(window: int) -> Array:
     """Return the shaping grid [cycles/sample] for windows of this length."""
     length = 1 << int(np.ceil(np.log2(2 * window)))
     return np.arange(length // 2 + 1) / length
@@ -363,17 +364,17 @@ def _noise_spectrum(rng: np.random.Generator, frequency: Array, size: int) -> Ar
     """Return random coloured spectra (B, F), unit plateau at the low end."""
     kind = rng.integers(0, 5, size)
     low_pass = low_pass_spectrum(
-        frequency, _log_uniform(rng, 0.08, 0.35, size), rng.uniform(0.8, 4.0, size)
+        frequency, log_uniform(rng, 0.08, 0.35, size), rng.uniform(0.8, 4.0, size)
     )
     vibration = vibration_spectrum(
         frequency,
-        _log_uniform(rng, 4.0, 1000.0, size),
+        log_uniform(rng, 4.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(0.01, 0.06, size),
     )
     blue = blue_spectrum(
         frequency,
-        _log_uniform(rng, 4.0, 1000.0, size),
+        log_uniform(rng, 4.0, 1000.0, size),
         rng.uniform(0.12, 0.5, size),
         rng.uniform(1.0, 4.0, size),
     )
@@ -390,33 +391,50 @@ def _motion_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Arra
     """
     Return smooth motion (B, N) of about unit RMS.
 
-    Half of the rows are random with a steep low-pass at 0.1 to 6 Hz, half sums of three sines of
-    0.02 to 3 Hz: what a vehicle does, and what a trajectory generator does.
+    Random with a steep low-pass at 0.1 to 6 Hz; sums of three sines of 0.02 to 4 Hz; and the sine
+    of such a sum, as gravity is seen from a body that swings, with all its overtones.
     """
-    frequency = _frequencies(window)
-    corner = np.minimum(_log_uniform(rng, 0.1, 6.0, size) / rate_hz, 0.05)
+    frequency = shaping_grid(window)
+    corner = np.minimum(log_uniform(rng, 0.1, 6.0, size) / rate_hz, 0.05)
     order = rng.uniform(2.5, 6.0, size)
-    motion = _shaped_noise(rng, low_pass_spectrum(frequency, corner, order), window)
+    motion = shaped_noise(rng, low_pass_spectrum(frequency, corner, order), window)
     motion /= np.sqrt(2.0 * corner)[:, None]
     time = np.arange(window) / rate_hz[:, None]
     sines = np.zeros_like(motion)
     for _ in range(3):
-        pitch = _log_uniform(rng, 0.02, 3.0, size)[:, None]
-        loudness = _log_uniform(rng, 0.1, 1.0, size)[:, None]
+        pitch = log_uniform(rng, 0.02, 4.0, size)[:, None]
+        loudness = log_uniform(rng, 0.1, 1.0, size)[:, None]
         sines += loudness * np.sin(2.0 * np.pi * (pitch * time + rng.random((size, 1))))
-    return np.where(rng.random((size, 1)) < 0.5, motion, sines)
+    swing = log_uniform(rng, 0.1, 2.0, size)[:, None]
+    seen = np.sin(swing * sines + 2.0 * np.pi * rng.random((size, 1))) / swing
+    return np.asarray(np.choose(rng.integers(0, 3, size)[:, None], (motion, sines, seen)))
 
 
 def _manoeuvre_rows(rng: np.random.Generator, size: int, window: int) -> Array:
-    """Return steps, smooth transitions and ramps (B, N) of unit height."""
+    """Return steps and smooth transitions, bumps, ramps and shocks (B, N) of unit height."""
     sample = np.arange(window)
     centre = rng.uniform(-0.1, 1.1, (size, 1)) * window
-    width = _log_uniform(rng, 0.05, 0.3 * window, size)[:, None]
+    width = log_uniform(rng, 0.05, 0.3 * window, size)[:, None]
     transition = 0.5 * (1.0 + np.tanh((sample - centre) / width))
     bump = np.exp(-0.5 * ((sample - centre) / (2.0 * width + 2.0)) ** 2)
     ramp = np.maximum(sample - centre, 0.0) / window
-    kind = rng.integers(0, 3, size)[:, None]
-    return np.asarray(np.choose(kind, (transition, bump, ramp)))
+    kind = rng.integers(0, 4, size)[:, None]
+    return np.asarray(np.choose(kind, (transition, bump, ramp, _shock_rows(rng, size, window))))
+
+
+def _shock_rows(rng: np.random.Generator, size: int, window: int) -> Array:
+    """Return one to four blows (B, N) that ring and die out, the strongest of unit height."""
+    total = np.zeros((size, window))
+    count = rng.integers(1, 5, size)
+    for index in range(4):
+        after = np.arange(window) - np.floor(rng.uniform(-0.2, 1.0, (size, 1)) * window)
+        decay = log_uniform(rng, 1.0, 60.0, size)[:, None]
+        pitch = log_uniform(rng, 0.005, 0.4, size)[:, None]
+        angle = 2.0 * np.pi * (pitch * after + rng.random((size, 1)))
+        loudness = 1.0 if index == 0 else log_uniform(rng, 0.05, 1.0, size)[:, None]
+        ring = np.where(after >= 0, np.exp(-np.maximum(after, 0.0) / decay) * np.sin(angle), 0.0)
+        total += (count > index)[:, None] * loudness * ring
+    return total
 
 
 def _tone_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Array) -> Array:
@@ -424,10 +442,10 @@ def _tone_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Array)
     time = np.arange(window) / rate_hz[:, None]
     harmonics = rng.integers(1, 5, size)
     harmonic_comb = rng.random(size) < 0.4
-    base = _log_uniform(rng, 20.0, 200.0, size)
+    base = log_uniform(rng, 20.0, 200.0, size)
     total = np.zeros((size, window))
     for index in range(4):
-        independent = _log_uniform(rng, 20.0, 200.0, size)
+        independent = log_uniform(rng, 20.0, 200.0, size)
         pitch = np.where(harmonic_comb, base * (index + 1), base if index == 0 else independent)
         # Rotors speed up and slow down a little within a window.
         drift = pitch * rng.normal(0.0, 0.01, size) * (rng.random(size) < 0.3)
@@ -436,7 +454,7 @@ def _tone_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Array)
             * np.pi
             * (pitch[:, None] * time + 0.5 * drift[:, None] * time**2 + rng.random((size, 1)))
         )
-        loudness = 1.0 if index == 0 else _log_uniform(rng, 0.05, 1.0, size)[:, None]
+        loudness = 1.0 if index == 0 else log_uniform(rng, 0.05, 1.0, size)[:, None]
         total += (harmonics > index)[:, None] * loudness * np.sin(phase)
     return total
 
@@ -470,9 +488,9 @@ def randomised_set(
     the readings before duplication, quantised ones gain LSB^2/12. Generates about 20 000 windows/s.
     """
     rng = np.random.default_rng(seed)
-    rate_hz = _log_uniform(rng, *RATE_RANGE_HZ, count)
-    level = _log_uniform(rng, *LEVEL_RANGE, count)
-    frequency = _frequencies(window)
+    rate_hz = log_uniform(rng, *RATE_RANGE_HZ, count)
+    level = log_uniform(rng, *LEVEL_RANGE, count)
+    frequency = shaping_grid(window)
     sample = np.arange(window)
 
     def chosen(share: float) -> NDArray[np.int64]:
@@ -481,27 +499,29 @@ def randomised_set(
     # All rows are made with unit noise and scaled by sqrt(level) at the end.
     noise = rng.standard_normal((count, window))
     rows = chosen(mix.coloured)
-    noise[rows] = _shaped_noise(rng, _noise_spectrum(rng, frequency, rows.size), window)
+    noise[rows] = shaped_noise(rng, _noise_spectrum(rng, frequency, rows.size), window)
 
     rows = chosen(mix.switching)
-    # A change by less than a factor of three cannot be told from chance: training on it would only
-    # teach the network to distrust steady noise.
-    ratio = _log_uniform(rng, 3.0, 100.0, rows.size) ** rng.choice((-0.5, 0.5), rows.size)
-    instant = rng.uniform(0.0, 1.0, (rows.size, 1)) * window
-    ramp = _log_uniform(rng, 0.1, 0.3 * window, rows.size)[:, None]
+    # A change so small or so late that chance explains it as well would only teach the network to
+    # distrust steady noise: the samples after it must tell it by 8 nats.
+    change = log_uniform(rng, 3.0, 100.0, rows.size) ** rng.choice((-1.0, 1.0), rows.size)
+    ratio = np.sqrt(change)
+    needed = 16.0 / (1.0 / change - 1.0 + np.log(change))
+    instant = rng.uniform(0.0, 1.0, (rows.size, 1)) * (window - needed)[:, None]
+    ramp = log_uniform(rng, 0.1, 0.3 * window, rows.size)[:, None]
     before = 0.5 * (1.0 - np.tanh((sample - instant) / ramp))
     envelope = ratio[:, None] ** before
     noise[rows] *= envelope / envelope[:, -1:]
 
     signal = np.zeros((count, window))
     rows = chosen(mix.moving)
-    size = _log_uniform(rng, 0.1, 1e4, rows.size)[:, None]
+    size = log_uniform(rng, 0.1, 1e4, rows.size)[:, None]
     signal[rows] = size * _motion_rows(rng, rows.size, window, rate_hz[rows])
     rows = chosen(mix.manoeuvring)
-    size = (_log_uniform(rng, 1.0, 1e4, rows.size) * rng.choice((-1, 1), rows.size))[:, None]
+    size = (log_uniform(rng, 1.0, 1e4, rows.size) * rng.choice((-1, 1), rows.size))[:, None]
     signal[rows] += size * _manoeuvre_rows(rng, rows.size, window)
     rows = chosen(mix.toned)
-    size = _log_uniform(rng, 0.3, 300.0, rows.size)[:, None]
+    size = log_uniform(rng, 0.3, 300.0, rows.size)[:, None]
     signal[rows] += size * _tone_rows(rng, rows.size, window, rate_hz[rows])
     readings = (signal + noise) * np.sqrt(level)[:, None]
 
@@ -511,21 +531,21 @@ def randomised_set(
         picks -= picks.mean(axis=1, keepdims=True)
         # The recording's own noise is unknown: a ceiling on it keeps the label honest.
         own = np.mean(np.diff(picks, n=2, axis=1) ** 2, axis=1) / 6.0 + 1e-12
-        level[rows] = own * _log_uniform(rng, 10.0, 1e4, rows.size)
+        level[rows] = own * log_uniform(rng, 10.0, 1e4, rows.size)
         readings[rows] = picks + noise[rows] * np.sqrt(level[rows])[:, None]
 
     deviation = np.sqrt(level)
     rows = chosen(mix.outliers)
-    hits = rng.random((rows.size, window)) < _log_uniform(rng, 0.003, 0.03, rows.size)[:, None]
+    hits = rng.random((rows.size, window)) < log_uniform(rng, 0.003, 0.03, rows.size)[:, None]
     spikes = rng.standard_normal((rows.size, window)) * (deviation[rows])[:, None]
-    readings[rows] += hits * spikes * _log_uniform(rng, 5.0, 100.0, rows.size)[:, None]
+    readings[rows] += hits * spikes * log_uniform(rng, 5.0, 100.0, rows.size)[:, None]
 
     rows = chosen(mix.duplicates)
     readings[rows] = repeat_samples(rng, readings[rows], rng.uniform(0.02, 0.5, rows.size))
 
     label = level.copy()
     rows = chosen(mix.quantised)
-    step = (deviation[rows] * _log_uniform(rng, 0.01, 3.0, rows.size))[:, None]
+    step = (deviation[rows] * log_uniform(rng, 0.01, 3.0, rows.size))[:, None]
     readings[rows] = np.round(readings[rows] / step) * step
     label[rows] += step[:, 0] ** 2 / 12.0
 
@@ -549,130 +569,3 @@ def repeat_samples(rng: np.random.Generator, readings: Array, share: Array | flo
     fresh[:, 0] = True
     source = np.maximum.accumulate(np.where(fresh, np.arange(readings.shape[1]), 0), axis=1)
     return np.take_along_axis(readings, source, axis=1)
-
-
-# --- Evaluation sets -----------------------------------------------------------------------------
-
-
-class Trial(NamedTuple):
-    """One named evaluation: windows whose label is the level that the estimate should show."""
-
-    name: str
-    windows: Windows
-
-
-def _trial(name: str, readings: Array, level: Array) -> Trial:
-    group = np.zeros(level.size, dtype=np.int64)
-    return Trial(name, Windows(readings.astype(np.float32), level, group))
-
-
-def _gentle_motion(rng: np.random.Generator, count: int, window: int) -> Array:
-    """Return random stretches (B, N) of the paper's trajectories, any channel."""
-    ideal = np.vstack([ideal_readings(name, duration_s=200.0).T for name in PAPER_TRAJECTORIES])
-    channel = rng.integers(0, len(ideal), count)
-    start = rng.integers(0, ideal.shape[1] - window, count)
-    return np.asarray(ideal[channel[:, None], start[:, None] + np.arange(window)])
-
-
-def level_trials(seed: int, count: int = 2000, window: int = 200) -> list[Trial]:
-    """Return white noise of 1e-6 to 1 on the paper's trajectories, one trial for each level."""
-    rng = np.random.default_rng(seed)
-    trials = []
-    for level in 10.0 ** np.arange(-6.0, 1.0):
-        motion = _gentle_motion(rng, count, window)
-        noise = rng.standard_normal((count, window)) * np.sqrt(level)
-        trials.append(_trial(f"q = {level:.0e}", motion + noise, np.full(count, level)))
-    return trials
-
-
-def disturbance_trials(seed: int, count: int = 2000, window: int = 200) -> list[Trial]:
-    """Return the named disturbances of the model cards, with q = 0.01 on the paper's motion."""
-    rng = np.random.default_rng(seed)
-    level = np.full(count, 0.01)
-    frequency = _frequencies(window)
-    time = np.arange(window) / PAPER_RATE_HZ
-
-    def base(spectrum: Array | None = None) -> tuple[Array, Array]:
-        noise = (
-            rng.standard_normal((count, window))
-            if spectrum is None
-            else _shaped_noise(rng, np.broadcast_to(spectrum, (count, frequency.size)), window)
-        )
-        return _gentle_motion(rng, count, window), 0.1 * noise
-
-    motion, noise = base()
-    trials = [_trial("clean", motion + noise, level)]
-    for strength in (1.0, 10.0, 100.0):
-        motion, noise = base()
-        pitch = rng.uniform(20.0, 200.0, (count, 1))
-        tone = np.sin(2 * np.pi * (pitch * time + rng.random((count, 1))))
-        trials.append(
-            _trial(f"tone of {strength:g} sigma", motion + noise + 0.1 * strength * tone, level)
-        )
-    motion, noise = base()
-    trials.append(_trial("bias of 1000", motion + noise + 1000.0, level))
-    motion, noise = base()
-    trials.append(_trial("30 % duplicates", repeat_samples(rng, motion + noise, 0.3), level))
-    for order in (1.0, 2.0, 4.0):
-        spectrum = low_pass_spectrum(frequency, np.array([0.25]), np.array([order]))
-        motion, noise = base(spectrum)
-        trials.append(_trial(f"low-pass at fs/4, order {order:g}", motion + noise, level))
-    return trials
-
-
-def unseen_trials(seed: int, count: int = 2000, window: int = 200) -> list[Trial]:
-    """
-    Return disturbances that no training window holds, at random levels: for one last look.
-
-    Each is made by other means than `randomised_set`: filters in the time domain, other
-    distributions, other manoeuvres. Nothing about the models may be chosen by them.
-    """
-    rng = np.random.default_rng(seed)
-    level = _log_uniform(rng, 1e-6, 1.0, count)
-    sigma = np.sqrt(level)[:, None]
-    sample = np.arange(window)
-
-    def white(samples: int = window) -> Array:
-        return rng.standard_normal((count, samples))
-
-    def angle() -> Array:
-        return 2.0 * np.pi * rng.random((count, 1))
-
-    # Four rotors that beat against each other, with harmonics and a wobble in strength, at 400 Hz.
-    rotors = np.zeros((count, window))
-    base = rng.uniform(70.0, 130.0, (count, 1))
-    for _ in range(4):
-        speed = base * rng.normal(1.0, 0.03, (count, 1))
-        for harmonic, strength in ((1, 1.0), (2, 0.5), (3, 0.2)):
-            turn = 2.0 * np.pi * harmonic * speed * sample / 400.0
-            rotors += strength * np.sin(turn + angle()) * (1.0 + 0.2 * white(1))
-    # Decaying knocks: a suspension or landing gear at 15 Hz seen at 200 Hz.
-    knocks = np.zeros((count, window))
-    for _ in range(3):
-        after = sample - rng.integers(0, window, (count, 1))
-        ring = np.exp(-np.maximum(after, 0) / 12.0) * np.sin(2.0 * np.pi * 15.0 / 200.0 * after)
-        knocks += np.where(after >= 0, ring, 0.0)
-    chirp = np.sin(2.0 * np.pi * (0.05 * sample + 0.5 * 0.25 / window * sample**2) + angle())
-    triangle = np.abs((sample / 70.0 + rng.random((count, 1))) % 2.0 - 1.0)
-    boxcar = white(window + 2)
-    boxcar = (boxcar[:, 2:] + boxcar[:, 1:-1] + boxcar[:, :-2]) / 3.0
-    settled = np.where(sample < rng.integers(20, 120, (count, 1)), np.sqrt(10.0), 1.0)
-    roughened = np.where(sample < rng.integers(20, 120, (count, 1)), np.sqrt(0.1), 1.0)
-    heavy = rng.standard_t(5.0, (count, window)) / np.sqrt(5.0 / 3.0)
-    frozen = repeat_samples(rng, white(), 0.0)
-    start = rng.integers(0, window - 12, count)
-    for row in range(count):
-        frozen[row, start[row] : start[row] + 12] = frozen[row, start[row]]
-    coarse = np.round(sigma * white() / (1.5 * sigma)) * (1.5 * sigma)
-    return [
-        _trial("four rotors, 10 sigma", sigma * (white() + 10.0 * rotors), level),
-        _trial("knocks, 30 sigma", sigma * (white() + 30.0 * knocks), level),
-        _trial("chirp, 10 sigma", sigma * (white() + 10.0 * chirp), level),
-        _trial("triangle, 300 sigma", sigma * (white() + 300.0 * triangle), level),
-        _trial("mean of three (plateau)", sigma * boxcar, level),
-        _trial("quieter by 10 before the end", sigma * settled * white(), level),
-        _trial("rougher by 10 before the end", sigma * roughened * white(), level),
-        _trial("Student's t, 5 degrees", sigma * heavy, level),
-        _trial("12 samples frozen", sigma * frozen, level),
-        _trial("quantised at 1.5 sigma", coarse, level * (1.0 + 1.5**2 / 12.0)),
-    ]
