@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -45,12 +46,12 @@ def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
     lla = nav[LLA]
     C = np.empty(9)
     rotation(nav[QUAT], C)
-    lever_n = C.reshape(3, 3) @ lever_b
+    lever_n = turned(C, lever_b)
     meridian, transverse = radii(lla[0])
     z = np.empty(3)
     z[0] = (lla_fix[0] - lla[0]) * (meridian + lla[2]) - lever_n[0]
     dlon = lla_fix[1] - lla[1]
-    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
+    dlon -= 2.0 * np.pi * np.floor(dlon / (2.0 * np.pi) + 0.5)
     z[1] = dlon * (transverse + lla[2]) * np.cos(lla[0]) - lever_n[1]
     z[2] = lla[2] - lla_fix[2] - lever_n[2]
     H = np.zeros((3, N_ERROR))
@@ -69,21 +70,35 @@ def velocity_model(nav, velocity_fix, lever_b):  # type: ignore[no-untyped-def]
     """
     C = np.empty(9)
     rotation(nav[QUAT], C)
-    C_nb = C.reshape(3, 3)
     ie_n, ie_d = earth_rate_n(nav[LLA][0])
-    rate_b = nav[LAST_W] - nav[BIAS_G] - C_nb.T @ np.array([ie_n, 0.0, ie_d])
-    swing_n = C_nb @ np.cross(rate_b, lever_b)
-    H = np.zeros((3, N_ERROR))
+    swing_b, rate_b = np.empty(3), np.empty(3)
     for i in range(3):
-        H[i, 3 + i] = 1.0
+        rate_b[i] = nav[LAST_W][i] - nav[BIAS_G][i] - C[i] * ie_n - C[6 + i] * ie_d
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        swing_b[i] = rate_b[j] * lever_b[k] - rate_b[k] * lever_b[j]
+    swing_n = turned(C, swing_b)
+    z, H = np.empty(3), np.zeros((3, N_ERROR))
     _set_cross(H, 6, swing_n)
-    lever = np.zeros((3, 3))
-    _set_cross(lever, 0, lever_b)
-    H[:, 12:15] = C_nb @ lever
-    return velocity_fix - nav[VELOCITY] - swing_n, H
+    for i in range(3):
+        z[i] = velocity_fix[i] - nav[VELOCITY][i] - swing_n[i]
+        H[i, 3 + i] = 1.0
+        for j in range(3):  # C_nb [lever_b x]
+            k, m = (j + 1) % 3, (j + 2) % 3
+            H[i, 12 + j] = C[3 * i + k] * lever_b[m] - C[3 * i + m] * lever_b[k]
+    return z, H
 
 
-@kernel()
+@register_jitable
+def turned(C, v_b):  # type: ignore[no-untyped-def]
+    """Return C v, shape (3,), for a matrix (9,) row by row."""
+    v_n = np.empty(3)
+    for i in range(3):
+        v_n[i] = C[3 * i] * v_b[0] + C[3 * i + 1] * v_b[1] + C[3 * i + 2] * v_b[2]
+    return v_n
+
+
+@register_jitable
 def _set_cross(matrix, column, v):  # type: ignore[no-untyped-def]
     """Write [v x] into three columns of ``matrix``."""
     matrix[0, column + 1], matrix[0, column + 2] = -v[2], v[1]
