@@ -48,9 +48,16 @@ OURS = Method("ours", "learned")
 PAPER = Method("paper's network", "learned", model="paper")
 AQ = tuple(Method(f"AQ{k}", "innovation", window=xi) for k, xi in ((1, 1), (2, 3), (3, 5)))
 METHODS = (
-    ORACLE, OURS, Method("spectral", "learned", model="spectral"), PAPER, *AQ, *CONSTANTS,
+    ORACLE, OURS, replace(OURS, name="ours × innovation scale", kind="scaled"),
+    Method("spectral", "learned", model="spectral"), PAPER, *AQ, *CONSTANTS,
     replace(CONSTANTS[2], name="CQ3 as printed", as_printed=True),
     *(replace(m, name=f"{m.name} literal", kind="literal") for m in AQ),
+)
+PACES = (
+    *(replace(OURS, name=f"every {period:g} s", refresh=period)
+      for period in (0.05, 0.2, 0.5, 1.0, 2.0)),
+    replace(OURS, name="every 0.2 s, half of the last kept", smoothing=0.5),
+    replace(OURS, name="every 0.05 s, 0.8 of the last kept", refresh=0.05, smoothing=0.8),
 )
 
 ROUGH = (5.0, 20.0)
@@ -172,9 +179,12 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
     disturbances = noise_trials.disturbance_trials(DATA_SEED + 2, count)
     by_disturbance, of_disturbance = ratio_table(regressors, program.progress(
         disturbances, "disturbances", len(disturbances), "set"))
-    aside = noise_trials.once_unseen_trials(DATA_SEED + 3, count)
+    aside = noise_trials.fresh_trials(DATA_SEED + 3, count)
     by_unseen, _ = ratio_table(regressors, program.progress(
         aside, "kept aside", len(aside), "set"))
+    once_aside = noise_trials.once_unseen_trials(DATA_SEED + 4, count)
+    by_once_unseen, _ = ratio_table(regressors, program.progress(
+        once_aside, "once kept aside", len(once_aside), "set"))
     times = {name: inference_time(r, 200 if args.quick else 2000) for name, r in regressors.items()}
 
     bars += [
@@ -212,8 +222,11 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         by_trajectory,
         "### Levels outside the paper's range", by_level,
         "### Disturbances, q = 0.01", by_disturbance,
-        "### Kept aside: disturbances that were not looked at while anything was chosen",
-        by_unseen,
+        "### Kept aside until the model was final",
+        "Disturbances of other kinds than any in training, q from 1e-6 to 1.", by_unseen,
+        "### Kept aside from the first model",
+        "That one failed at the knocks; blows that ring are in the training since, so that this "
+        "set is not unseen any more.", by_once_unseen,
     ]
 
 
@@ -264,10 +277,10 @@ class Result:
 
     def ratio(self, name: str, against: str) -> Ratio | None:
         """Return the ratio of PRMSE, None where a filter diverged."""
-        of = [[f.prmse for f in self.flights[n]] for n in (name, against)]
-        if not np.all(np.isfinite(of)):
+        ours, theirs = ([f.prmse for f in self.flights[n]] for n in (name, against))
+        if not np.all(np.isfinite((ours, theirs))):
             return None
-        return paired_ratio(*of, range(len(of[0])))
+        return paired_ratio(ours, theirs, range(len(ours)))
 
     def nees(self, name: str) -> float:
         """Return the mean NEES over runs and epochs; infinite where a filter diverged."""
@@ -305,7 +318,7 @@ def flown(scenario: Scenario, first_seed: int, args: argparse.Namespace) -> Resu
     """Fly a scenario with every method."""
     methods = METHODS
     if scenario.rough is not None:
-        methods = (*METHODS[:4], tuned(scenario, args), *METHODS[4:])
+        methods = (*METHODS[:5], tuned(scenario, args), *METHODS[5:])
     seeds = range(first_seed, first_seed + args.runs)
     by_seed = dict(program.progress(
         fly_all(scenario, methods, seeds, args.jobs), scenario.name, len(seeds), "run"))
@@ -362,8 +375,9 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
             ratio = result.ratio("ours", name)
             if ratio is None:
                 continue
-            gain = Ratio(*(100.0 * (1.0 - r) for r in (ratio.ratio, ratio.high, ratio.low)),
-                         ratio.pairs, ratio.clusters)
+            gain = replace(
+                ratio, ratio=100.0 * (1.0 - ratio.ratio), low=100.0 * (1.0 - ratio.high),
+                high=100.0 * (1.0 - ratio.low))
             best = result.ratio("oracle", name)
             assert best is not None
             bars.append(Bar(
@@ -381,19 +395,45 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
     paper_figures.error_distributions(args.figures / "paper_fig10.png", {
         "without outages": example.flights,
         "with outages": results[SWITCHING_OUTAGES[1].name].flights})
+    paces: dict[str, list[Flight]] = {m.name: [] for m in (ORACLE, *PACES)}
+    for _, flights in program.progress(
+            fly_all(example.scenario, (ORACLE, *PACES),
+                    range(FLIGHT_SEED, FLIGHT_SEED + args.runs), args.jobs),
+            "refresh intervals", args.runs, "run"):
+        for name, flight in zip(paces, flights, strict=True):
+            paces[name].append(flight)
+
+    def part(result: Result) -> tuple[str, str]:
+        name = result.scenario.name
+        return f"### {name[0].upper()}{name[1:]}", result_table(result)
+
+    first, *others = results.values()
     return [
         "## Navigation with their levels",
         NAVIGATION_TEXT.format(runs=args.runs, low=ROUGH[0], high=ROUGH[1]),
+        PAPER_TABLE_TEXT,
+        *part(first),
+        "### Levels over time, the paper's Fig. 9",
         "![q over time](figures/paper_fig9.png)",
-        "*The paper's Fig. 9: levels in force on one flight at 200 Hz, x axes.*",
+        "Levels in force on one flight at 200 Hz with switching noise, x axes. The paper shows one "
+        "field flight, whose true levels nobody knows.",
+        "### Distribution of errors, the paper's Fig. 10",
         "![Distribution of position errors](figures/paper_fig10.png)",
-        "*The paper's Fig. 10: distribution of the position error over all epochs of all flights, "
-        "switching noise, 200 Hz.*",
-        *(part for result in (*results.values(), aside)
-          for part in (f"### {result.scenario.name[0].upper()}{result.scenario.name[1:]}",
-                       result_table(result))),
+        "Over all epochs of all flights, switching noise, 200 Hz: the summands of PRMSE and of "
+        "PMAE.",
+        "## Beyond the paper",
+        *(text for result in (*others, aside) for text in part(result)),
+        "### How often, and how smooth",
+        "Switching noise, 200 Hz: ours, asked more or less often, with and without smoothing (a "
+        "weighted mean of the logarithms of the last levels and the new).",
+        result_table(Result(example.scenario, paces)),
     ]
 
+
+PAPER_TABLE_TEXT = """\
+The first table stands beside the paper's Table 2, which is one field flight, with errors of more
+than a metre under RTK fixes of 0.1 m every 0.2 s. No choice of process noise explains that size:
+following the fixes alone gives 0.2 m. So ranks and ratios may be compared, metres may not."""
 
 NAVIGATION_TEXT = """\
 {runs} paired flights for each table: every method flies the same flights with the same readings

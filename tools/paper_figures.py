@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -21,12 +22,13 @@ LINES = {
     "spectral": (plots.SKY, "-"),
 }
 MARKERS = {"ours": "o", "paper's network": "s", "spectral": "^"}
-SIZE = (10.0, 4.4)  # inches
+WIDTH, HEIGHT = 10.0, 4.4  # inches, of a row
 
 
-def _axes(columns: int, **options: object) -> tuple[plt.Figure, Sequence[plt.Axes]]:
-    figure, axes = plt.subplots(1, columns, figsize=SIZE, layout="constrained", **options)
-    for axis in np.atleast_1d(axes):
+def _axes(columns: int, rows: int = 1, **options: object) -> tuple[plt.Figure, Any]:
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(WIDTH, rows * HEIGHT), layout="constrained", **options)
+    for axis in np.atleast_1d(axes).flat:
         axis.grid(True, color="#E2E2E2", linewidth=0.6)
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
@@ -93,22 +95,25 @@ def levels_over_time(path: Path, run: Run, flights: Mapping[str, Flight]) -> Non
 
 
 def error_distributions(path: Path, groups: Mapping[str, Mapping[str, Sequence[Flight]]]) -> None:
-    """Draw the share of epochs with at most an error, one panel for each group of flights."""
-    figure, axes = _axes(len(groups), sharey=True)
+    """Draw the share of epochs with at most an error: a row for each metric, a column a group."""
+    metrics = (("|δp| [m], of PRMSE", 2), ("|δN| + |δE| + |δD| [m], of PMAE", 1))
+    figure, axes = _axes(len(groups), len(metrics), sharex=True, sharey=True)
     share = np.linspace(0.0, 1.0, 501)
-    for axis, (title, by_method) in zip(axes, groups.items(), strict=True):
-        for name, (colour, style) in LINES.items():
-            flights = by_method.get(name, ())
-            if name == "spectral" or not flights or any(f.diverged for f in flights):
-                continue
-            norm = np.concatenate([np.linalg.norm(f.position_error, axis=1) for f in flights])
-            axis.plot(np.quantile(norm, share), share, color=colour, linestyle=style, label=name,
-                      linewidth=2.6 if name == "ours" else 1.2)
-        axis.set(title=title, xscale="log", xlabel="position error [m]")
-        axis.set_xlim(left=0.02)
-        axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-        axis.xaxis.set_minor_formatter(ticker.NullFormatter())
-    axes[0].set_ylabel("share of epochs")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
+    for row, (metric, order) in zip(axes, metrics, strict=True):
+        for axis, (title, by_method) in zip(row, groups.items(), strict=True):
+            for name, (colour, style) in LINES.items():
+                flights = by_method.get(name, ())
+                if name == "spectral" or not flights or any(f.diverged for f in flights):
+                    continue
+                error = np.concatenate([
+                    np.linalg.norm(f.position_error, order, axis=1) for f in flights])
+                axis.plot(np.quantile(error, share), share, color=colour, linestyle=style,
+                          label=name, linewidth=2.6 if name == "ours" else 1.2)
+            axis.set(title=title, xscale="log", xlabel=metric)
+            axis.set_xlim(left=0.02)
+            axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+            axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+        row[0].set_ylabel("share of epochs")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center")
     _save(figure, path)

@@ -45,7 +45,9 @@ from hybrid_ins.core.noise import (
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
+    ScaledNoise,
 )
+from hybrid_ins.core.noise_scale import NoiseScale
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
 from hybrid_ins.errors import InputError
@@ -114,8 +116,9 @@ class Method:
     name : str
         For tables.
     kind : str
-        constant, innovation, literal (eq. 18 of [1]_ at every IMU step), learned, or oracle, which
-        is told the true levels at every instant.
+        constant, innovation, literal (eq. 18 of [1]_ at every IMU step), learned, scaled (learned,
+        times factors from the innovations: the node's default), or oracle, which is told the true
+        levels at every instant.
     q : (float, float)
         Per-sample variances of accelerometer and gyroscope: the constant, the first levels, the
         fallback.
@@ -125,16 +128,19 @@ class Method:
         Regressor, as parameter ``noise.model``.
     refresh : float
         Time between two estimates [s].
+    smoothing : float
+        Share of the last levels that is kept at an estimate, of their logarithms.
     as_printed : bool
         Qc = q and bias random walks of ``PAPER_WALK``, as the paper's text has it.
     """
 
     name: str
-    kind: Literal["constant", "innovation", "literal", "learned", "oracle"]
+    kind: Literal["constant", "innovation", "literal", "learned", "scaled", "oracle"]
     q: tuple[float, float] = (4e-4, 4e-6)
     window: int = 3
     model: str = "plateau"
     refresh: float = 0.2
+    smoothing: float = 0.0
     as_printed: bool = False
 
 
@@ -335,15 +341,25 @@ def _events(
         for k in np.flatnonzero(np.diff(run.q[:, 0])).tolist():
             change = NoiseChange(int(stamps[k + 1]), ConstantNoise(run.q[k + 1]))
             yield change.t_ns, 0, partial(ins.submit, change)
-    if method.kind == "learned":
+    if method.kind in ("learned", "scaled"):
         reader = NoiseReader(
             {**parameters.defaults(), "noise.model": method.model}, np.eye(3), _refuse)
+        refresh = partial(_refresh, ins, reader, method.smoothing)
         for then in range(int(stamps[0]), int(stamps[-1]), int(method.refresh * 1e9)):
-            yield then, 0, lambda: ins.submit(reader.read(ins.ring, ins.t_ns))
+            yield then, 0, refresh
     for fix in run.fixes:
         yield fix.t_ns, 1, partial(ins.submit, fix)
     for k, index in enumerate(run.scored.tolist()):
         yield int(stamps[index]), 2, k
+
+
+def _refresh(ins: InsFilter, reader: NoiseReader, smoothing: float) -> None:
+    """Give the filter the levels of its youngest samples."""
+    estimate = reader.read(ins.ring, ins.t_ns)
+    if smoothing > 0.0 and estimate.q is not None and ins.noise.source == "learned":
+        kept = ins.noise.levels() ** smoothing
+        estimate = replace(estimate, q=kept * estimate.q ** (1.0 - smoothing))
+    ins.submit(estimate)
 
 
 def _noise_model(method: Method, run: Run, process: ProcessNoise) -> NoiseModel:
@@ -352,6 +368,8 @@ def _noise_model(method: Method, run: Run, process: ProcessNoise) -> NoiseModel:
         return ConstantNoise(run.q[0])
     if method.kind == "learned":
         return LearnedNoise(q)
+    if method.kind == "scaled":
+        return ScaledNoise(LearnedNoise(q), process, NoiseScale())
     if method.kind in ("innovation", "literal"):
         floor = np.repeat([parameters.defaults()[f"noise.q_{sensor}_min"]
                            for sensor in ("accelerometer", "gyroscope")], 3)
