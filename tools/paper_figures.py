@@ -97,7 +97,7 @@ def levels_over_time(path: Path, run: Run, flights: Mapping[str, Flight]) -> Non
 def error_distributions(path: Path, groups: Mapping[str, Mapping[str, Sequence[Flight]]]) -> None:
     """Draw the share of epochs with at most an error: a row for each metric, a column a group."""
     metrics = (("|δp| [m], of PRMSE", 2), ("|δN| + |δE| + |δD| [m], of PMAE", 1))
-    figure, axes = _axes(len(groups), len(metrics), sharex=True, sharey=True)
+    figure, axes = _axes(len(groups), len(metrics), sharex="col", sharey=True)
     share = np.linspace(0.0, 1.0, 501)
     for row, (metric, order) in zip(axes, metrics, strict=True):
         for axis, (title, by_method) in zip(row, groups.items(), strict=True):
