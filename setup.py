@@ -30,6 +30,7 @@ EXTRAS = {
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     ],
     "plot": ["matplotlib>=3.6"],
+    "benchmark": ["filterpy", "gtsam"],  # peers that tools/benchmark.py measures beside this
     "fleet": ["dask", "distributed"],  # bags on a cluster
     "test": [
         "colcon-core",
