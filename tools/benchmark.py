@@ -26,10 +26,16 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
 import benchmark_kernel  # noqa: E402
+import benchmark_node  # noqa: E402
+import benchmark_replay  # noqa: E402
 from benchmark_table import Section, machine, markdown, plain  # noqa: E402
 
 SECTIONS: dict[str, Callable[[bool], Section]] = {
     "kernel": benchmark_kernel.measure,
+    "node": benchmark_node.measure,
+    "rate": benchmark_node.measure_rate,
+    "start": benchmark_node.measure_start,
+    "replay": benchmark_replay.measure,
 }
 
 
