@@ -47,6 +47,7 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
         log("warn", f"noise.model: {error}; the spectral estimator takes its place")
         return SpectralRegressor()
 
+
 class NoiseReader:
     """
     Turns the youngest window of IMU samples into noise levels.
@@ -100,7 +101,10 @@ class NoiseReader:
         fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
         if fault is not None:
             return None, fault.value
-        q = self.regressor.estimate(readings.T, sampling_rate(samples["t_ns"]))
+        try:
+            q = self.regressor.estimate(readings.T, sampling_rate(samples["t_ns"]))
+        except Exception:  # A model that answered at start may fail later; the filter goes on.
+            return None, "the model failed"
         if not np.all(np.isfinite(q) & (q >= 0.0)):
             return None, "the model answered with no variance"
         q = np.maximum(q, quantisation_step(readings) ** 2 / 12.0)

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from hybrid_ins import parameters
 from hybrid_ins.conversions import mount_matrix
+from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
@@ -205,6 +206,17 @@ def test_an_answer_that_is_no_variance_is_refused(answer: Any) -> None:
     assert noise.refusals == {"the model answered with no variance": 1}
 
 
+def test_a_model_that_fails_is_refused() -> None:
+    noise = reader(answer=1e-4)
+
+    def fail(window: Array, rate_hz: float) -> Array:
+        raise RuntimeError("the runtime's own")
+
+    noise.regressor.estimate = fail  # type: ignore[method-assign]
+    assert noise.read(ring_of(readings()), 1).q is None
+    assert noise.refusals == {"the model failed": 1}
+
+
 @pytest.mark.parametrize("channel", [0, 5])
 def test_levels_beyond_the_highest_are_refused(channel: int) -> None:
     high = {"q_accelerometer_max": 1.0, "q_gyroscope_max": 1e-2}
@@ -278,7 +290,7 @@ class Standing:
         self.estimator = Estimator(
             parameters.check_all({
                 "alignment.heading_source": "parameter", "alignment.yaw_std": 0.01,
-                "imu.zero_updates": False, **given}), self.lines)
+                "imu.zero_updates": False, "noise.innovation_scale": False, **given}), self.lines)
         self.rng = np.random.default_rng(1)
         self.t_ns = 10**9
         self.last = np.zeros(6)
@@ -343,6 +355,23 @@ def test_an_imu_that_repeats_itself_falls_back_within_a_second_and_comes_back() 
     assert standing.noise.source == "learned"
     assert standing.noise.levels() == pytest.approx(STD**2, rel=0.6)
     assert "refused" not in standing.told["message"]
+
+
+@pytest.mark.parametrize("period", [0.05, 0.2, 0.35, 0.51, 0.7, 1.0])
+def test_refused_estimates_give_way_within_a_second(period: float) -> None:
+    noise = LearnedNoise(np.ones(6))
+    noise.refresh(0, np.full(6, 2.0))
+    given_way = 0
+    for k in range(1, 60):
+        noise.refresh(round(k * period * 1e9), None)
+        if noise.source == "fallback":
+            given_way = round(k * period * 1e9)
+            break
+
+    assert 0 < given_way <= 1_000_000_000
+    assert noise.levels().tolist() == [1.0] * 6
+    noise.refresh(given_way + 1, np.full(6, 3.0))
+    assert noise.source == "learned"
 
 
 @pytest.mark.parametrize(

@@ -183,10 +183,11 @@ class LearnedNoise:
     Parameters
     ----------
     fallback : ndarray, shape (6,)
-        Levels before the first estimate, and when the last one is older than ``HOLD_NS``.
+        Levels before the first estimate, and when the last one is older than ``HOLD_NS``: asked
+        once a second or more often, the regressor has given way within a second.
     """
 
-    HOLD_NS = 800_000_000
+    HOLD_NS = 500_000_000
     fix_factor = 1.0
 
     def __init__(self, fallback: Array) -> None:
