@@ -27,7 +27,7 @@ from test_evaluation import (
 from hybrid_ins.conversions import SWAP
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import plots
+from hybrid_ins.offline import plots, replay, simulation
 from hybrid_ins.offline.evaluation import evaluate_recording
 from hybrid_ins.offline.recording import Fixes, Recording, SensorErrors, Series
 from hybrid_ins.offline.result import Scoring
@@ -188,3 +188,17 @@ def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFi
 
     assert f"picture: {tmp_path / 'run.svg'}" in text
     assert (tmp_path / "run.svg").stat().st_size > 10_000
+
+
+def test_replay_draws_what_it_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flown, out, picture = (str(tmp_path / name) for name in ("flown", "out", "run.png"))
+    options = ["--duration", "8", "--imu-rate", "100", "--heading", "0"]
+    given = ["-p", "alignment.heading_source:=parameter", "-p", "alignment.yaw:=1.5708"]
+    assert simulation.main([flown, *options]) == 0
+
+    assert replay.main([flown, out, *given, "--plot", picture]) == 0
+    assert f"picture: {picture}" in capsys.readouterr().out
+    assert Path(picture).stat().st_size > 10_000
+
+    assert replay.main([flown, out, "--overwrite", "--plot", "run.bmp"]) == 2
+    assert replay.main([flown, flown, out, "--plot", picture]) == 2

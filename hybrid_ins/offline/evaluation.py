@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import attitude
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import fleet, plots, program
+from hybrid_ins.offline import fleet, options, plots, program, report
 from hybrid_ins.offline.recording import Recording, Topics, Verdicts, read_recording
 from hybrid_ins.offline.result import Epochs, Errors, FixCount, Outage, Result, Scoring, TimeOffset
 from hybrid_ins.offline.statistics import Consistency, nees
@@ -451,32 +451,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture, .png or .svg")
+    parser.add_argument(
+        "--report", metavar="FILE", type=Path,
+        help="write an HTML file: the usual questions answered, picture and table",
+    )  # fmt: skip
 
     defaults = Scoring()
     scoring = parser.add_argument_group("what is scored")
     scoring.add_argument(
-        "--skip", metavar="S", type=_seconds, default=defaults.skip,
+        "--skip", metavar="S", type=options.not_negative, default=defaults.skip,
         help="do not score the first S seconds with an estimate (default %(default)s)",
     )  # fmt: skip
     scoring.add_argument(
-        "--start", metavar="S", type=_seconds, help="begin S seconds after the first truth epoch"
-    )
+        "--start", metavar="S", type=options.not_negative,
+        help="begin S seconds after the first truth epoch",
+    )  # fmt: skip
     scoring.add_argument(
-        "--end", metavar="S", type=_seconds, help="end S seconds after the first truth epoch"
-    )
+        "--end", metavar="S", type=options.not_negative,
+        help="end S seconds after the first truth epoch",
+    )  # fmt: skip
     scoring.add_argument(
         "--include-fed", action="store_true", help="score truth epochs at fix stamps, too"
     )
     scoring.add_argument(
-        "--time-offset", metavar="S", type=_finite,
+        "--time-offset", metavar="S", type=options.number,
         help="seconds to add to truth and fix stamps (default: as in gnss/verdict, else 0)",
     )  # fmt: skip
     scoring.add_argument(
-        "--max-gap", metavar="S", type=_seconds, default=defaults.max_gap,
+        "--max-gap", metavar="S", type=options.not_negative, default=defaults.max_gap,
         help="longest gap between estimates to interpolate over (default %(default)s)",
     )  # fmt: skip
     scoring.add_argument(
-        "--outage-gap", metavar="S", type=_seconds, default=defaults.outage_gap,
+        "--outage-gap", metavar="S", type=options.not_negative, default=defaults.outage_gap,
         help="time without an accepted fix that counts as outage (default %(default)s)",
     )  # fmt: skip
 
@@ -500,6 +506,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         plots.check(args.plot)
+    if args.report is not None:
+        report.check(args.report)
     if args.no_truth and args.truth is not None:
         raise InputError("--truth and --no-truth exclude each other")
     topics = Topics(
@@ -515,8 +523,8 @@ def _run(args: argparse.Namespace) -> int:
         args.outage_gap,
     )
     if len(args.estimate) > 1 or not fleet.is_bag(args.estimate[0]):
-        if args.truth or args.json or args.plot:
-            raise InputError("--truth, --json and --plot are for one bag at a time")
+        if args.truth or args.json or args.plot or args.report:
+            raise InputError("--truth, --json, --plot and --report are for one bag at a time")
         settings = {"topics": vars(topics), "scoring": vars(scoring), "no_truth": args.no_truth}
         work = partial(_evaluate_one, topics, scoring, args.no_truth)
         return fleet.run(args, fleet.find_jobs(args.estimate, args.results), work, settings)
@@ -532,7 +540,30 @@ def _run(args: argparse.Namespace) -> int:
         plots.save(plots.overview(recording, result), args.plot)
         if not args.json:
             print(f"picture: {args.plot}")
+    if args.report is not None:
+        args.report.write_text(report.page(recording, result), encoding="utf-8")
+        if not args.json:
+            print(f"report: {args.report}")
     return 0
+
+
+def draw(path: Path, picture: Path) -> None:
+    """
+    Draw the run in a bag, against its truth where that can be scored.
+
+    Raises
+    ------
+    InputError
+        The bag holds no estimate, or no picture can be written.
+
+    """
+    recording = read_recording(path)
+    try:
+        result = evaluate_recording(recording)
+    except InputError:  # too short a common time, all epochs fed: a picture all the same
+        recording = replace(recording, truth=None)
+        result = evaluate_recording(recording)
+    plots.save(plots.overview(recording, result), picture)
 
 
 def _read(path: Path, truth: Path | None, topics: Topics, no_truth: bool) -> Recording:
@@ -569,20 +600,6 @@ def _evaluate_one(
         "coverage": result.coverage,
         "outages": len(result.outages),
     }
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = _finite(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
 
 
 def _finite_only(value: Any) -> Any:

@@ -12,7 +12,7 @@ import importlib.util
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +91,17 @@ def check(path: Path) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG or SVG, by the suffix of `path`."""
     check(path)
+    with path.open("wb") as file:
+        write(figure, file, path.suffix.lower().removeprefix("."))
+
+
+def write(figure: Figure, file: BinaryIO, kind: str) -> None:
+    """Write a figure to an open file; `kind` is ``png`` or ``svg``."""
     from matplotlib import rc_context
 
-    dated = {"Date": None} if path.suffix.lower() == ".svg" else {"Software": None}
+    dated = {"Date": None} if kind == "svg" else {"Software": None}
     with rc_context(_STYLE):
-        figure.savefig(path, dpi=_DPI, metadata=dated)
+        figure.savefig(file, format=kind, dpi=_DPI, metadata=dated)
 
 
 def overview(recording: Recording, result: Result) -> Figure:

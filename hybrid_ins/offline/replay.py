@@ -22,7 +22,7 @@ from hybrid_ins import parameters
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
-from hybrid_ins.offline import fleet, program
+from hybrid_ins.offline import evaluation, fleet, plots, program
 from hybrid_ins.offline.bags import BagReader, BagWriter
 from hybrid_ins.wire import OdometryEncoder
 
@@ -193,15 +193,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--velocity-topic", default="/gnss/velocity", metavar="T",
                         help="%(default)s, used where the bag has it")
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
+    parser.add_argument("--plot", metavar="FILE", type=Path,
+                        help="draw the run, with errors where IN holds truth: .png or .svg")
     fleet.add_options(parser)
     return program.run(_body, parser.parse_args(argv))
 
 
 def _body(args: argparse.Namespace) -> int:
+    if args.plot is not None:
+        plots.check(args.plot)
     values = read_values(args.params_file, args.param)
     topics = {"imu_topic": args.imu_topic, "fix_topic": args.fix_topic,
               "velocity_topic": args.velocity_topic}
     if len(args.input) > 1 or not fleet.is_bag(args.input[0]):
+        if args.plot is not None:
+            raise InputError("--plot is for one bag at a time")
         return fleet.run(
             args, fleet.find_jobs(args.input, args.output),
             partial(_replay_one, values, topics, args.overwrite),
@@ -213,6 +219,9 @@ def _body(args: argparse.Namespace) -> int:
         raise InputError(f"{source}: the filter never started: it waited for "
                          f"{estimator.navigator.waiting_for}; {args.output} holds no odometry")
     print(estimator.summary())
+    if args.plot is not None:
+        evaluation.draw(args.output, args.plot)
+        print(f"picture: {args.plot}")
     return 0
 
 
