@@ -259,7 +259,7 @@ class Estimator:
         # A NaN fails every comparison.
         if not (-most_f <= fx <= most_f and -most_f <= fy <= most_f and -most_f <= fz <= most_f
                 and -most_w <= wx <= most_w and -most_w <= wy <= most_w
-                and -most_w <= wz <= most_w and t_ns > 0):
+                and -most_w <= wz <= most_w and t_ns > 0 and (fx or fy or fz)):
             self._refuse_imu(t_ns, force, rate)
             return False
         xx, xy, xz, yx, yy, yz, zx, zy, zz = self._turn
@@ -279,6 +279,9 @@ class Estimator:
         output.odometry_values(
             running.nav, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance,
             self.odometry)
+        if not math.isfinite(self.odometry.item(3) + self.odometry.item(7)):
+            navigator.give_up("the state was lost: it is no number any more")
+            return False
         dt = (t_ns - self._local_ns) * 1e-9 if self._local_ns else 0.0
         self._local_ns = t_ns
         local_frame.advance(self._local_state, dt, self.odometry, self.local)
@@ -343,6 +346,7 @@ class Estimator:
         plain = (steps > 0) & (steps <= self.navigator.steady_ns)
         for values, most in ((force, most_f), (rate, most_w)):
             plain &= np.abs(values).max(axis=1) <= most
+        plain &= force.any(axis=1)
         return [*np.flatnonzero(~plain).tolist(), len(t_ns)]
 
     def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Stretch:
@@ -355,6 +359,9 @@ class Estimator:
         values = np.empty((len(t_ns), output.N_ODOMETRY))
         output.odometry_block(
             rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
+        if not np.isfinite(values).all():
+            self.navigator.give_up("the state was lost: it is no number any more")
+            return t_ns[:0], values[:0], values[:0]
         self.odometry[:] = values[-1]
         local = np.empty_like(values)
         dt = np.diff(t_ns, prepend=self._local_ns or t_ns[0]) * 1e-9
@@ -435,6 +442,9 @@ class Estimator:
             refused = Refused("imu: zero stamp", "header.stamp is zero: the driver must stamp")
         elif not np.all(np.isfinite((*force, *rate))):
             refused = Refused("imu: not finite", "NaN or inf in the reading")
+        elif not any(force):
+            refused = Refused("imu: no acceleration", "acceleration is exactly zero: not even a "
+                              "free fall reads so; does the driver fill it?")
         elif max(map(abs, force)) > self._limits[0]:
             refused = Refused(
                 "imu: absurd acceleration",
@@ -601,6 +611,7 @@ def warm_up(new_message: NewMessage) -> None:
     estimator = Estimator(values, lambda level, text: None)
     fix = new_message("sensor_msgs/msg/NavSatFix")
     fix.status.status = conversions.STATUS_FIX
+    fix.latitude = 1.0
     velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
     for k in range(1, 101):
         t_ns = k * 10_000_000
