@@ -136,6 +136,9 @@ class GnssInput:
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0) or math.isinf(height):
             return Refused("gnss: impossible position",
                            f"latitude {lat}, longitude {lon}, altitude {height} is no position")
+        if lat == 0.0 and lon == 0.0:
+            return Refused("gnss: impossible position", "latitude and longitude are exactly zero: "
+                           "the receiver has no position, whatever its status says")
         if abs(height) > 1e6:
             return Refused("gnss: impossible position", f"altitude {height:g} m is no position")
         if abs(lat) > 89.9:

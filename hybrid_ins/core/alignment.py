@@ -33,7 +33,7 @@ from hybrid_ins.core.hypotheses import CELL_STD, headings
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing
-from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.core.state import B_G, DP, DV, EPS, N_ERROR, NavState
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,7 @@ CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves 
 FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
 SHORTEST_SPAN = 0.3  # s
 ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
+BIAS_A_DRIFT, BIAS_G_DRIFT = 3e-3, 3e-4  # m/s²/√s, rad/s/√s: of known biases while not watched
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,21 @@ class AlignmentSettings:
     window: float
     bias_a_std: float
     bias_g_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Biases:
+    """What an earlier filter found out about the IMU."""
+
+    t_ns: int
+    accelerometer: Array  # (3,) m/s²
+    gyroscope: Array  # (3,) rad/s
+    P: Array  # (6, 6)
+
+    @classmethod
+    def of(cls, state: NavState, t_ns: int) -> Biases:
+        """Return those of a filter's state at its stamp."""
+        return cls(t_ns, state.bias_a, state.bias_g, state.P[9:, 9:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +124,7 @@ class Alignment:
         self._fixes: deque[PositionFix] = deque(maxlen=64)
         self._velocity: VelocityFix | None = None
         self._imu_yaw: float | None = None
+        self._biases: Biases | None = None
         self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
         self._source = settings.heading_source
         self.stage = "imu"
@@ -127,6 +144,10 @@ class Alignment:
     def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
         """Take a heading [rad from north] that was true at a stamp; it goes before all sources."""
         self._given = (t_ns, yaw, std)
+
+    def remember(self, biases: Biases) -> None:
+        """Take the biases that this IMU had before."""
+        self._biases = biases
 
     def forget_parameter(self) -> None:
         """Let a heading given for the start no longer count: the vehicle has moved since."""
@@ -165,25 +186,43 @@ class Alignment:
         yaws = self._headings(velocity_n, v_cov)
         if yaws is None:
             return None
+        bias_a, bias_g, bias_P = self._first_biases(now)
+        last = samples[-1]
+        reading = np.concatenate((last["f"], last["w"]))
+        samples["f"] -= bias_a
         down_b = _down(samples)
         rate = samples["w"].mean(axis=0)
         standing = is_standing(samples)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(lla[0])
-        bias_g_std = 0.1 * STANDING_RATE_STD if standing else self._settings.bias_g_std
+        bias_g_std = 0.1 * STANDING_RATE_STD
         states = []
         for yaw, yaw_std in yaws:
             quat = self._attitude(down_b, yaw)
             C_nb = matrix_from_quat(quat)
-            bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d]) if standing else np.zeros(3)
             P = np.zeros((N_ERROR, N_ERROR))
             P[DP, DP], P[DV, DV] = p_cov, v_cov
             P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
-            P[B_A, B_A] = np.eye(3) * self._settings.bias_a_std**2
-            P[B_G, B_G] = np.eye(3) * min(bias_g_std, self._settings.bias_g_std) ** 2
-            states.append(NavState(lla, velocity_n, quat, np.zeros(3), bias_g, P))
-        last = samples[-1]
-        return Start(tuple(states), now, np.concatenate((last["f"], last["w"])))
+            P[9:, 9:] = bias_P
+            if standing and P[14, 14] > bias_g_std**2:
+                bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
+                P[B_G, :] = P[:, B_G] = 0.0
+                P[B_G, B_G] = np.eye(3) * bias_g_std**2
+            states.append(NavState(lla, velocity_n, quat, bias_a, bias_g, P))
+        return Start(tuple(states), now, reading)
+
+    def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
+        """Biases and their covariance: none known, or those of before, which have moved since."""
+        settings = self._settings
+        variance = np.repeat([settings.bias_a_std**2, settings.bias_g_std**2], 3)
+        known = self._biases
+        if known is None:
+            return np.zeros(3), np.zeros(3), np.diag(variance)
+        age = abs(now - known.t_ns) * 1e-9
+        P = known.P + np.diag(age * np.repeat([BIAS_A_DRIFT**2, BIAS_G_DRIFT**2], 3))
+        if np.any(np.diag(P) > variance):
+            return np.zeros(3), np.zeros(3), np.diag(variance)
+        return known.accelerometer, known.gyroscope, P
 
     def _attitude(self, down_b: Array, yaw: float) -> Array:
         """Quaternion of C_nb now; a heading given for earlier is carried on by the gyroscopes."""

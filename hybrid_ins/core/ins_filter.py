@@ -46,6 +46,7 @@ NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: a longer step lacks samples
 SHORTEST_GAP = 0.025  # s
 UNSEEN_FORCE, UNSEEN_RATE = 0.2, 0.02  # m/s², rad/s: of a calm vehicle in a gap, unseen
+LARGEST_TURN = 0.2  # rad, of a step that the mechanisation's series take
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,9 +271,12 @@ class InsFilter:
     def _bridge(self, dt: float, reading: Array) -> None:
         """Step over missing samples; what may have happened there widens the covariance."""
         nav = self.nav
-        jump = np.abs(reading - np.concatenate((nav[LAST_F], nav[LAST_W])))
-        rate = np.linalg.norm(reading[3:])
-        propagation.step(nav, dt, *reading, self._interval)
+        last = np.concatenate((nav[LAST_F], nav[LAST_W]))
+        jump = np.abs(reading - last)
+        rate = float(np.linalg.norm(reading[3:]))
+        parts = 1 + int(dt * max(rate, float(np.linalg.norm(last[3:]))) / LARGEST_TURN)
+        line = last + np.linspace(0.0, 1.0, parts + 1)[1:, None] * (reading - last)
+        propagation.run(nav, np.full(parts, dt / parts), line, self._interval, NO_ROWS)
         propagation.flush(nav)
         unseen_f = UNSEEN_FORCE + 0.5 * jump[:3].max() + rate
         unseen_w = UNSEEN_RATE + 0.5 * jump[3:].max() + 0.2 * rate
@@ -304,6 +308,9 @@ class InsFilter:
         self.nav[PSD] = self.process.psd(self.noise.levels())
 
     def _fuse(self, measurement: Measurement) -> None:
+        if not np.isfinite(self.nav).all():
+            self.verdicts.append(Verdict.refused(measurement, "the state is lost"))
+            return
         z, H, R = measurement.linearise(self.nav)
         if measurement.aiding:
             R = R * self.noise.fix_factor

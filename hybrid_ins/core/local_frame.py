@@ -29,12 +29,14 @@ _SCRATCH = slice(15, 33)
 N_LOCAL = 33
 VELOCITY_ERROR_TIME = 1.0  # s, that an error of the velocity lives: from fix to fix
 HEADING_WALK = 1e-7  # rad²/s, of the yaw rate's error besides the bias: scale, noise
+LEAST_VARIANCE = 1e-6  # m², rad²: consumers invert covariances
 
 
 def start() -> Array:
     """Return the state before the first sample, shape (N_LOCAL,): odom's origin."""
     state = np.zeros(N_LOCAL)
     state[6] = 1.0
+    state[13:15] = LEAST_VARIANCE
     return state
 
 

@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Start, yaw_of
+from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, Start, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.health import Fault, find_fault
+from hybrid_ins.core.health import UNUSABLE, Fault, find_fault
 from hybrid_ins.core.hypotheses import YawBank
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange, NoiseEstimate
 from hybrid_ins.core.measurements import Measurement, Standstill
@@ -34,6 +34,7 @@ JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap, unseen
 HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried over a gap
+BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
 STAMP_FAULTS = {
@@ -111,6 +112,11 @@ class Navigator:
 
     def reset(self) -> None:
         """Forget everything but the counters, and align anew."""
+        self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the samples and the state."""
         self.ring.clear()
         self.last_ns = 0
         self._jumped_ns = self._jumps = 0
@@ -127,6 +133,8 @@ class Navigator:
         self._attempt_ns = self._look_ns = 0
         self._opened: deque[int] = deque(maxlen=REOPENINGS)
         self.alignment = Alignment(self._alignment_settings, self.ring)
+        if self._biases:
+            self.alignment.remember(self._biases[0])
 
     @property
     def state(self) -> str:
@@ -199,6 +207,7 @@ class Navigator:
             self.refusal = "imu: stamp jumps"
             return False
         if step < 0:
+            self._biases.clear()
             self._restart(f"the IMU's stamps went back by {-step * 1e-9:.1f} s")
         else:
             kept = self._heading_after(step * 1e-9)
@@ -219,7 +228,14 @@ class Navigator:
 
     def _restart(self, reason: str) -> None:
         self.counts[f"restart: {reason.split(' for ')[0].split(' by ')[0]}"] += 1
-        self.reset()
+        self._begin()
+        self._on_restart(reason)
+
+    def give_up(self, reason: str) -> None:
+        """Give up the state for a reason, and align anew."""
+        self.counts[f"restart: {reason.split(':')[0]}"] += 1
+        self.realign()
+        self.alignment.forget_parameter()
         self._on_restart(reason)
 
     def _attempt(self, t_ns: int) -> None:
@@ -285,6 +301,13 @@ class Navigator:
         samples = self.ring.after(t_ns - 1_000_000_000)
         span = t_ns - samples["t_ns"][0]
         self.fault = find_fault(samples)
+        if self.fault is not None and self.fault[0] in UNUSABLE:
+            fault = self.fault
+            self.give_up(f"the IMU is unusable: {fault[1]}")
+            self.fault = fault
+            return
+        if self.filter is not None and self.fault is None:
+            self._biases.append(Biases.of(self.filter.state, t_ns))
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
         if self.standing and self._zero_updates:
             (self.bank or running).submit(Standstill.of(samples))
@@ -298,10 +321,8 @@ class Navigator:
         speed = float(np.linalg.norm(self.filter.nav[VELOCITY]))
         if (len(self._opened) == REOPENINGS and t_ns - self._opened[0] < REOPENING_NS
                 and speed > 1.0):
-            self.counts["restart: the state did not fit the fixes"] += 1
-            self.realign()
-            self.alignment.forget_parameter()
-            self._on_restart("the state did not fit the fixes, time and again")
+            self._biases.clear()
+            self.give_up("the state did not fit the fixes: it was opened time and again")
 
     def change_noise(self, event: NoiseEstimate | NoiseChange) -> None:
         """Take a regressor's estimate or another noise model."""
