@@ -19,6 +19,8 @@ from hybrid_ins.core.measurements import Measurement
 
 Array = NDArray[np.float64]
 
+UNSEEN_ACCELERATION = 10.0  # m/s², the most that an INS mistakes: a tilt unknown altogether
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -45,6 +47,9 @@ class Verdict:
         Logarithm of the determinant of the innovation's covariance.
     reset : bool
         The state was opened for this measurement, see `Gate`.
+    jump : bool
+        It is refused, and belongs to a run of refusals that began with a jump: no error of an
+        INS grows that fast.
     """
 
     measurement: Measurement
@@ -56,6 +61,7 @@ class Verdict:
     sigma: Array
     log_det: float = 0.0
     reset: bool = False
+    jump: bool = False
 
     @classmethod
     def refused(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
@@ -70,6 +76,7 @@ class _Refusals:
     first_ns: int
     agreeing_ns: int  # since when they agree
     z: Array  # innovation of the last
+    jump: bool  # the first came out of the blue
 
 
 class Gate:
@@ -100,9 +107,14 @@ class Gate:
         return twin
 
     def judge(
-        self, measurement: Measurement, z: Array, R: Array, S: Array, nis: float, age: float
+        self, measurement: Measurement, z: Array, R: Array, S: Array, nis: float, age: float,
+        interval: float = np.inf,
     ) -> Verdict:
-        """Decide by the innovation z (m,), its NIS, and the covariances R and S, (m, m)."""
+        """
+        Decide by the innovation z (m,), its NIS, and the covariances R and S, (m, m).
+
+        ``interval`` is the time since the last correction [s].
+        """
         threshold = self._thresholds[len(R)]
         sigma = np.sqrt(np.diag(R))
         log_det = float(np.linalg.slogdet(S)[1])
@@ -113,18 +125,25 @@ class Gate:
         last = self._refusals.get(kind)
         first_ns = last.first_ns if last else t_ns
         agreeing_ns = last.agreeing_ns if last and _agree(last.z, z, R) else t_ns
+        jump = last.jump if last else _jumps(kind, z, R, interval)
         if not measurement.aiding or (
                 t_ns - agreeing_ns < self._patience_ns
                 and t_ns - first_ns < 3 * self._patience_ns):
-            self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z)
+            self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z, jump)
             return Verdict(
                 measurement, False, "innovation beyond the gate", age, nis, threshold, sigma,
-                log_det)
+                log_det, jump=jump)
         self._refusals.pop(kind, None)
         return Verdict(
             measurement, True,
             f"refused for {(t_ns - first_ns) * 1e-9:.1f} s: state opened to the measurement",
             age, nis, threshold, sigma, log_det, reset=True)
+
+
+def _jumps(kind: str, z: Array, R: Array, interval: float) -> bool:
+    """Tell whether an innovation is larger than an unseen acceleration could have made it."""
+    grown = UNSEEN_ACCELERATION * interval * (0.5 * interval if kind == "position" else 1.0)
+    return float(np.linalg.norm(z)) > grown + 5.0 * float(np.sqrt(np.trace(R)))
 
 
 def _agree(last: Array, z: Array, R: Array) -> bool:

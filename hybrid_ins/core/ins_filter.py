@@ -315,10 +315,10 @@ class InsFilter:
         if measurement.aiding:
             R = R * self.noise.fix_factor
         S, nis = innovation(self.nav, z, H, R)
-        verdict = self.gate.judge(measurement, z, R, S, nis, self.age(measurement))
+        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
+        verdict = self.gate.judge(measurement, z, R, S, nis, self.age(measurement), interval)
         self.verdicts.append(verdict)
         before = self.nav.copy()
-        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
         dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
         if verdict.accepted:
             if verdict.reset:
@@ -328,6 +328,10 @@ class InsFilter:
             return
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
+        if verdict.reset:
+            self.noise.forget()
+        if verdict.reset or verdict.jump:
+            return
         C_nb = matrix_from_quat(self.nav[QUAT])
         reseat = self.noise.learn(Correction(
             measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted))

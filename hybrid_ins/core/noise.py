@@ -89,6 +89,10 @@ class Scale(Protocol):
         """Take a correction into account, given Qc's diagonal (12,) at factor 1."""
         ...
 
+    def forget(self) -> None:
+        """See `NoiseModel.forget`."""
+        ...
+
 
 class NoiseModel(Protocol):
     """Levels before a prediction, learn after a correction. Copied for every rewind point."""
@@ -113,6 +117,10 @@ class NoiseModel(Protocol):
 
     def learn(self, correction: Correction) -> Reseat | None:
         """Take a correction into account; may say where the state belongs instead."""
+        ...
+
+    def forget(self) -> None:
+        """Drop what refers to the present state: it is moved for another reason than noise."""
         ...
 
 
@@ -175,6 +183,9 @@ class ConstantNoise:
     def learn(self, correction: Correction) -> None:
         """Ignore the correction."""
 
+    def forget(self) -> None:
+        """See `NoiseModel.forget`."""
+
 
 class LearnedNoise:
     """
@@ -213,6 +224,9 @@ class LearnedNoise:
 
     def learn(self, correction: Correction) -> None:
         """Ignore the correction."""
+
+    def forget(self) -> None:
+        """See `NoiseModel.forget`."""
 
 
 class InnovationNoise:
@@ -273,6 +287,10 @@ class InnovationNoise:
             for block in (DV, EPS)])
         self._q = np.maximum(self._process.q(density), self._floor)
 
+    def forget(self) -> None:
+        """See `NoiseModel.forget`."""
+        self._innovations = ()
+
 
 class ScaledNoise:
     """
@@ -319,3 +337,8 @@ class ScaledNoise:
         """See `NoiseModel.learn`."""
         self.inner.learn(correction)
         return self.scale.learn(correction, self._process.psd(self.inner.levels()))
+
+    def forget(self) -> None:
+        """See `NoiseModel.forget`."""
+        self.inner.forget()
+        self.scale.forget()

@@ -75,6 +75,10 @@ class NoiseScale:
         """Factor on the fixes' covariance, 1 to 10⁴: receivers claim too much, too."""
         return self._gnss
 
+    def forget(self) -> None:
+        """Begin the hypotheses anew at the next correction; their evidence stays."""
+        self._P = None
+
     def learn(self, correction: Correction, psd: Array) -> Reseat | None:
         """
         Take a correction, or a measurement that was refused, into account.
