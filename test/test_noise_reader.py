@@ -19,7 +19,8 @@ from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.noise_reader import NoiseReader, load_regressor
-from hybrid_ins.offline.bags import new_message
+from hybrid_ins.offline import replay, simulation
+from hybrid_ins.offline.bags import BagReader, new_message
 from hybrid_ins.regressor import SpectralRegressor
 
 Array = NDArray[np.float64]
@@ -429,3 +430,31 @@ def test_an_unusable_model_at_run_time_is_one_line_and_learning_goes_on(tmp_path
 def test_an_impossible_mode_is_refused_before_anything_changes() -> None:
     with pytest.raises(InputError, match=r"noise\.mode"):
         parameters.check_change(parameters.defaults(), {"noise.mode": "guess"})
+
+
+# --- On recordings -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "run.mcap"
+    assert simulation.main([str(path), "--duration", "12", "--imu-rate", "200"]) == 0
+    return path
+
+
+@pytest.mark.parametrize("content", [None, b"no model\n" * 1000])
+def test_a_replay_goes_on_without_its_model_and_says_so(
+    recording: Path, tmp_path: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, out = tmp_path / "model.onnx", tmp_path / "out.mcap"
+    if content is not None:
+        model.write_bytes(content)
+    assert replay.main([str(recording), str(out), "-p", f"noise.model:={model}"]) == 0
+
+    said = [line for line in capsys.readouterr().err.splitlines() if "noise.model" in line]
+    assert len(said) == 1
+    assert str(model) in said[0] and "spectral estimator takes its place" in said[0]
+    with BagReader(out) as bag:
+        last = [message for _, _, message in bag.messages("/diagnostics")][-1]
+    noise = next(status for status in last.status if "noise" in status.name)
+    assert {v.key: v.value for v in noise.values}["source"] == "learned (spectral)"
