@@ -265,7 +265,7 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
     Returns
     -------
     ndarray, shape (N,)
-        Fields `seconds`, `nanoseconds`, `orientation_xyzw` (4,), `orientation_covariance` (9,),
+        Fields `seconds`, `nanoseconds`, `name`, `orientation_xyzw` (4,), `orientation_covariance` (9,),
         `angular_rate` (3,), `angular_rate_covariance` (9,), `specific_force` (3,),
         `specific_force_covariance` (9,).
 
@@ -284,6 +284,7 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
         ("seconds", "<i4", 4),
         ("nanoseconds", "<u4", 8),
         ("length", "<u4", 12),
+        ("name", f"S{length}", _HEADER_SIZE),
         ("orientation_xyzw", ("<f8", 4), start),
         ("orientation_covariance", ("<f8", 9), start + 32),
         ("angular_rate", ("<f8", 3), start + 104),

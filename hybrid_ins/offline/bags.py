@@ -60,7 +60,17 @@ class ImuTable:
     angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
     orientation_xyzw: NDArray[np.float64]  # (N, 4) in ENU; zeros where the message has none
     has_reading: NDArray[np.bool_]  # (N,) false where a covariance[0] of -1 says there is none
-    frame_id: str  # of the last message
+    frames: tuple[tuple[int, str], ...]  # row from which on each frame_id holds
+
+    @property
+    def frame_id(self) -> str:
+        """The first message's; empty where there is none."""
+        return self.frames[0][1] if self.frames else ""
+
+
+def _changes(names: NDArray[np.bytes_]) -> list[int]:
+    """Rows whose name differs from the one before, and the first."""
+    return [0, *(1 + np.flatnonzero(names[1:] != names[:-1])).tolist()]
 
 
 def is_standard(type_name: str) -> bool:
@@ -235,7 +245,8 @@ class BagReader:
                      table["orientation_xyzw"]),
             (table["angular_rate_covariance"][:, 0] != -1.0)
             & (table["specific_force_covariance"][:, 0] != -1.0),
-            ImuDecoder().decode(records[-1][2]).frame_id,
+            tuple((row, table["name"][row].decode(errors="replace")) for row in _changes(
+                table["name"])),
         )
 
     def _imu_one_by_one(self, records: list[Record], log_ns: NDArray[np.int64]) -> ImuTable:
@@ -245,19 +256,21 @@ class BagReader:
         vectors = np.empty((2, len(records), 3))
         orientation = np.zeros((len(records), 4))
         has_reading = np.ones(len(records), bool)
-        frame_id = ""
+        frames: list[tuple[int, str]] = []
         for row, record in enumerate(records):
             try:
                 imu = decoder.decode(record[2])
             except ValueError:
                 imu = imu_fields(self._decoded(*record))
-            stamps[row], frame_id = imu.stamp_ns, imu.frame_id
+            stamps[row] = imu.stamp_ns
+            if not frames or frames[-1][1] != imu.frame_id:
+                frames.append((row, imu.frame_id))
             vectors[:, row] = imu.specific_force, imu.angular_rate
             if imu.orientation_cov0 != -1.0:
                 orientation[row] = imu.orientation_xyzw
             has_reading[row] = -1.0 not in (imu.specific_force_cov0, imu.angular_rate_cov0)
         return ImuTable(
-            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, frame_id)
+            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, tuple(frames))
 
     def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
         wanted = {_absolute(topic) for topic in topics} or self.topics.keys()

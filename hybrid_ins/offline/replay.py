@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -84,8 +85,7 @@ def replay(
         handlers["/initialpose"] = lambda message, _: estimator.initial_pose(message)
     if bag.topics.get("/tf_static") == TRANSFORMS:
         handlers["/tf_static"] = lambda message, _: estimator.static_transforms(message)
-    if len(order):
-        estimator.take_frame("imu/data", imu.frame_id)
+    frames = deque(imu.frames)
 
     def flush(log_ns: int) -> None:
         while estimator.outbox:
@@ -93,6 +93,12 @@ def replay(
             out.write_raw("/" + topic.lstrip("/"), OUTPUTS[topic], data, log_ns)
 
     def run(stretch: slice) -> None:
+        while frames and frames[0][0] < stretch.stop:
+            row, name = frames.popleft()
+            if row > stretch.start:
+                run(slice(stretch.start, row))
+            estimator.take_frame("imu/data", name)
+            stretch = slice(row, stretch.stop)
         rows = order[stretch]
         for _ in range(len(rows) - np.count_nonzero(imu.has_reading[stretch])):
             estimator.imu_without_reading()
