@@ -154,18 +154,20 @@ class StampedEncoder:
         self._pack_stamp(self._buffer, 8, *divmod(stamp_ns, 1_000_000_000))
         return bytes(self._message)
 
-    def messages(self, stamp_ns: NDArray[np.int64], values: NDArray[np.float64]) -> list[bytes]:
-        """Serialise many: stamps (N,) [ns] and values (N, count); the prepared message stays."""
+    def messages(
+        self, stamp_ns: NDArray[np.int64], values: NDArray[np.float64]
+    ) -> NDArray[np.uint8]:
+        """Serialise many, one a row: stamps (N,) [ns] and values (N, count)."""
         size, count = len(self._message), len(self.values)
         start = self.values.ctypes.data - np.frombuffer(self._message, np.uint8).ctypes.data
         layout = np.dtype({
             "names": ["seconds", "nanoseconds", "values"],
             "formats": ["<i4", "<u4", ("<f8", count)], "offsets": [4, 8, start], "itemsize": size})
-        rows = np.frombuffer(bytearray(self._message) * len(stamp_ns), layout)
-        rows["seconds"], rows["nanoseconds"] = np.divmod(stamp_ns, 1_000_000_000)
-        rows["values"] = values
-        data = rows.tobytes()
-        return [data[k : k + size] for k in range(0, len(data), size)]
+        rows = np.tile(np.frombuffer(self._message, np.uint8), (len(stamp_ns), 1))
+        fields = rows.view(layout)[:, 0]
+        fields["seconds"], fields["nanoseconds"] = np.divmod(stamp_ns, 1_000_000_000)
+        fields["values"] = values
+        return rows
 
 
 class OdometryEncoder(StampedEncoder):
@@ -265,8 +267,8 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
     Returns
     -------
     ndarray, shape (N,)
-        Fields `seconds`, `nanoseconds`, `name`, `orientation_xyzw` (4,), `orientation_covariance` (9,),
-        `angular_rate` (3,), `angular_rate_covariance` (9,), `specific_force` (3,),
+        Fields `seconds`, `nanoseconds`, `name`, `orientation_xyzw` (4,), `orientation_covariance`
+        (9,), `angular_rate` (3,), `angular_rate_covariance` (9,), `specific_force` (3,),
         `specific_force_covariance` (9,).
 
     Raises

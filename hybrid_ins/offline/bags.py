@@ -368,8 +368,20 @@ class BagWriter:
         """Append a serialised (CDR) message of a standard type; otherwise like `write`."""
         number = self._numbers.get((topic, type_name))
         if number is None:
-            number = self._numbers[topic, type_name] = self._number(_absolute(topic), type_name)
+            number = self._new_number(topic, type_name)
         self._writer.write(number, log_ns, data)
+
+    def write_rows(
+        self, topic: str, type_name: str, rows: NDArray[np.uint8], log_ns: NDArray[np.int64]
+    ) -> None:
+        """Append many serialised messages of one size: bytes (N, size), log times (N,)."""
+        if len(rows):
+            number = self._numbers.get((topic, type_name)) or self._new_number(topic, type_name)
+            self._writer.write_rows(number, log_ns, rows)
+
+    def _new_number(self, topic: str, type_name: str) -> int:
+        number = self._numbers[topic, type_name] = self._number(_absolute(topic), type_name)
+        return number
 
     def _number(self, topic: str, type_name: str) -> int:
         for (known_topic, known_type), number in self._numbers.items():

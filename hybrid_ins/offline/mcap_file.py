@@ -28,6 +28,9 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hybrid_ins.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -66,6 +69,17 @@ _LOG_TIME = itemgetter(0)
 class _Chunk(NamedTuple):
     start_ns: int
     offset: int  # of its record in the file; 0 stands for all messages outside of chunks
+
+
+class _Block(NamedTuple):
+    """Messages of one channel and size, as their records lie in a chunk."""
+
+    channel: int
+    first_ns: int
+    last_ns: int
+    times: bytes  # log times, 64 bits each
+    size: int  # of a record
+    records: bytes
 
 
 class _DamageError(Exception):
@@ -286,7 +300,7 @@ class McapWriter:
         self._definitions = bytearray()  # schemas and channels, repeated in the summary
         self._undefined = bytearray()  # those of them that are in no chunk yet
         self._chunk_indexes: list[bytes] = []
-        self._pending: list[tuple[int, int, bytes]] = []
+        self._pending: list[_Block] = []
         self._pending_size = 0
         self._file = path.open("xb", buffering=0)  # an interrupted write leaves nothing behind
         self._end = 0
@@ -341,8 +355,34 @@ class McapWriter:
         """Append a message; it reaches the disk with its chunk."""
         if log_ns < 0:
             raise ValueError(f"log time {log_ns} ns lies before the epoch")
-        self._pending.append((channel, log_ns, data))
-        self._pending_size += len(data)
+        size = _MESSAGE_HEAD.size + len(data)
+        head = _MESSAGE_HEAD.pack(_MESSAGE, size - _RECORD.size, channel, 0, log_ns, log_ns)
+        self._append(_Block(channel, log_ns, log_ns, _U64.pack(log_ns), size, head + data))
+
+    def write_rows(self, channel: int, log_ns: NDArray[np.int64], rows: NDArray[np.uint8]) -> None:
+        """Append many messages of one size: log times (N,) and their bytes, a row each."""
+        head = np.dtype({
+            "names": ["opcode", "length", "channel", "log_ns", "publish_ns", "data"],
+            "formats": ["u1", "<u8", "<u2", "<u8", "<u8", (np.uint8, rows.shape[1])],
+            "offsets": [0, 1, 9, 15, 23, _MESSAGE_HEAD.size],
+            "itemsize": _MESSAGE_HEAD.size + rows.shape[1]})
+        most = max(1, _CHUNK_SIZE // head.itemsize)
+        for start in range(0, len(rows), most):
+            times = log_ns[start : start + most]
+            if times.min() < 0:
+                raise ValueError(f"log time {times.min()} ns lies before the epoch")
+            records = np.zeros(len(times), head)
+            records["opcode"], records["length"] = _MESSAGE, head.itemsize - _RECORD.size
+            records["channel"] = channel
+            records["log_ns"] = records["publish_ns"] = times
+            records["data"] = rows[start : start + most]
+            self._append(_Block(
+                channel, int(times.min()), int(times.max()), times.astype("<u8").tobytes(),
+                head.itemsize, records.tobytes()))
+
+    def _append(self, block: _Block) -> None:
+        self._pending.append(block)
+        self._pending_size += len(block.records)
         if self._pending_size > _CHUNK_SIZE:
             self.flush()
 
@@ -350,19 +390,17 @@ class McapWriter:
         """Write what is pending as one chunk."""
         if not self._pending:
             return
-        parts: list[bytes] = [bytes(self._undefined)]
         offset = len(self._undefined)
-        places: dict[int, list[int]] = {}
-        pack = _MESSAGE_HEAD.pack
-        for channel, log_ns, data in self._pending:
-            size = len(data)
-            parts.append(pack(_MESSAGE, _MESSAGE_HEAD.size - 9 + size, channel, 0, log_ns, log_ns))
-            parts.append(data)
-            places.setdefault(channel, []).extend((log_ns, offset))
-            offset += _MESSAGE_HEAD.size + size
-        content = b"".join(parts)
-        times = [message[1] for message in self._pending]
-        first_ns, last_ns = min(times), max(times)
+        times: dict[int, list[bytes]] = {}
+        offsets_of: dict[int, list[int]] = {}
+        for block in self._pending:
+            times.setdefault(block.channel, []).append(block.times)
+            end = offset + len(block.records)
+            offsets_of.setdefault(block.channel, []).extend(range(offset, end, block.size))
+            offset = end
+        content = b"".join([self._undefined, *(block.records for block in self._pending)])
+        first_ns = min(block.first_ns for block in self._pending)
+        last_ns = max(block.last_ns for block in self._pending)
         compression = _prefixed(b"") + _U64.pack(len(content))
         chunk = _record(
             _CHUNK,
@@ -370,10 +408,11 @@ class McapWriter:
             content,
         )
         indexes, offsets = bytearray(), bytearray()
-        for channel, pairs in places.items():
+        for channel, places in offsets_of.items():
             offsets += struct.pack("<HQ", channel, self._end + len(chunk) + len(indexes))
-            packed = struct.pack(f"<{len(pairs)}Q", *pairs)
-            indexes += _record(_MESSAGE_INDEX, _U16.pack(channel) + _prefixed(packed))
+            pairs = np.stack((np.frombuffer(b"".join(times[channel]), "<u8"),
+                              np.array(places, "<u8")), axis=1)
+            indexes += _record(_MESSAGE_INDEX, _U16.pack(channel) + _prefixed(pairs.tobytes()))
         entry = _record(
             _CHUNK_INDEX,
             _CHUNK_INDEX_HEAD.pack(first_ns, last_ns, self._end, len(chunk), len(offsets))
@@ -386,8 +425,8 @@ class McapWriter:
 
         self.start_ns = first_ns if not self._chunk_indexes else min(self.start_ns, first_ns)
         self.end_ns = max(self.end_ns, last_ns)
-        for channel, pairs in places.items():
-            self.counts[channel] += len(pairs) // 2
+        for channel, places in offsets_of.items():
+            self.counts[channel] += len(places)
         self._chunk_indexes.append(entry)
         self._end += len(chunk) + len(indexes)
         self._undefined.clear()

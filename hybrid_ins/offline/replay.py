@@ -144,9 +144,8 @@ class _OdometryWriter:
         if self._period_ns:
             due = [k for k, t_ns in enumerate(stamps.tolist()) if self._is_due(t_ns)]
             stamps, values = stamps[due], values[due]
-        messages = self._encoder.messages(stamps, values)
-        for t_ns, data in zip(stamps.tolist(), messages, strict=True):
-            self._out.write_raw(self._topic, OUTPUTS["odometry"], data, t_ns)
+        rows = self._encoder.messages(stamps, values)
+        self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps)
 
     def _is_due(self, t_ns: int) -> bool:
         if self._next_ns - self._period_ns <= t_ns < self._next_ns:
