@@ -16,12 +16,15 @@ from typing import NoReturn
 
 from processes import Processes, isolated_ros, program
 
-from hybrid_ins.offline.bags import BagReader
+from hybrid_ins.core.compilation import is_compiled
 from hybrid_ins.resources import share_path
 
 LOG_LINES = 12  # of the node, shown when it fails
-ALIGNMENT_NS = 1_000_000_000  # into the flight
-PATIENCE = 600.0  # s, for the node to compile its filter on its first start; seconds as a rule
+PATIENCE = 60.0  # s, for the node to come up
+COMPILE = (
+    "from hybrid_ins import estimator; from hybrid_ins.offline.bags import new_message; "
+    "estimator.warm_up(new_message)"
+)
 
 
 class Failed(Exception):
@@ -50,9 +53,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Read the options."""
     parser = argparse.ArgumentParser(
         prog="tools/demo.sh",
-        description="Play a flight into ins_node over DDS, record what it publishes, and score "
-        "it against the truth. Without --flight the flight is simulated: 60 s of a quadrotor "
-        "with a 1 kHz MPU-9250 and a 5 Hz GNSS receiver.",
+        description="Play a flight into ins_node over DDS, record what it publishes, and score\n"
+        "it against the truth. Without --flight the flight is simulated: 60 s of a quadrotor\n"
+        "with a 1 kHz MPU-9250 and a 5 Hz GNSS receiver. A recorded one is calibrated first.",
         epilog="example:\n  tools/demo.sh --flight ../shared/data/quadrotor/Horizontal/path_4",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -65,9 +68,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--time-offset",
         type=float,
-        default=0.0,
         metavar="S",
-        help="IMU clock minus the flight's reference clock [%(default)g]",
+        help="IMU clock minus the flight's reference clock; given, nothing is calibrated",
     )
     parser.add_argument(
         "--params-file",
@@ -85,6 +87,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         "--seed", type=int, default=0, metavar="N", help="of all simulated noise [%(default)s]"
     )
     args = parser.parse_args(argv)
+    if args.time_offset is not None and not math.isfinite(args.time_offset):
+        parser.error(f"--time-offset {args.time_offset}: no finite number")
     if args.flight and not args.flight.is_dir():
         parser.error(f"--flight {args.flight}: no such folder")
     args.params_file = args.params_file or share_path("config/default.yaml")
@@ -102,22 +106,28 @@ def fly(args: argparse.Namespace, processes: Processes) -> None:
     for earlier in (flight, estimate):
         clear(earlier)
 
+    compiling = None if is_compiled() else processes.start([sys.executable, "-c", COMPILE])
+    parameters = args.params_file
     if args.flight:
         step(1, f"convert {args.flight}")
-        offset = ["--time-offset", args.time_offset]
+        offset = ["--time-offset", args.time_offset or 0.0]
         run("ins_convert", args.flight, flight, "--imu", args.imu, "--seed", args.seed, *offset)
+        if args.time_offset is None:
+            print("calibrate: clock offset, where the IMU is, noise", flush=True)
+            parameters = args.out / "calibrated.yaml"
+            known = ["--params-file", args.params_file, "--out", parameters, "--overwrite"]
+            run("ins_calibrate", flight, *known)
     else:
         step(1, "simulate a flight")
         run("ins_simulate", flight, "--seed", args.seed)
+    if compiling is not None and compiling.poll() is None:
+        print("compile the filter: once, the machine code is kept", flush=True)
+        compiling.wait()
 
     step(2, f"play it into ins_node, at {args.rate:g} times real time")
-    overrides = [
-        *("-p", "alignment.heading_source:=parameter"),
-        *("-p", f"alignment.yaw:={first_heading(flight):.6f}"),
-    ]
-    ros = ["--ros-args", "--params-file", args.params_file, *overrides]
     with log.open("w") as output:
-        node = processes.start([program("ins_node"), *ros], output)
+        ros = ["--ros-args", "--params-file", parameters]
+        node = processes.start([program("ins_node"), *map(str, ros)], output)
     play = ["--record", estimate, "--rate", args.rate, "--wait", PATIENCE]
     player = processes.start([program("ins_play"), flight, *map(str, play)])
     while player.poll() is None:
@@ -154,16 +164,6 @@ def run(name: str, *options: object) -> None:
     status = subprocess.run([program(name), *map(str, options)], check=False).returncode
     if status:
         raise Failed(f"{name} failed with status {status}")
-
-
-def first_heading(flight: Path) -> float:
-    """Return the true heading [rad, 0 east, counter-clockwise] when the filter aligns."""
-    with BagReader(flight) as bag:
-        for _, log_ns, message in bag.messages("/truth/odometry"):
-            if log_ns >= bag.start_ns + ALIGNMENT_NS:
-                q = message.pose.pose.orientation
-                return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-    raise Failed(f"{flight}: too short, its truth ends before the filter can align")
 
 
 def last_words(log: Path) -> str:

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Set up, then fly: a flight through the live node over DDS, and how well it did.
 #
-#   tools/demo.sh                                    a simulated 60 s quadrotor flight
-#   tools/demo.sh --flight FOLDER --time-offset 0.2  a recorded one of the quadrotor dataset
-#   tools/demo.sh --help                             all options
+#   tools/demo.sh                    a simulated 60 s quadrotor flight
+#   tools/demo.sh --flight FOLDER    a recorded one of the quadrotor dataset, calibrated first
+#   tools/demo.sh --help             all options
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
