@@ -30,7 +30,9 @@ from hybrid_ins.core.noise import (
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
+    ScaledNoise,
 )
+from hybrid_ins.core.noise_scale import NoiseScale
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_NAV
 from hybrid_ins.noise_reader import NoiseReader
@@ -121,6 +123,8 @@ class Estimator:
             (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3)
         if mode in PAPER_CONSTANTS:
             return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
+        if mode == "learned" and self.values["noise.innovation_scale"]:
+            return ScaledNoise(LearnedNoise(constant), process, NoiseScale())
         if mode == "learned":
             return LearnedNoise(constant)
         if mode in ("innovation", "innovation_literal"):
@@ -589,10 +593,18 @@ class Estimator:
             source = f"learned ({reader.regressor.name})"
         levels = running.noise.levels() if running else np.full(6, np.nan)
         text = f"source: {source}"
+        factors = _factors(running.noise) if running else {}
+        if max(factors.get("factor_accelerometer", 1.0), factors.get("factor_gyroscope", 1.0)) > 3:
+            text += ("; the IMU disagrees with GNSS by more than its noise: check clock offset, "
+                     "mount, lever arm")
+        if factors.get("factor_fixes", 1.0) > 3.0:
+            text += ("; fixes scatter by more than they claim: check the receiver, "
+                     "gnss.position_std_min")
         if reader is not None and reader.fault and running is not None:
             text += f"; last estimate refused: {reader.fault}"
-        return conversions.status("process noise", int(source == "fallback"), text, {
-            "source": source, "mode": self.values["noise.mode"],
+        level = int(source == "fallback" or max(factors.values(), default=1.0) > 3.0)
+        return conversions.status("process noise", level, text, {
+            "source": source, "mode": self.values["noise.mode"], **factors,
             **({f"refused: {why}": n for why, n in sorted(reader.refusals.items())}
                if reader is not None else {}),
             **{f"q_{channel}": float(value) for channel, value in zip(
@@ -602,6 +614,15 @@ class Estimator:
         """Return a line on what was fused and what was not."""
         refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.counts.items()))
         return f"{self.fixes_fused} fixes fused" + (f"; {refused}" if refused else "")
+
+
+def _factors(noise: NoiseModel) -> dict[str, float]:
+    """What the innovations multiply the noise by; empty where they do not."""
+    if not isinstance(noise, ScaledNoise):
+        return {}
+    accelerometer, gyroscope = noise.scale.scale()
+    return {"factor_accelerometer": accelerometer, "factor_gyroscope": gyroscope,
+            "factor_fixes": noise.fix_factor}
 
 
 def warm_up(new_message: NewMessage) -> None:

@@ -35,9 +35,11 @@ from hybrid_ins.core.state import DV, LLA, N_ERROR, QUAT, VELOCITY, covariance
 Array = NDArray[np.float64]
 
 DECADES = np.array([0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
-RATE_DECADES = np.array([0.0, 2.0, 4.0])  # on the gyroscope's
-GNSS_DECADES = np.array([0.0, 1.0, 2.0, 4.0])  # on R
-COST = (1.5, 3.0, 3.0)  # nats that a decade must be worth: the model is right until shown wrong
+RATE_DECADES = np.array([0.0, 3.0])  # on the gyroscope's
+GNSS_DECADES = np.array([0.0, 0.7, 1.5, 3.0])  # on R
+LEAVING = 2.0  # nats that a factor other than 1 must be worth: the model is right until shown wrong
+COST = (1.0, 1.0, 2.0)  # and each of its decades
+MARGIN = 0.1  # decades that are not told from none
 MEMORY = 20.0  # s over which the likelihood is remembered
 TAIL = 6.0  # degrees of freedom of an innovation, [2]_
 RESEAT = 3.0  # rise of a factor
@@ -45,7 +47,8 @@ LONGEST = 60.0  # s without a fix after which the hypotheses begin anew
 
 _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
-_PRIOR = -(COST[0] * _A + COST[1] * _G + COST[2] * _R)
+_PRIOR = -sum((LEAVING * (grid > 0.0) + cost * grid
+               for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
 _FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R), axis=1)
 
 
@@ -68,11 +71,11 @@ class NoiseScale:
         self._gnss = 1.0
 
     def scale(self) -> tuple[float, float]:
-        """Factors on the noise variances of accelerometer and gyroscope, 1 to 10⁴."""
+        """Factors on the noise variances of accelerometer and gyroscope, 1 to 10⁴ and 10³."""
         return self._scale
 
     def gnss(self) -> float:
-        """Factor on the fixes' covariance, 1 to 10⁴: receivers claim too much, too."""
+        """Factor on the fixes' covariance, 1 to 10³: receivers claim too much, too."""
         return self._gnss
 
     def forget(self) -> None:
@@ -121,7 +124,7 @@ class NoiseScale:
         posterior = self._evidence + _PRIOR
         weights = np.exp(posterior - np.max(posterior))
         weights /= np.sum(weights)
-        a, g, r = (float(10.0 ** (weights @ decades)) for decades in (_A, _G, _R))
+        a, g, r = (10.0 ** max(0.0, float(weights @ decades) - MARGIN) for decades in (_A, _G, _R))
         self._scale, self._gnss = (a, g), r
         factors = np.array([a, g, r])
         risen = np.max(factors / self._seated)
