@@ -25,7 +25,7 @@ import regressor_card
 import regressor_networks as networks
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import noise_data, program
+from hybrid_ins.offline import noise_data, options, program
 from hybrid_ins.regressor import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
 
 Loss = Callable[[Sequence[Tensor]], Tensor]
@@ -58,7 +58,7 @@ noise with that plateau, at the window's end: what navigation integrates. For wh
 the variance. Vibration tones, steps, manoeuvres and bias do not count.
 
 Inside the graph: centre, divide by the largest magnitude, energies of fixed unit-gain bands (DCT
-under several tapers and trend removals, the window's last half and quarter, differences over
+under two tapers and three trend removals, the window's last half and quarter, differences over
 tenths of it), and a small network that sees only ratios of these energies and answers with their
 weights and one factor. So the model is offset-invariant and scale-equivariant whatever its
 weights.
@@ -71,13 +71,16 @@ Trained on synthetic windows only (`hybrid_ins.offline.noise_data.randomised_set
 paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
 repeated samples, clipping, quantisation.
 
-**Limits.** Noise whose floor hides between motion and vibration without a gap cannot be seen.
+**Limits.** Noise whose floor hides between motion and vibration without a gap cannot be seen:
+trains of pulses (an engine's strokes), jumps that come every few samples and strong random
+resonances are taken for noise, which errs on the cautious side (tables below).
 Repeated samples are undone: the estimate is that of the readings before repetition. A window that
 ends less than about 20 samples after a change of level shows the old level. Floor the result at
 LSB²/12."""
 
 
 TEXTS = {"plateau": PLATEAU_TEXT, "paper": PAPER_TEXT, "spectral": SPECTRAL_TEXT}
+SHORTEST = {"plateau": 100, "paper": 50, "spectral": 100}  # samples in a window
 
 
 class Recipe(NamedTuple):
@@ -322,11 +325,15 @@ needs: pip install torch onnx onnxruntime scipy tqdm""",
     parser.add_argument("--model", choices=tuple(TEXTS), required=True)
     parser.add_argument("--name", help="name of the files (default: as --model)")
     parser.add_argument("--out", default="models", help="folder to write to (default: models)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--window", type=int, default=200, help="samples N in a window")
-    parser.add_argument("--windows", type=int, help="windows to train on (plateau)")
-    parser.add_argument("--epochs", type=int)
-    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--seed", type=options.count, default=1, help="[1]")
+    parser.add_argument(
+        "--window", type=options.count, default=200, help="samples N in a window [200]"
+    )
+    parser.add_argument(
+        "--windows", type=options.count, help="windows to train on (plateau) [3000000]"
+    )
+    parser.add_argument("--epochs", type=options.count, help="[10 plateau, 30 paper]")
+    parser.add_argument("--threads", type=options.count, default=1, help="[1]")
     parser.add_argument(
         "--leave-one-out",
         action="store_true",
@@ -353,6 +360,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if args.model != "plateau" and args.background:
         _parser().error("--background is for --model plateau")
+    if args.window < SHORTEST[args.model]:
+        _parser().error(f"--window: --model {args.model} needs {SHORTEST[args.model]} samples")
+    if args.threads < 1:
+        _parser().error("--threads: at least 1")
     return program.run(train, args)
 
 
