@@ -35,6 +35,8 @@ def test_every_method_has_its_row_in_every_scenario(report: tuple[Path, str]) ->
     for part in navigation:
         for method in evaluate_paper.METHODS:
             assert f"\n| {method.name} | " in part
+    printed = [part for part in navigation if "\n| AQ1 literal | " in part]
+    assert len(printed) == 2
 
 
 def test_quick_figures_are_marked_as_such(report: tuple[Path, str]) -> None:
