@@ -337,11 +337,14 @@ def _ros_parameters(path: Path, content: object) -> dict[str, object]:
     return merged
 
 
-def to_yaml(values: Mapping[str, Value], heading: str) -> str:
+def to_yaml(
+    values: Mapping[str, Value], heading: str, notes: Mapping[str, str] | None = None
+) -> str:
     """
     Return a parameter file with every one of ``values`` and its meaning.
 
-    ``heading`` is the comment at the top. `load_file` reads the result back.
+    ``heading`` is the comment at the top, ``notes`` are further comments on some of the values.
+    `load_file` reads the result back.
     """
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     lines += ["/**:", "  ros__parameters:"]
@@ -352,7 +355,7 @@ def to_yaml(values: Mapping[str, Value], heading: str) -> str:
         *path, last = name.split(".")
         for depth, part in enumerate(path):
             if path[: depth + 1] != group[: depth + 1]:
-                lines += [""] if depth == 0 else []
+                lines += [""] if depth == 0 and not lines[-1].endswith("parameters:") else []
                 lines.append("    " + "  " * depth + f"{part}:")
         group = path
         indent = "    " + "  " * len(path)
@@ -363,6 +366,10 @@ def to_yaml(values: Mapping[str, Value], heading: str) -> str:
             lines += textwrap.wrap(
                 ", ".join(parameter.choices), initial_indent=indent + "# one of: ",
                 subsequent_indent=indent + "#         ", width=98)
+        if notes and name in notes:
+            lines += textwrap.wrap(
+                notes[name], initial_indent=indent + "# ", subsequent_indent=indent + "# ",
+                width=98)
         lines.append(f"{indent}{last}: {_scalar(values[name])}")
     return "\n".join(lines) + "\n"
 

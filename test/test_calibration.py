@@ -15,7 +15,7 @@ from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import PSD, NavState
-from hybrid_ins.offline import parameter_file, sensors, trajectories
+from hybrid_ins.offline import sensors, trajectories
 from hybrid_ins.offline.bags import BagWriter, new_message
 from hybrid_ins.offline.calibration import (
     Calibration,
@@ -149,7 +149,7 @@ def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
 
 def test_parameter_file_is_read_back(found: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "params.yaml"
-    parameter_file.write(path, found.values, found.notes, "calibrated")
+    path.write_text(parameters.to_yaml(found.values, "calibrated", found.notes), encoding="utf-8")
     assert parameters.load_file(path) == found.values
     assert "# identified: clock offset" in path.read_text(encoding="utf-8")
 

@@ -31,7 +31,7 @@ from hybrid_ins.core.attitude import (
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT, VELOCITY
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import calibration_plot, options, parameter_file, plots, program
+from hybrid_ins.offline import calibration_plot, options, plots, program
 from hybrid_ins.offline.bags import BagReader
 from hybrid_ins.offline.calibration_fit import (
     Fit,
@@ -45,9 +45,9 @@ from hybrid_ins.offline.calibration_fit import (
 )
 from hybrid_ins.offline.innovations import POSITION
 from hybrid_ins.offline.innovations import VELOCITY as VELOCITY_KIND
-from hybrid_ins.offline.replay import FIX, read_values
+from hybrid_ins.offline.replay import FIX
 from hybrid_ins.offline.replay import VELOCITY as TWIST
-from hybrid_ins.parameters import PARAMETERS
+from hybrid_ins.parameters import PARAMETERS, to_yaml
 
 Array = NDArray[np.float64]
 
@@ -496,10 +496,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", metavar="F", help="parameter file to write (YAML)")
     parser.add_argument("--plot", metavar="F", help="picture to write (.png or .svg): likelihood "
                         "against offset, innovations before and after")
-    parser.add_argument("--params-file", metavar="F",
-                        help="what is known: mount, antenna, GNSS floors; the search starts there")
-    parser.add_argument("-p", "--param", metavar="NAME:=VALUE", action="append", default=[],
-                        help="set one parameter; goes before the file; may be repeated")
+    options.add_parameters(
+        parser, "what is known: mount, antenna, GNSS floors; the search starts there")
     parser.add_argument("--offset-per-bag", action="store_true",
                         help="each recording has a clock offset of its own")
     parser.add_argument("--search", type=options.positive, default=1.5, metavar="S",
@@ -510,23 +508,19 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="the vehicle moves where it points: find the IMU's yaw in it")
     parser.add_argument("--use-truth", action="store_true",
                         help="take /truth/odometry for fixes and attitude (for comparison)")
-    parser.add_argument("--imu-topic", default="/imu/data", metavar="T", help="%(default)s")
-    parser.add_argument("--fix-topic", default="/gnss/fix", metavar="T", help="%(default)s")
-    parser.add_argument("--velocity-topic", default="/gnss/velocity", metavar="T",
-                        help="%(default)s, used where the bag has it")
+    options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the output files")
     return program.run(_body, parser.parse_args(argv))
 
 
 def _body(args: argparse.Namespace) -> int:
-    values = read_values(args.params_file, args.param)
+    values = options.parameter_values(args)
     if args.out:
-        parameter_file.check(Path(args.out), args.overwrite)
+        options.check_new(Path(args.out), args.overwrite)
     if args.plot:
         plots.check(Path(args.plot))
     runs = [read_run(
-        Path(bag), values, imu_topic=args.imu_topic, fix_topic=args.fix_topic,
-        velocity_topic=args.velocity_topic, use_truth=args.use_truth, longest=args.longest)
+        Path(bag), values, **options.topics(args), use_truth=args.use_truth, longest=args.longest)
         for bag in args.bags]
     with _Bar() as bar:
         found = calibrate(
@@ -538,9 +532,8 @@ def _body(args: argparse.Namespace) -> int:
     if args.out:
         chosen = {name: value for name, value in found.values.items()
                   if name in found.notes or value != PARAMETERS[name].default}
-        parameter_file.write(
-            Path(args.out), chosen, found.notes,
-            "Written by ins_calibrate from " + ", ".join(run.name for run in runs))
+        title = "Written by ins_calibrate from " + ", ".join(run.name for run in runs)
+        Path(args.out).write_text(to_yaml(chosen, title, found.notes), encoding="utf-8")
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")
     if args.plot:
         plots.save(calibration_plot.figure(found), Path(args.plot))

@@ -1,12 +1,14 @@
-"""Option values that several programs take, checked as they are read."""
+"""Options that several programs take, their values checked."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypedDict
 
+from hybrid_ins import parameters
 from hybrid_ins.errors import InputError
 
 
@@ -83,3 +85,82 @@ def outages(given: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
         if duration <= 0.0:
             raise InputError(f"--outage {start:g} {duration:g}: the duration is not above zero")
     return [(start, duration) for start, duration in given]
+
+
+def add_parameters(parser: Any, what: str) -> None:
+    """Add ``--params-file``, described as `what`, and ``--param``."""
+    parser.add_argument("--params-file", metavar="F", help=f"{what} [the defaults]")
+    parser.add_argument(
+        "-p",
+        "--param",
+        metavar="NAME:=VALUE",
+        action="append",
+        default=[],
+        help="set one parameter; goes before the file; may be repeated",
+    )
+
+
+def parameter_values(args: argparse.Namespace) -> parameters.Values:
+    """
+    Return checked parameters of ``--params-file`` and ``--param``.
+
+    Raises
+    ------
+    InputError
+        See `parameters.load_file`; or an override is not ``name:=value``.
+
+    """
+    values: dict[str, Any] = {}
+    if args.params_file:
+        values.update(parameters.load_file(args.params_file))
+    for text in args.param:
+        name, separator, value = text.partition(":=")
+        if not separator:
+            raise InputError(f"--param {text}: write NAME:=VALUE, e.g. -p gnss.patience:=5.0")
+        values[name] = parameters.parse_value(name, value)
+    return parameters.check_all(values)
+
+
+def add_topics(parser: Any) -> None:
+    """Add the names of the topics that a recording's input is on."""
+    for name, default, note in (
+        ("imu", "/imu/data", ""),
+        ("fix", "/gnss/fix", ""),
+        ("velocity", "/gnss/velocity", ", used where the bag has it"),
+    ):
+        parser.add_argument(
+            f"--{name}-topic", metavar="T", default=default, help=f"[%(default)s]{note}"
+        )
+
+
+class InputTopics(TypedDict):
+    """The topics that a recording's input is on, as keywords."""
+
+    imu_topic: str
+    fix_topic: str
+    velocity_topic: str
+
+
+def topics(args: argparse.Namespace) -> InputTopics:
+    """Return what `add_topics` was given."""
+    return {
+        "imu_topic": args.imu_topic,
+        "fix_topic": args.fix_topic,
+        "velocity_topic": args.velocity_topic,
+    }
+
+
+def check_new(path: Path, overwrite: bool) -> None:
+    """
+    Find out before the work whether a file can be written to `path`.
+
+    Raises
+    ------
+    InputError
+        It exists and may not be replaced, or there is no such folder.
+
+    """
+    if path.exists() and (path.is_dir() or not overwrite):
+        raise InputError(f"{path}: exists: give --overwrite, or another name")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no such folder")

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from hybrid_ins import parameters
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
-from hybrid_ins.offline import evaluation, fleet, plots, program
+from hybrid_ins.offline import evaluation, fleet, options, plots, program
 from hybrid_ins.offline.bags import BagReader, BagWriter
+from hybrid_ins.parameters import Values
 from hybrid_ins.wire import OdometryEncoder
 
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -158,24 +158,6 @@ def _say(level: str, text: str) -> None:
     tqdm.write(f"ins_replay: {level}: {text}", file=sys.stderr)
 
 
-def read_values(file: str | None, overrides: Sequence[str]) -> parameters.Values:
-    """
-    Return checked parameters of a file and ``name:=value`` overrides.
-
-    Raises
-    ------
-    InputError
-        See `parameters.load_file`; or an override has not that form.
-    """
-    values: dict[str, Any] = dict(parameters.load_file(file)) if file else {}
-    for text in overrides:
-        name, separator, value = text.partition(":=")
-        if not separator:
-            raise InputError(f"--param {text}: write NAME:=VALUE, e.g. -p gnss.patience:=5.0")
-        values[name] = parameters.parse_value(name, value)
-    return parameters.check_all(values)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = program.parser(
@@ -189,14 +171,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="bag with sensor_msgs/Imu and NavSatFix; several, or a folder of bags")
     parser.add_argument("output", metavar="OUT", type=Path,
                         help="bag to write (directory, or *.mcap file); the folder for several")
-    parser.add_argument("--params-file", metavar="F",
-                        help="parameter file, the same as the node's (default: the defaults)")
-    parser.add_argument("-p", "--param", metavar="NAME:=VALUE", action="append", default=[],
-                        help="set one parameter; goes before the file; may be repeated")
-    parser.add_argument("--imu-topic", default="/imu/data", metavar="T", help="%(default)s")
-    parser.add_argument("--fix-topic", default="/gnss/fix", metavar="T", help="%(default)s")
-    parser.add_argument("--velocity-topic", default="/gnss/velocity", metavar="T",
-                        help="%(default)s, used where the bag has it")
+    options.add_parameters(parser, "parameter file, the same as the node's")
+    options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
     parser.add_argument("--plot", metavar="FILE", type=Path,
                         help="draw the run, with errors where IN holds truth: .png or .svg")
@@ -207,9 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _body(args: argparse.Namespace) -> int:
     if args.plot is not None:
         plots.check(args.plot)
-    values = read_values(args.params_file, args.param)
-    topics = {"imu_topic": args.imu_topic, "fix_topic": args.fix_topic,
-              "velocity_topic": args.velocity_topic}
+    values, topics = options.parameter_values(args), options.topics(args)
     if len(args.input) > 1 or not fleet.is_bag(args.input[0]):
         if args.plot is not None:
             raise InputError("--plot is for one bag at a time")
@@ -231,7 +205,7 @@ def _body(args: argparse.Namespace) -> int:
 
 
 def _replay_one(
-    values: parameters.Values, topics: Mapping[str, str], overwrite: bool, job: fleet.Job
+    values: Values, topics: options.InputTopics, overwrite: bool, job: fleet.Job
 ) -> fleet.Row:
     """Replay one bag of many; its output appears under its name once it is complete."""
     assert job.record is not None
