@@ -21,7 +21,8 @@ from hybrid_ins.conversions import FLIP, GnssInput, MapFrame, Message, NewMessag
 from hybrid_ins.core import chi_square, local_frame, output
 from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, NoiseChange
+from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, NoiseChange
+from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
@@ -45,6 +46,9 @@ Log = Callable[[str, str], None]
 REPORT_NS = 100_000_000  # biases, variances and the filtered fix
 DIAGNOSTICS_NS = 1_000_000_000
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
+CLOCK_NS = 1_000_000_000  # between two corrections of the clock offset
+CLOCK_KNOWN, CLOCK_SETTLED = 0.1, 0.015  # s, standard deviations
+CLOCK_WRONG = 0.03  # s, of an offset that the user should know of
 WAITING = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
 Stretch = tuple[NDArray[np.int64], Array, Array]
 
@@ -86,6 +90,10 @@ class Estimator:
         self._local_state = local_frame.start()
         self._local_ns = 0  # of the last sample in odom; 0: the filter has just started
         self._transforms = StaticTransforms()
+        self._clock_moved = 0.0  # s, by estimation
+        self._clock_settled: float | None = None  # s, offset once it was known well
+        self._clock_ns = 0
+        self._offsets: dict[tuple[str, int], float] = {}  # of measurements not yet decided
         self._frames = {"imu/data": "", "gnss/fix": ""}  # that messages come in
         self._place_sensors()
         self._limits = (values["imu.max_specific_force"], values["imu.max_angular_rate"])
@@ -163,6 +171,7 @@ class Estimator:
         self._mount = mount
         self._turn = tuple(mount.ravel().tolist())
         self._arm_b = FLIP @ np.array(values["imu.position"])
+        values["gnss.time_offset.value"] += self._clock_moved
         self._gnss = GnssInput.from_parameters(values)
 
     def _find_frame(self, topic: str) -> tuple[Array, Array]:
@@ -210,6 +219,8 @@ class Estimator:
     def change(self, changes: Mapping[str, Any]) -> None:
         """Take checked values of run-time parameters without losing the state."""
         self.values.update(changes)
+        if "gnss.time_offset.value" in changes:
+            self._clock_moved, self._clock_settled = 0.0, None
         self._place_sensors()
         for running in self.navigator.filters:
             running.process = self._make_process(running.process.period)
@@ -401,8 +412,7 @@ class Estimator:
         if self._map is None:
             lla = np.nan_to_num(fix.lla)
             self._set_datum(lla, fix.t_ns)
-        self.navigator.measure(fix)
-        self._tell_verdicts()
+        self._measure(fix)
 
     def velocity(self, message: Message, received_ns: int | None = None) -> None:
         """Take a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
@@ -410,8 +420,48 @@ class Estimator:
         if isinstance(velocity, Refused):
             self.remark("gnss/velocity", velocity)
             return
-        self.navigator.measure(velocity)
+        self._measure(velocity)
+
+    def _measure(self, measurement: Measurement) -> None:
+        self._offsets[measurement.kind, measurement.t_ns] = self._gnss.time_offset
+        self.navigator.measure(measurement)
         self._tell_verdicts()
+        self._follow_clock()
+
+    def _follow_clock(self) -> None:
+        """Correct the clock offset now and then, or tell that it is wrong."""
+        running = self.navigator.filter
+        if running is None or running.t_ns < self._clock_ns:
+            return
+        self._clock_ns = running.t_ns + CLOCK_NS
+        missing, sigma = running.clock.missing, running.clock.sigma
+        if self.values["gnss.time_offset.estimate"]:
+            if sigma < CLOCK_KNOWN and abs(missing) > max(0.3 * sigma, 1e-3):
+                self._clock_moved += missing
+                running.submit(ClockShift(running.t_ns, missing))
+                self._place_sensors()
+            if sigma < CLOCK_SETTLED and self._clock_settled is None:
+                self._clock_settled = self._gnss.time_offset
+        if self._clock_fault():
+            self.remark("gnss/fix", Refused("gnss: clock offset", self._clock_fault()))
+
+    def _clock_fault(self) -> str:
+        """Say what is suspicious about the fixes' clock; empty where nothing is."""
+        running = self.navigator.filter
+        if running is None:
+            return ""
+        sigma = running.clock.sigma
+        total = self._gnss.time_offset + running.clock.missing
+        if self.values["gnss.time_offset.estimate"]:
+            settled = self._clock_settled
+            if settled is not None and abs(total - settled) > max(CLOCK_WRONG, 5.0 * sigma):
+                return (f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
+                        "and receiver stamp by one clock?")
+        elif abs(running.clock.missing) > max(CLOCK_WRONG, 5.0 * sigma):
+            return (f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
+                    f"{self._gnss.time_offset:+.3f} s: run ins_calibrate, or set "
+                    "gnss.time_offset.estimate")
+        return ""
 
     def initial_pose(self, message: Message) -> None:
         """Take a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
@@ -496,8 +546,10 @@ class Estimator:
                     self._log("warn", f"gnss: {verdict.reason}")
             else:
                 self.counts[f"gnss: {verdict.reason}"] += 1
+            offset = self._offsets.pop(
+                (verdict.measurement.kind, verdict.measurement.t_ns), self._gnss.time_offset)
             self.outbox.append(("gnss/verdict", wire.encode_status(
-                conversions.verdict_status(verdict, self._gnss.time_offset))))
+                conversions.verdict_status(verdict, offset))))
 
     def tick(self) -> None:
         """Do what is not done with every sample; the owner calls it after each, once published."""
@@ -547,7 +599,8 @@ class Estimator:
 
     def diagnostics(self, t_ns: int) -> list[Status]:
         """Say how the filter is at ``t_ns`` [ns]."""
-        return [self._filter_status(t_ns), self._input_status(), self._noise_status()]
+        return [self._filter_status(t_ns), self._input_status(), self._noise_status(),
+                self._clock_status()]
 
     def _filter_status(self, t_ns: int) -> Status:
         running = self.navigator.filter
@@ -609,6 +662,21 @@ class Estimator:
                if reader is not None else {}),
             **{f"q_{channel}": float(value) for channel, value in zip(
                 ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True)}})
+
+    def _clock_status(self) -> Status:
+        running = self.navigator.filter
+        offset = self._gnss.time_offset
+        values: dict[str, object] = {
+            "time_offset": offset,
+            "estimated": str(self.values["gnss.time_offset.estimate"]).lower()}
+        if running is None:
+            return conversions.status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
+        missing, sigma = running.clock.missing, running.clock.sigma
+        values |= {"time_offset_found": offset + missing, "sigma": sigma}
+        fault = self._clock_fault()
+        text = fault or (f"fixes: {offset:+.3f} s in force, by the innovations "
+                         f"{offset + missing:+.3f} ± {sigma:.3f} s")
+        return conversions.status("clock", int(bool(fault)), text, values)
 
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""

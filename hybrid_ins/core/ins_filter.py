@@ -35,10 +35,12 @@ from hybrid_ins.core.state import (
     N_NAV,
     PSD,
     QUAT,
+    VELOCITY,
     NavState,
     covariance,
     pack,
 )
+from hybrid_ins.core.time_offset import ClockOffset
 
 Array = NDArray[np.float64]
 NO_ROWS = np.empty((0, N_NAV))
@@ -84,7 +86,16 @@ class NoiseChange:
     kind: ClassVar[str] = "noise change"
 
 
-Event = Measurement | NoiseEstimate | NoiseChange
+@dataclass(frozen=True, slots=True)
+class ClockShift:
+    """Fixes come with so much more added to their stamps, from now on."""
+
+    t_ns: int
+    by: float  # s
+    kind: ClassVar[str] = "clock shift"
+
+
+Event = Measurement | NoiseEstimate | NoiseChange | ClockShift
 
 
 @dataclass(slots=True)
@@ -96,6 +107,7 @@ class _RewindPoint:
     nav: Array
     noise: NoiseModel
     gate: Gate
+    clock: ClockOffset
     corrected_ns: int
 
 
@@ -128,6 +140,8 @@ class InsFilter:
         Its stamp [ns].
     long_step_ns : int
         A longer step [ns] is a gap in the samples.
+    clock : ClockOffset
+        What the innovations say of the fixes' clock; changes nothing by itself.
     verdicts : deque of Verdict
         One for each measurement submitted, in order of decision; the owner empties it.
     """
@@ -149,6 +163,7 @@ class InsFilter:
         self.noise = noise
         self.process = process
         self.gate = gate
+        self.clock = ClockOffset()
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * process.period, SHORTEST_GAP) * 1e9)
@@ -215,7 +230,7 @@ class InsFilter:
             self._apply(event)
         elif self.t_ns - event.t_ns <= self._horizon_ns and self._rewind(event):
             pass
-        elif isinstance(event, NoiseEstimate | NoiseChange):
+        elif isinstance(event, NoiseEstimate | NoiseChange | ClockShift):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
             self.verdicts.append(Verdict.refused(event, "too old", self.age(event)))
@@ -303,6 +318,8 @@ class InsFilter:
             self.noise = event.noise
         elif isinstance(event, NoiseEstimate):
             self.noise.refresh(event.t_ns, event.q)
+        elif isinstance(event, ClockShift):
+            inject(self.nav, self.clock.shift(event.by))
         else:
             self._fuse(event)
         self.nav[PSD] = self.process.psd(self.noise.levels())
@@ -333,17 +350,20 @@ class InsFilter:
         if verdict.reset or verdict.jump:
             return
         C_nb = matrix_from_quat(self.nav[QUAT])
-        reseat = self.noise.learn(Correction(
-            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted))
+        correction = Correction(
+            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted)
+        self.clock.learn(correction)
+        reseat = self.noise.learn(correction)
         if reseat is not None:
             inject(self.nav, reseat.dx)
             pack(reseat.P, self.nav[COVARIANCE])
+            self.clock.reseat(self.nav[VELOCITY])
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""
         self._points.append(_RewindPoint(
             self.t_ns, self._n_done, self.nav[:N_NAV].copy(), copy.copy(self.noise),
-            copy.copy(self.gate), self._corrected_ns,
+            copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns,
         ))
         oldest = self.t_ns - self._horizon_ns
         while len(self._points) > 1 and self._points[1].t_ns < oldest:
@@ -365,7 +385,7 @@ class InsFilter:
         del self._points[at:], self._done[keep:]
         self.nav[:N_NAV] = point.nav
         self.t_ns, self._n_done, self._corrected_ns = point.t_ns, point.n_done, point.corrected_ns
-        self.noise, self.gate = point.noise, point.gate
+        self.noise, self.gate, self.clock = point.noise, point.gate, point.clock
         self._remember()
         decided = len(self.verdicts)
         self._pending = sorted([*again, late], key=_order)
@@ -376,7 +396,7 @@ class InsFilter:
             verdict = self.verdicts.pop()
             if verdict.measurement is late:
                 own = verdict
-        if not isinstance(late, NoiseEstimate | NoiseChange):
+        if not isinstance(late, NoiseEstimate | NoiseChange | ClockShift):
             self.verdicts.append(replace(own, age=self.age(late)))
         return True
 

@@ -105,13 +105,7 @@ class NoiseScale:
             self._P = np.tile(P, (len(_PRIOR), 1, 1))
             self._lead = np.zeros((len(_PRIOR), N_ERROR))
             T = 0.0
-        gravity = np.array([0.0, 0.0, normal_gravity(nav[LLA.start], nav[LLA.stop - 1])[1]])
-        f_n = -gravity
-        if T > 0.0:
-            f_n = (nav[VELOCITY] - self._velocity_n) / T - gravity
-        C_mean = 0.5 * (C_nb + self._C_nb) if T > 0.0 else C_nb
-        F = np.zeros((N_ERROR, N_ERROR))
-        system_matrix(nav[LLA], nav[VELOCITY], f_n, C_mean.ravel(), F)
+        F, C_mean = system_between(nav, self._velocity_n, self._C_nb, T)
         R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
         self._P, self._lead, gained = _advance(
             self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
@@ -137,6 +131,36 @@ class NoiseScale:
         P = np.einsum("i,ijk->jk", weights, self._P) + (weights[:, None] * apart).T @ apart
         self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
         return Reseat(dx, P)
+
+
+def system_between(
+    nav: Array, velocity_n: Array, C_nb: Array, T: float
+) -> tuple[Array, Array]:
+    """
+    Error dynamics over the time since a correction, without a look at the IMU.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state now.
+    velocity_n, C_nb : ndarray, shape (3,), (3, 3)
+        After that correction.
+    T : float
+        Time since it [s]; 0: there was none.
+
+    Returns
+    -------
+    F, C_nb : ndarray, shape (15, 15), (3, 3)
+        System matrix and attitude of the mean motion.
+    """
+    f_n = -np.array([0.0, 0.0, normal_gravity(nav[LLA.start], nav[LLA.stop - 1])[1]])
+    C_mean = matrix_from_quat(nav[QUAT])
+    if T > 0.0:
+        f_n = f_n + (nav[VELOCITY] - velocity_n) / T
+        C_mean = 0.5 * (C_mean + C_nb)
+    F = np.zeros((N_ERROR, N_ERROR))
+    system_matrix(nav[LLA], nav[VELOCITY], f_n, C_mean.ravel(), F)
+    return F, C_mean
 
 
 @kernel()
