@@ -300,6 +300,7 @@ class InsFilter:
                            (EPS, 0.5 * unseen_w * dt)):
             P[block, block] += std**2 * np.eye(3)
         pack(P, nav[COVARIANCE])
+        self.noise.forget(evidence=False)
 
     def _between(self, t_ns: int, following: NDArray[np.void]) -> NDArray[np.void]:
         """Return the IMU sample at ``t_ns`` on the line from the last sample to the following."""
@@ -346,7 +347,7 @@ class InsFilter:
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.reset:
-            self.noise.forget()
+            self.noise.forget(evidence=True)
         if verdict.reset or verdict.jump:
             return
         C_nb = matrix_from_quat(self.nav[QUAT])

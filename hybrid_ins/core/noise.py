@@ -89,7 +89,7 @@ class Scale(Protocol):
         """Take a correction into account, given Qc's diagonal (12,) at factor 1."""
         ...
 
-    def forget(self) -> None:
+    def forget(self, evidence: bool) -> None:
         """See `NoiseModel.forget`."""
         ...
 
@@ -119,8 +119,12 @@ class NoiseModel(Protocol):
         """Take a correction into account; may say where the state belongs instead."""
         ...
 
-    def forget(self) -> None:
-        """Drop what refers to the present state: it is moved for another reason than noise."""
+    def forget(self, evidence: bool) -> None:
+        """
+        Drop what refers to the present state: it is moved for another reason than noise.
+
+        With ``evidence`` also what was learned: it came from measurements that proved wrong.
+        """
         ...
 
 
@@ -183,7 +187,7 @@ class ConstantNoise:
     def learn(self, correction: Correction) -> None:
         """Ignore the correction."""
 
-    def forget(self) -> None:
+    def forget(self, evidence: bool) -> None:
         """See `NoiseModel.forget`."""
 
 
@@ -225,7 +229,7 @@ class LearnedNoise:
     def learn(self, correction: Correction) -> None:
         """Ignore the correction."""
 
-    def forget(self) -> None:
+    def forget(self, evidence: bool) -> None:
         """See `NoiseModel.forget`."""
 
 
@@ -287,7 +291,7 @@ class InnovationNoise:
             for block in (DV, EPS)])
         self._q = np.maximum(self._process.q(density), self._floor)
 
-    def forget(self) -> None:
+    def forget(self, evidence: bool) -> None:
         """See `NoiseModel.forget`."""
         self._innovations = ()
 
@@ -338,7 +342,7 @@ class ScaledNoise:
         self.inner.learn(correction)
         return self.scale.learn(correction, self._process.psd(self.inner.levels()))
 
-    def forget(self) -> None:
+    def forget(self, evidence: bool) -> None:
         """See `NoiseModel.forget`."""
-        self.inner.forget()
-        self.scale.forget()
+        self.inner.forget(evidence)
+        self.scale.forget(evidence)

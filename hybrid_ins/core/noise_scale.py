@@ -78,9 +78,12 @@ class NoiseScale:
         """Factor on the fixes' covariance, 1 to 10³: receivers claim too much, too."""
         return self._gnss
 
-    def forget(self) -> None:
-        """Begin the hypotheses anew at the next correction; their evidence stays."""
+    def forget(self, evidence: bool) -> None:
+        """Begin the hypotheses anew at the next correction, with the evidence or without."""
         self._P = None
+        if evidence:
+            self._evidence = np.zeros(len(_PRIOR))
+            self._scale, self._gnss, self._seated = (1.0, 1.0), 1.0, np.ones(3)
 
     def learn(self, correction: Correction, psd: Array) -> Reseat | None:
         """
