@@ -160,7 +160,7 @@ class GnssInput:
         default = np.diag(self.position_std_default**2)
         if message.position_covariance_type in (APPROXIMATED, DIAGONAL, KNOWN):
             covariance = np.array(message.position_covariance, float).reshape(3, 3)
-            covariance = 0.5 * (covariance + covariance.T)
+            covariance = 0.5 * covariance + 0.5 * covariance.T
             if math.isnan(message.altitude):
                 covariance[2, :] = covariance[:, 2] = 0.0
                 covariance[2, 2] = default[2, 2]
@@ -182,10 +182,11 @@ class GnssInput:
         default = np.eye(3) * self.velocity_std_default**2
         covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
         covariance = floor_covariance(
-            0.5 * (covariance + covariance.T), self.velocity_std_min, default)
+            0.5 * covariance + 0.5 * covariance.T, self.velocity_std_min, default)
         return VelocityFix(
-            t_ns + round(self.time_offset * 1e9), SWAP @ velocity_enu, SWAP @ covariance @ SWAP,
-            self.lever_b)
+            t_ns + round(self.time_offset * 1e9),
+            np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
+            SWAP @ covariance @ SWAP, self.lever_b)
 
 
 def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array:

@@ -254,7 +254,7 @@ class Navigator:
         self.bank.advance(self.ring)
         self.verdicts.extend(self.bank.weigh())
         self.look()
-        winner = self.bank.decide()
+        winner = self.bank.decide() if self.bank is not None else None
         if winner is not None:
             self._run(winner)
 
