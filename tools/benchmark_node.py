@@ -27,7 +27,7 @@ from processes import Processes, claim_ros_domain
 TOOLS = Path(__file__).resolve().parent
 NAIVE = [sys.executable, TOOLS / "naive_node.py"]
 OURS = [sys.executable, "-m", "hybrid_ins.node", "--ros-args",
-        "-p", "alignment.heading_source:=parameter"]
+        "-p", "alignment.heading_source:=imu"]
 LOAD = [sys.executable, TOOLS / "imu_load.py"]
 TICKS = os.sysconf("SC_CLK_TCK")
 SETTLING = 3.5  # s, until the filter runs

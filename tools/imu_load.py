@@ -45,6 +45,8 @@ def send(rate: float, duration: float, out: Path) -> None:
     publisher = node.create_publisher(Imu, "imu/data", DEEP)
     fixes = node.create_publisher(NavSatFix, "gnss/fix", DEEP)
     imu = StampedEncoder(("imu_link",), 37)
+    imu.values[3] = 1.0  # level, facing east
+    imu.values[[4, 8, 12]] = 0.01
     fix = FixEncoder("gnss", 2)
     fix.values[:] = [32.1, 34.8, 50.0, 0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.02]
     noise = np.random.default_rng(0).normal(size=(4096, 6)) * NOISE

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.attitude import matrix_from_quat
-from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
 from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.noise import Correction, Reseat
+from hybrid_ins.core.noise_bank import advance
 from hybrid_ins.core.state import DV, LLA, N_ERROR, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ class NoiseScale:
             T = 0.0
         F, C_mean = system_between(nav, self._velocity_n, self._C_nb, T)
         R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
-        self._P, self._lead, gained = _advance(
+        self._P, self._lead, gained = advance(
             self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
             correction.dx, TAIL)
         evidence = self._evidence * np.exp(-T / MEMORY) + gained
@@ -164,47 +164,3 @@ def system_between(
     F = np.zeros((N_ERROR, N_ERROR))
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C_mean.ravel(), F)
     return F, C_mean
-
-
-@kernel()
-def _advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type: ignore[no-untyped-def]
-    """Predict and update every hypothesis; returns covariances, leads, log-likelihoods."""
-    count, m, n = P_all.shape[0], z.shape[0], N_ERROR
-    FT = F * T
-    FT2 = FT @ FT
-    transition = np.eye(n) + FT + 0.5 * FT2 + FT2 @ FT / 6.0
-    half = np.eye(n) + 0.5 * FT + 0.125 * FT2
-    # Density of each source, then Simpson's rule over the interval.
-    noise = np.zeros((3, n, n))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                noise[0, 3 + i, 3 + j] += C[i, k] * C[j, k] * psd[k]
-                noise[1, 6 + i, 6 + j] += C[i, k] * C[j, k] * psd[3 + k]
-        noise[2, 9 + i, 9 + i] = psd[6 + i]
-        noise[2, 12 + i, 12 + i] = psd[9 + i]
-    for s in range(3):
-        d = noise[s].copy()
-        noise[s] = (T / 6.0) * (
-            d + 4.0 * (half @ d @ half.T) + transition @ d @ transition.T)
-    P_out, lead_out, gained = np.empty_like(P_all), np.empty_like(lead_all), np.empty(count)
-    for i in range(count):
-        P = transition @ P_all[i] @ transition.T
-        P += factors[i, 0] * noise[0] + factors[i, 1] * noise[1] + noise[2]
-        lead = transition @ lead_all[i]
-        own = z - H @ lead
-        PHt = P @ H.T
-        Ri = factors[i, 2] * R
-        S = H @ PHt + Ri
-        nis = own @ np.linalg.solve(S, own)
-        gained[i] = -0.5 * np.log(np.linalg.det(S)) - 0.5 * (tail + m) * np.log1p(
-            nis / (tail - 1.3))
-        if nis > m:
-            # An outlier is weighted down, by each hypothesis for itself.
-            Ri = Ri * ((tail + nis) / (tail + m))
-        K = np.linalg.solve(H @ PHt + Ri, PHt.T).T
-        lead_out[i] = lead + K @ own - dx
-        A = np.eye(n) - K @ H
-        P = A @ P @ A.T + K @ Ri @ K.T
-        P_out[i] = 0.5 * (P + P.T)
-    return P_out, lead_out, gained
