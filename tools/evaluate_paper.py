@@ -244,8 +244,7 @@ def lengths(args: argparse.Namespace, test: Windows) -> str:
         # Another seed than any network's training noise, and as many samples for every length.
         duration = 20.0 if args.quick else 60.0
         windows = noise_data.paper_set(DATA_SEED + n, n, duration_s=duration)
-        if n >= 100:  # two blocks of modes, which the spectral estimator compares
-            curves["spectral"][n] = score(SpectralRegressor(n), windows).rmse
+        curves["spectral"][n] = score(SpectralRegressor(n), windows).rmse
         for name, stem in stems.items():
             path = share_path(f"models/{stem}.onnx")
             if n != 200:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SLOW_MODES = 20
+SLOW_SHARE = 0.1  # of the modes: below 0.05 cycles a sample
 MIN_WINDOW = 50
 _BLOCK = 20
 _TREND_DEGREE = 3
@@ -39,11 +39,11 @@ _SAME_RATIO, _LOWEST_RATIO, _HIGHEST_RATIO = 4.0, 0.3, 3.0
 
 @lru_cache(maxsize=8)
 def _analysis(size: int, tapered: bool) -> Array:
-    """Return rows (N - 20, N): DCT modes above the slow ones, blind to a cubic trend, unit norm."""
+    """Return rows (0.9 N, N): DCT modes above the slow ones, blind to a cubic trend, unit norm."""
     if size < MIN_WINDOW:
         raise ValueError(f"a window of {size} samples is too short; {MIN_WINDOW} are needed")
     sample = np.arange(size) + 0.5
-    modes = np.cos(np.pi / size * np.arange(SLOW_MODES, size)[:, None] * sample)
+    modes = np.cos(np.pi / size * np.arange(round(SLOW_SHARE * size), size)[:, None] * sample)
     if tapered:
         modes *= np.kaiser(size, 12.0)
     trend, _ = np.linalg.qr(np.vander(2.0 * sample / size - 1.0, _TREND_DEGREE + 1))
@@ -54,7 +54,7 @@ def _analysis(size: int, tapered: bool) -> Array:
 
 
 def _energies(windows: Array, tapered: bool = False) -> Array:
-    """Return unit-gain mode energies (C, N - 20)."""
+    """Return unit-gain mode energies (C, 0.9 N)."""
     # The rows cancel an offset only to rounding, which a large bias would lift above small noise.
     centred = windows - windows[:, :1]
     return np.square(centred @ _analysis(windows.shape[1], tapered).T)

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import earth
+from hybrid_ins.core import earth, spectral
 
 Array = NDArray[np.float64]
 
@@ -478,7 +478,7 @@ def randomised_set(
         How often each effect appears.
     backgrounds : (M, N) array or None
         Real windows; each stands in for the synthetic motion of a share of the rows, with noise far
-        enough above the recording's own floor added on top.
+        above the recording's own plateau added on top.
     background_share : float
         Share of the rows that take a background.
 
@@ -529,8 +529,10 @@ def randomised_set(
         rows = chosen(background_share)
         picks = backgrounds[rng.integers(0, len(backgrounds), rows.size)].astype(float)
         picks -= picks.mean(axis=1, keepdims=True)
-        # The recording's own noise is unknown: a ceiling on it keeps the label honest.
-        own = np.mean(np.diff(picks, n=2, axis=1) ** 2, axis=1) / 6.0 + 1e-12
+        # The recording's own plateau counts as noise: far above it the label is honest, and tones
+        # and vibration may still be stronger than the noise on top.
+        resolution = 1e-6 * np.abs(picks).max(axis=1)
+        own = spectral.plateau(picks) + resolution**2
         level[rows] = own * log_uniform(rng, 10.0, 1e4, rows.size)
         readings[rows] = picks + noise[rows] * np.sqrt(level[rows])[:, None]
 
