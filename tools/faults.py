@@ -417,8 +417,8 @@ FAULTS: tuple[Fault, ...] = (
     Fault("imu_covariances", "covariances are NaN, zero, infinite", _imu_covariances,
           ("no restart",)),
     Fault("imu_vibration", "a hundred times the noise", _imu_noise, ("no restart",)),
-    Fault("imu_bias_steps", "biases step by 0.5 m/s², 0.05 rad/s, and back", _both(
-        _force_of(lambda f, _: f + 0.5), _rate_of(lambda w, _: w + 0.05)),
+    Fault("imu_bias_steps", "biases step by 0.1 m/s², 0.01 rad/s, and back", _both(
+        _force_of(lambda f, _: f + 0.1), _rate_of(lambda w, _: w + 0.01)),
         ("no restart",)),
     Fault("imu_spikes", "one acceleration in a hundred is 60 m/s² off",
           _force_of(lambda f, _: f + np.array([60.0, -60.0, 60.0]), 0.01), ("no restart",)),
@@ -482,7 +482,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("fix_drift", "fixes drift off by 2 m/s, and then are right again", _drift,
           ("innovation beyond the gate",)),
     Fault("fix_frozen", "the same position again and again", _fix_frozen,
-          ("innovation beyond the gate",)),
+          ("gnss: same position while moving",)),
     Fault("fix_first_wild", "the very first fix is 111 km off", _first_fix_wild,
           ("no restart",), 0.1),
     Fault("fix_frame_id", "the frame_id changes", _frame_id(FIX, "elsewhere"),

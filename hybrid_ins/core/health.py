@@ -19,7 +19,7 @@ Fault = tuple[str, str]  # name and words
 GRAVITY = 9.80665  # m/s²
 LEAST_FORCE, MOST_FORCE = 0.4 * GRAVITY, 4.0 * GRAVITY  # of a vehicle's mean over a second
 FROZEN = 0.5  # share of the window in which nothing changes
-AT_LIMIT = 8  # samples in a row at the largest reading
+AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 UNUSABLE = ("imu: no gravity", "imu: too much gravity", "imu: frozen", "imu: degrees")
 WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
@@ -47,7 +47,8 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
         size = np.abs(readings)
         top = size.max(axis=0)
         for axis in np.flatnonzero(top >= least):
-            if not same.all() and _longest_run(size[:, axis] == top[axis]) >= AT_LIMIT:
+            at_limit = np.count_nonzero(size[:, axis] == top[axis])
+            if not same.all() and at_limit >= max(AT_LIMIT, AT_LIMIT_SHARE * len(size)):
                 return f"imu: saturated {name}", (
                     f"{name} on axis {'xyz'[axis]} stays at {top[axis]:.2f} {unit}: choose a "
                     "larger range, or dampen the mount")
@@ -77,7 +78,3 @@ def _in_degrees(samples: NDArray[np.void]) -> bool:
         angles.append(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return bool(angles[0] > 0.6 and angles[1] < 0.3)
 
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -95,7 +95,16 @@ class ClockShift:
     kind: ClassVar[str] = "clock shift"
 
 
-Event = Measurement | NoiseEstimate | NoiseChange | ClockShift
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """From its stamp on the errors may be as large as ``std``, whatever was believed before."""
+
+    t_ns: int
+    std: Array  # (15,) in the order of the error state; 0 where nothing is doubted
+    kind: ClassVar[str] = "doubt"
+
+
+Event = Measurement | NoiseEstimate | NoiseChange | ClockShift | Doubt
 
 
 @dataclass(slots=True)
@@ -230,7 +239,7 @@ class InsFilter:
             self._apply(event)
         elif self.t_ns - event.t_ns <= self._horizon_ns and self._rewind(event):
             pass
-        elif isinstance(event, NoiseEstimate | NoiseChange | ClockShift):
+        elif isinstance(event, NoiseEstimate | NoiseChange | ClockShift | Doubt):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
             self.verdicts.append(Verdict.refused(event, "too old", self.age(event)))
@@ -321,6 +330,10 @@ class InsFilter:
             self.noise.refresh(event.t_ns, event.q)
         elif isinstance(event, ClockShift):
             inject(self.nav, self.clock.shift(event.by))
+        elif isinstance(event, Doubt):
+            P = covariance(self.nav)
+            pack(P + np.diag(np.maximum(event.std**2 - np.diag(P), 0.0)), self.nav[COVARIANCE])
+            self.noise.forget(evidence=False)
         else:
             self._fuse(event)
         self.nav[PSD] = self.process.psd(self.noise.levels())
@@ -397,7 +410,7 @@ class InsFilter:
             verdict = self.verdicts.pop()
             if verdict.measurement is late:
                 own = verdict
-        if not isinstance(late, NoiseEstimate | NoiseChange | ClockShift):
+        if not isinstance(late, NoiseEstimate | NoiseChange | ClockShift | Doubt):
             self.verdicts.append(replace(own, age=self.age(late)))
         return True
 

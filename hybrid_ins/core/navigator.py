@@ -18,12 +18,12 @@ from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, Star
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.health import UNUSABLE, Fault, find_fault
 from hybrid_ins.core.hypotheses import YawBank
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange, NoiseEstimate
-from hybrid_ins.core.measurements import Measurement, Standstill
+from hybrid_ins.core.ins_filter import Doubt, FilterSettings, InsFilter, NoiseChange, NoiseEstimate
+from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
-from hybrid_ins.core.state import DV, VELOCITY, covariance
+from hybrid_ins.core.state import B_A, B_G, DV, N_ERROR, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,10 @@ SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap, unseen
 HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried over a gap
 BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
+MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
+SATURATED = {"imu: saturated acceleration": B_A, "imu: saturated rate": B_G}
 STAMP_FAULTS = {
     "imu: repeated stamp": "header.stamp repeats: a driver that stamps twice, or two publishers "
                            "on one topic",
@@ -121,6 +123,7 @@ class Navigator:
         self.last_ns = 0
         self._jumped_ns = self._jumps = 0
         self._seen: deque[tuple[str, int]] = deque(maxlen=64)
+        self._last_lla: Array | None = None
         self.realign()
 
     def realign(self) -> None:
@@ -284,6 +287,9 @@ class Navigator:
                 (self.last_ns - measurement.t_ns) * 1e-9))
             return
         self._seen.append(key)
+        if self._stands_still(measurement):
+            self.verdicts.append(Verdict.refused(measurement, "same position while moving"))
+            return
         if self.filter is not None:
             self.filter.submit(measurement)
         elif self.bank is not None:
@@ -291,6 +297,15 @@ class Navigator:
         else:
             self.alignment.observe(measurement)
             self.verdicts.append(Verdict.refused(measurement, "aligning"))
+
+    def _stands_still(self, measurement: Measurement) -> bool:
+        """Tell whether a fix is the last one again, to the last digit, while the filter moves."""
+        if not isinstance(measurement, PositionFix):
+            return False
+        last, self._last_lla = self._last_lla, measurement.lla
+        return (last is not None and np.array_equal(last, measurement.lla)
+                and self.filter is not None
+                and float(np.linalg.norm(self.filter.nav[VELOCITY])) > MOVING)
 
     def look(self) -> None:
         """Look now and then how the IMU does, and whether the vehicle stands."""
@@ -300,7 +315,10 @@ class Navigator:
         self._look_ns = t_ns + STANDSTILL_NS
         samples = self.ring.after(t_ns - 1_000_000_000)
         span = t_ns - samples["t_ns"][0]
-        self.fault = find_fault(samples)
+        before, self.fault = self.fault, find_fault(samples)
+        for fault in (before, self.fault):
+            if fault is not None and fault[0] in SATURATED:
+                (self.bank or running).submit(Doubt(t_ns, self._doubted(fault[0])))
         if self.fault is not None and self.fault[0] in UNUSABLE:
             fault = self.fault
             self.give_up(f"the IMU is unusable: {fault[1]}")
@@ -311,6 +329,15 @@ class Navigator:
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
         if self.standing and self._zero_updates:
             (self.bank or running).submit(Standstill.of(samples))
+
+    def _doubted(self, fault: str) -> Array:
+        """Standard deviations, (15,), of the errors that a saturated sensor leaves behind."""
+        std, settings = np.zeros(N_ERROR), self._alignment_settings
+        if SATURATED[fault] == B_A:
+            std[B_A] = settings.bias_a_std
+        else:
+            std[B_G] = settings.bias_g_std
+        return std
 
     def judge_openings(self, verdict: Verdict) -> None:
         """Start over when the state had to be opened again and again: its heading is wrong."""
