@@ -160,7 +160,6 @@ class GnssInput:
         default = np.diag(self.position_std_default**2)
         if message.position_covariance_type in (APPROXIMATED, DIAGONAL, KNOWN):
             covariance = np.array(message.position_covariance, float).reshape(3, 3)
-            covariance = 0.5 * covariance + 0.5 * covariance.T
             if math.isnan(message.altitude):
                 covariance[2, :] = covariance[:, 2] = 0.0
                 covariance[2, 2] = default[2, 2]
@@ -181,8 +180,7 @@ class GnssInput:
             return Refused("velocity: absurd", f"{velocity_enu} m/s is no vehicle's velocity")
         default = np.eye(3) * self.velocity_std_default**2
         covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
-        covariance = floor_covariance(
-            0.5 * covariance + 0.5 * covariance.T, self.velocity_std_min, default)
+        covariance = floor_covariance(covariance, self.velocity_std_min, default)
         return VelocityFix(
             t_ns + round(self.time_offset * 1e9),
             np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
@@ -193,12 +191,13 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     """
     Return a covariance (3, 3) fit for use.
 
-    ``default`` where ``covariance`` says nothing (not finite, not positive definite: a zero or a
+    The symmetric part counts. ``default`` where ``covariance`` says nothing (not finite, not positive definite: a zero or a
     negative variance means unknown, not perfect); otherwise no axis below ``std_min``, its
     correlations kept.
     """
     if not np.all(np.isfinite(covariance)):
         return default
+    covariance = 0.5 * covariance + 0.5 * covariance.T
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == 3 and diagonal.all():  # most receivers give no more
         low, high = diagonal.min(), diagonal.max()
