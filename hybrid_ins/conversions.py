@@ -191,9 +191,9 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     """
     Return a covariance (3, 3) fit for use.
 
-    The symmetric part counts. ``default`` where ``covariance`` says nothing (not finite, not positive definite: a zero or a
-    negative variance means unknown, not perfect); otherwise no axis below ``std_min``, its
-    correlations kept.
+    The symmetric part counts. ``default`` where it says nothing (not finite, not positive
+    definite: a zero or a negative variance means unknown, not perfect); otherwise no axis below
+    ``std_min``, its correlations kept.
     """
     if not np.all(np.isfinite(covariance)):
         return default
