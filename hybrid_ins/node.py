@@ -87,6 +87,7 @@ class InsNode(Node):
             value = self.declare_parameter(p.name, p.default, _descriptor(p)).value
             if value is not None:  # what ROS makes of an empty list in a file
                 given[p.name] = _plain(value)
+        self._tell_unknown_parameters()
         values: dict[str, Any] = dict(parameters.check_all(given))
         self._decoder = ImuDecoder()
         self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
@@ -236,6 +237,15 @@ class InsNode(Node):
             self.get_logger().error(text)
 
     # Parameters.
+
+    def _tell_unknown_parameters(self) -> None:
+        """Warn of names that ROS passes over in silence; a file for '/**' may mean others."""
+        for name in self._parameter_overrides:
+            if name != "use_sim_time" and not name.startswith("qos_overrides."):
+                try:
+                    parameters.find(name)
+                except InputError as error:
+                    self.get_logger().warning(str(error))
 
     def _set_rate(self, rate: float) -> None:
         self._odometry_ns = int(1e9 / rate) if rate else 1

@@ -279,6 +279,15 @@ def test_a_missing_topic_names_those_that_would_do(flight: Path) -> None:
             bag.require("/x", "std_msgs/msg/Bool", "--x")
 
 
+def test_the_map_s_origin_and_the_truth_would_not_do(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as out:
+        for topic in ("/truth/datum", "/datum"):
+            out.write(topic, new_message("sensor_msgs/msg/NavSatFix"), 1)
+
+    with BagReader(tmp_path / "bag") as bag, pytest.raises(InputError, match=r"no topic is .*Fix"):
+        bag.require("/gnss/fix", "sensor_msgs/msg/NavSatFix", "--fix-topic")
+
+
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [

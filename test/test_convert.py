@@ -578,7 +578,7 @@ BAD_FILES: list[tuple[str, Callable[[Path], object], str]] = [
     ("no IMU", lambda f: (f / "IMU_1.csv").unlink(), "IMU_1.csv: no such file"),
     ("empty", lambda f: (f / "GT.csv").write_text(""), "no column 'time'; the header has an empty"),
     ("header only", lambda f: (f / "GT.csv").write_text(GT_HEADER), "0 usable rows: too few"),
-    ("binary", lambda f: (f / "IMU_1.csv").write_bytes(bytes(range(256)) * 50), "no column"),
+    ("binary", lambda f: (f / "IMU_1.csv").write_bytes(bytes(range(256)) * 50), "IMU_1.csv: no "),
     (
         "column missing",
         lambda f: edit(f / "IMU_1.csv", 1, lambda h: h.replace("Gyr_Y", "Gyr_2")),

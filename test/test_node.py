@@ -193,7 +193,8 @@ def test_control_of_an_idle_node(
     from std_srvs.srv import Trigger
 
     log = folder / "idle.log"
-    node = start_node(processes, log)
+    node = start_node(processes, log, "-p", "gnss.patiense:=3.0")
+    assert "gnss.patiense: unknown; did you mean gnss.patience?" in log.read_text()
 
     client.spin_until(lambda: client.diagnostics)
     texts = [status.message for status in client.diagnostics[0].status]

@@ -48,8 +48,9 @@ Every parameter of `ins_node`, and of `ins_replay`, which reads the same file. T
     ros2 param set /ins_node noise.mode constant
 
 **live** means that `ros2 param set` takes effect at once and keeps the state; the others take
-effect at the start. A wrong name or value is refused in one line, by the node, by `ros2 param set`
-and by the programs alike.
+effect at the start. A wrong value is refused in one line, by the node, by `ros2 param set` and by
+the programs alike; so is a name that does not exist, only that the node warns of it and goes on:
+the section `/**` of a file may be meant for other nodes, too.
 """
 
 

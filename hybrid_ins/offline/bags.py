@@ -183,7 +183,10 @@ class BagReader:
         if found == type_name:
             return topic
         wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
-        others = [name for name, other in self.topics.items() if other == type_name]
+        others = [  # a map's origin is no fix, and the truth no estimate
+            name for name, other in self.topics.items()
+            if other == type_name and name != "/datum" and not name.startswith("/truth/")
+        ]  # fmt: skip
         way_out = (
             f"choose {' or '.join(sorted(others))} with {option}"
             if others
