@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_noise_scale import begin, fly
 
 from hybrid_ins import conversions, parameters
 from hybrid_ins.conversions import FLIP
@@ -14,7 +15,6 @@ from hybrid_ins.core.state import N_NAV
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline.bags import new_message
 from hybrid_ins.offline.montecarlo import Run, Scenario, draw
-from test_noise_scale import begin, fly
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 

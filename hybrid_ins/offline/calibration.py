@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 TRUTH_STD = 0.03  # m, of a truth position used as a fix
 IDENTIFIED = {"offset": 0.015, "lever": 0.05, "mount": math.radians(1.0)}
-USELESS = {"offset": 0.15, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}
+USELESS = {"offset": 0.08, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
 NOSE_SPREAD = math.radians(8.0)

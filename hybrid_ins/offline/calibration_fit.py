@@ -12,6 +12,8 @@ References
        Transactions on Information Theory 11, 1965.
 .. [2] H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50, 1982
        (uncertainty from the scores where the model is not quite right).
+.. [3] E. Berndt, B. Hall, R. Hall, J. Hausman, "Estimation and inference in nonlinear structural
+       models", Annals of Economic and Social Measurement 3, 1974.
 """
 
 from __future__ import annotations
@@ -22,7 +24,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from hybrid_ins.core.attitude import (
     matrix_from_quat,
@@ -266,7 +267,7 @@ class Problem:
         offsets = [f"offset_{k}" for k in range(len(runs))] if own_offsets else ["offset"]
         lever = given.lever_b
         self.prior = (
-            *(Prior(name, given.time_offset, 1.0, 0.002) for name in offsets),
+            *(Prior(name, given.time_offset, 1.0, 0.004) for name in offsets),
             *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(SHARED[:3])),
             Prior("psd_a", math.log(given.psd_a), 2.0 * LN10, 0.1),
             Prior("psd_g", math.log(given.psd_g), 2.0 * LN10, 0.1),
@@ -344,76 +345,82 @@ class Problem:
         slopes = [np.zeros((len(v), len(x))) for v in values]
         for i in self._free():
             step = self.prior[i].step
+            high = x.copy()
+            high[i] = x[i] + step
             for k in self._concerned(self.names[i]):
-                high, low = x.copy(), x.copy()
-                high[i], low[i] = x[i] + step, x[i] - step
-                slopes[k][:, i] = (self.run(k, high).log_likelihood
-                                   - self.run(k, low).log_likelihood) / (2.0 * step)
+                slopes[k][:, i] = (self.run(k, high).log_likelihood - values[k]) / step
         return values, slopes
 
-    def objective(self, x: Array) -> tuple[float, Array]:
-        """Negative log-posterior and its gradient."""
-        values, slopes = self.scores(x)
-        mean = np.array([p.mean for p in self.prior])
-        std = np.array([p.std for p in self.prior])
-        total = -sum(float(np.sum(v)) for v in values) + 0.5 * np.sum(((x - mean) / std) ** 2)
-        gradient = -sum((np.sum(s, axis=0) for s in slopes), np.zeros(len(x)))
-        return total, gradient + (x - mean) / std**2
+    def value_at(self, x: Array) -> float:
+        """Log-posterior."""
+        total = sum(float(np.sum(self.run(k, x).log_likelihood)) for k in range(len(self.runs)))
+        return total - 0.5 * float(np.sum(self._away(x) ** 2))
 
-    def maximise(self, x: Array, iterations: int = 25) -> Array:
-        """Return the parameters of the largest posterior, from ``x`` on."""
+    def _away(self, x: Array) -> Array:
+        return np.array([(v - p.mean) / p.std for v, p in zip(x, self.prior, strict=True)])
+
+    def slope(self, slopes: Sequence[Array], x: Array) -> Array:
+        """Gradient of the log-posterior (n,) from that of each measurement."""
+        total = np.sum(np.vstack(slopes), axis=0)
+        return np.asarray(total - self._away(x) / [p.std for p in self.prior])
+
+    def maximise(self, x: Array, iterations: int = 15) -> Array:
+        """
+        Return the parameters of the largest posterior, from ``x`` on.
+
+        Scoring with the scores' own scatter for the information [3]_, damped until it climbs.
+        """
         free = self._free()
-        unit = np.array([10.0 * self.prior[i].step for i in free])
-        lowest: list[tuple[float, Array]] = [(np.inf, x)]
-
-        def scaled(u: Array) -> tuple[float, Array]:
-            y = x.copy()
-            y[free] = x[free] + np.clip(u, -100.0, 100.0) * unit
-            value, gradient = self.objective(y)
-            if not math.isfinite(value):
-                return 1e12, np.zeros(len(free))
-            if value < lowest[0][0]:
-                lowest[0] = value, y
-            return value, gradient[free] * unit
-
-        minimize(scaled, np.zeros(len(free)), jac=True, method="L-BFGS-B",
-                 options={"maxiter": iterations, "ftol": 1e-7, "gtol": 0.1})
-        return lowest[0][1]
+        reach = np.array([25.0 * self.prior[i].step for i in free])
+        prior = np.diag([self.prior[i].std ** -2.0 for i in free])
+        value, damping = self.value_at(x), 0.01
+        for _ in range(iterations):
+            _, slopes = self.scores(x)
+            gradient = self.slope(slopes, x)[free]
+            rows = np.vstack(slopes)[:, free]
+            information = rows.T @ rows + prior
+            gained = 0.0
+            while damping < 1e4 and gained <= 0.0:
+                move = np.linalg.solve(
+                    information + damping * np.diag(np.diag(information)), gradient)
+                y = x.copy()
+                y[free] += np.clip(move, -reach, reach)
+                there = self.value_at(y)
+                gained = there - value if math.isfinite(there) else -math.inf
+                damping *= 0.2 if gained > 0.0 else 5.0
+            if gained > 0.0:
+                x, value = y, there
+            if gained < 0.05:
+                break
+            damping = max(damping, 1e-4)
+        return x
 
     def uncertainty(self, x: Array) -> Array:
         """
-        Standard deviations (n,): from the curvature, or from the scattering scores where larger.
+        Standard deviations (n,): from the information, or from the scattering scores where larger.
 
-        The scores' covariance takes blocks of a few seconds as independent; [2]_.
+        Each measurement's own score makes the information [3]_; the sums of a few seconds', taken
+        as independent, their scatter [2]_.
         """
         free = self._free()
-        n = len(free)
-        information = np.zeros((n, n))
-        scatter = np.zeros((n, n))
+        scatter = np.zeros((len(free), len(free)))
         blocks = 0
         _, slopes = self.scores(x)
         for k, run in enumerate(self.runs):
             label = ((run.aid_t - run.aid_t[0]) // BLOCK).astype(int)
             sums = np.zeros((label[-1] + 1, len(x)))
             np.add.at(sums, label, slopes[k])
-            sums = sums[:, free]
-            scatter += (sums - sums.mean(axis=0)).T @ (sums - sums.mean(axis=0))
+            sums = sums[:, free] - sums[:, free].mean(axis=0)
+            scatter += sums.T @ sums
             blocks += len(sums)
-        for a, i in enumerate(free):
-            step = 2.0 * self.prior[i].step
-            high, low = x.copy(), x.copy()
-            high[i], low[i] = x[i] + step, x[i] - step
-            information[a] = (self.objective(high)[1] - self.objective(low)[1])[free] / (2.0 * step)
-        information = 0.5 * (information + information.T)
-        values, axes = np.linalg.eigh(information)
-        floor = np.array([1.0 / self.prior[i].std ** 2 for i in free])
-        values = np.maximum(values, min(floor))
-        inverse = (axes / values) @ axes.T
+        prior = np.array([p.std for p in self.prior])
+        rows = np.vstack(slopes)[:, free]
+        inverse = np.linalg.inv(rows.T @ rows + np.diag(prior[free] ** -2.0))
         variance = np.diag(inverse).copy()
-        if blocks > 2 * n:
+        if blocks > 2 * len(free):
             variance = np.maximum(variance, np.diag(inverse @ scatter @ inverse))
-        std = np.array([p.std for p in self.prior])
-        std[free] = np.minimum(np.sqrt(variance), std[free])
+        std = prior.copy()
+        std[free] = np.minimum(np.sqrt(variance), prior[free])
         return std
 
 
