@@ -694,7 +694,7 @@ def _factors(noise: NoiseModel) -> dict[str, float]:
 
 
 def warm_up(new_message: NewMessage) -> None:
-    """Compile, or load from the cache, everything that runs at the IMU's rate."""
+    """Go once through everything that runs at the IMU's rate; see also `kernels.prepare`."""
     values = {**parameters.defaults(), "alignment.heading_source": "parameter",
               "alignment.window": 0.05}
     estimator = Estimator(values, lambda level, text: None)

@@ -46,7 +46,7 @@ try:
 except ImportError:  # the wheels of ROS have none
     TFMessage = None
 
-from hybrid_ins import conversions, parameters
+from hybrid_ins import conversions, kernels, parameters
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator, warm_up
 from hybrid_ins.wire import ImuDecoder, OdometryEncoder, Status, encode_diagnostics
@@ -133,8 +133,12 @@ class InsNode(Node):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self._flush()
-        self.get_logger().info(
-            "ready: waiting for " + self._estimator.navigator.waiting_for)
+
+    def prepare(self) -> None:
+        """Make everything quick from the first message on; those that come meanwhile wait."""
+        kernels.prepare(self.get_logger().info)
+        warm_up(lambda name: MESSAGES[name]())
+        self.get_logger().info("ready: waiting for " + self._estimator.navigator.waiting_for)
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile,
                    raw: bool = False) -> None:
@@ -313,9 +317,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: asked_to_stop.set_result(None))
     node = None
     try:
-        rclpy.logging.get_logger("ins_node").info("preparing the compiled filter")
-        warm_up(lambda name: MESSAGES[name]())
         node = InsNode()
+        node.prepare()
         executor = EventsExecutor()
         executor.add_node(node)
         while rclpy.ok() and not asked_to_stop.done():

@@ -21,10 +21,6 @@ from hybrid_ins.resources import share_path
 
 LOG_LINES = 12  # of the node, shown when it fails
 PATIENCE = 60.0  # s, for the node to come up
-COMPILE = (
-    "from hybrid_ins import estimator; from hybrid_ins.offline.bags import new_message; "
-    "estimator.warm_up(new_message)"
-)
 
 
 class Failed(Exception):
@@ -106,7 +102,8 @@ def fly(args: argparse.Namespace, processes: Processes) -> None:
     for earlier in (flight, estimate):
         clear(earlier)
 
-    compiling = None if is_compiled() else processes.start([sys.executable, "-c", COMPILE])
+    compile_all = [sys.executable, "-m", "hybrid_ins.kernels"]
+    compiling = None if is_compiled() else processes.start(compile_all)
     parameters = args.params_file
     if args.flight:
         step(1, f"convert {args.flight}")

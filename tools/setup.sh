@@ -104,5 +104,9 @@ stamp=$venv/ready-$(IFS=- && echo "${extras[*]}")
 [ "$(identity)" = "$(cat "$venv/identity" 2>/dev/null)" ] || make_environment
 rm -f "$venv/identity" # so that an interrupted installation starts afresh
 install
+if ! "$venv/bin/python" -m hybrid_ins.kernels >&2 2>>"$venv/setup.log"; then
+    echo "tools/setup.sh: the filter could not be compiled ahead (see $venv/setup.log); the first" \
+        "start will try again" >&2
+fi
 identity >"$venv/identity"
 contents | cksum >"$stamp"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,8 @@ from numba import config, njit
 Function = Callable[..., Any]
 
 CORE = Path(__file__).resolve().parent
+COMPLETE = "complete"
+KERNELS: list[Any] = []  # all there are, as numba's dispatchers
 TEMPORARY = Path(tempfile.gettempdir()) / f"hybrid_ins-{os.getuid()}"
 
 
@@ -31,6 +34,7 @@ def kernel(**options: Any) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         dispatcher = njit(error_model="numpy", **options)(function)
+        KERNELS.append(dispatcher)
         if CACHE is not None:
             given, config.CACHE_DIR = config.CACHE_DIR, str(CACHE)
             try:
@@ -43,8 +47,31 @@ def kernel(**options: Any) -> Callable[[Function], Function]:
 
 
 def is_compiled() -> bool:
-    """Tell whether there is machine code from an earlier run: if not, the first calls take long."""
-    return CACHE is not None and any(CACHE.rglob("*.nbi"))
+    """Tell whether all kernels were compiled in an earlier run: if not, first calls take long."""
+    return CACHE is not None and (CACHE / COMPLETE).exists()
+
+
+def mark_compiled() -> None:
+    """Note that the machine code of all kernels is kept."""
+    if CACHE is not None:
+        (CACHE / COMPLETE).touch()
+
+
+def spare_blas() -> None:
+    """
+    Keep numba from loading SciPy's linear algebra, for programs.
+
+    Numba looks for it when it starts, in case that a kernel multiplies matrices. Ours do not, and
+    the search alone costs 0.3 s of the start and 40 MB.
+    """
+    name = "scipy.linalg.cython_blas"
+    if name in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[name]
 
 
 def _cache() -> Path | None:

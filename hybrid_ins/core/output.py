@@ -12,6 +12,7 @@ REP-103 (units and axes), REP-105 (frames), and the definitions of the messages.
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import EARTH_RATE, ECCENTRICITY_SQ, radii
@@ -125,7 +126,7 @@ def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
         out[49 + 21 + 7 * i] += rate_variance[i]
 
 
-@kernel(fastmath={"contract"})
+@register_jitable
 def _write_covariance(J, T, P, out):  # type: ignore[no-untyped-def]
     """Write A P A', with A = blockdiag(T, T) J, shape (6, 15), into ``out``, shape (36,)."""
     A = np.zeros((6, 15))
@@ -152,7 +153,7 @@ def _write_covariance(J, T, P, out):  # type: ignore[no-untyped-def]
             out[6 * j + i] = total
 
 
-@kernel()
+@register_jitable
 def _write_quaternion(R, out):  # type: ignore[no-untyped-def]
     """Write the quaternion xyzw, w >= 0, of a rotation matrix into ``out[3:7]``."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]

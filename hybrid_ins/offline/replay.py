@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from hybrid_ins import kernels
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
@@ -75,6 +76,7 @@ def replay(
     order = np.arange(len(imu.stamp_ns))
     stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
     fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
+    kernels.prepare(partial(log or _say, "info"))
     estimator = Estimator(values, log or _say)
     writers = [_OdometryWriter(out, values, topic, values[frame]) for topic, frame in
                (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))]
@@ -187,6 +189,7 @@ def _body(args: argparse.Namespace) -> int:
     if len(args.input) > 1 or not fleet.is_bag(args.input[0]):
         if args.plot is not None:
             raise InputError("--plot is for one bag at a time")
+        kernels.prepare(partial(_say, "info"))
         return fleet.run(
             args, fleet.find_jobs(args.input, args.output),
             partial(_replay_one, values, topics, args.overwrite),
