@@ -30,6 +30,8 @@ import benchmark_node  # noqa: E402
 import benchmark_replay  # noqa: E402
 from benchmark_table import Section, machine, markdown, plain  # noqa: E402
 
+from hybrid_ins import kernels  # noqa: E402
+
 SECTIONS: dict[str, Callable[[bool], Section]] = {
     "kernel": benchmark_kernel.measure,
     "node": benchmark_node.measure,
@@ -52,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     about = machine()
     print(f"{about['processor']}, {about['processors']} processors, load {about['load']}")
+    kernels.prepare(print)
     done: list[Section] = []
     start = time.monotonic()
     for name in args.only:
