@@ -516,7 +516,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("fix_past", "stamps are a minute behind",
           _stamps_of(FIX, lambda t, _: t - 60 * 10**9), ("gnss: too old",)),
     Fault("fix_late", "fixes arrive 0.3 s late", _fix_late(lambda f: 0.3),
-          ("verdict age 0.3|verdict age 0.4",)),
+          ("verdict age 0.3|verdict age 0.2",)),
     Fault("fix_late_reordered", "fixes arrive up to 0.5 s late and overtake each other",
           _fix_late(lambda f: f.rng.uniform(0.0, 0.5)), ("verdict age 0.4",)),
     Fault("fix_burst", "fixes are held back and come in bursts", _fix_burst, ("verdict age 0.6",)),

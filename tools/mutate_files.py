@@ -35,7 +35,8 @@ from hybrid_ins.resources import share_path
 PATIENCE = 60.0  # s
 ODD_WORDS = ("nan", ".nan", "1e999", "-1", "[", "]", "{", "}", "&a", "*a", "<<: *a",
              "!!python/name:os", "null", "~", "'", '"', "\t", ": :", "- -", "0x10",
-             "1_000", "yes", "# ", "\0", "é", "!!binary aGk=", "2001-01-01", "9" * 400, "a" * 5000, "? ", "|", ">", "%YAML 9.9")
+             "1_000", "yes", "# ", "\0", "é", "!!binary aGk=", "2001-01-01", "9" * 400,
+             "a" * 5000, "? ", "|", ">", "%YAML 9.9")
 Draw = np.random.Generator
 
 
