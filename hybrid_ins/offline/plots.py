@@ -42,6 +42,7 @@ _DPI = 100
 _MARGINS = {
     "left": 0.043, "right": 0.99, "bottom": 0.048, "top": 0.93, "wspace": 0.16, "hspace": 0.3,
 }  # fmt: skip
+_LINEAR_SHARE = 1.5  # decades' room for the linear part of an axis that is logarithmic outside
 _POINTS = 1500  # per line: what a panel of this width can show
 _STYLE = {
     "font.size": 9.0,
@@ -165,7 +166,7 @@ def _headline(recording: Recording, result: Result) -> str:
         ("NIS", result.nis_position),
     ):
         if consistency is not None:
-            parts.append(f"{name} {consistency.per_dof:.2f} per dof ({consistency.verdict})")
+            parts.append(f"{name} {consistency.per_dof:.3g} per dof ({consistency.verdict})")
     if result.outage_error(50) is not None:
         parts.append(f"outage end {result.outage_error(50):.2g} m (median)")
     return "   ·   ".join(parts)
@@ -501,7 +502,7 @@ def _zoom(axes: Axes, error: Array | None, sigma: Array | None) -> None:
         largest = max(largest, 1.1 * float(np.max(sizes[0])))
     if largest > 8.0 * usual > 0.0:
         linear = 2.0 * _round_up(usual)
-        axes.set_yscale("symlog", linthresh=linear, linscale=1.5)
+        axes.set_yscale("symlog", linthresh=linear, linscale=_LINEAR_SHARE)
         ticks = [0.0, 0.5 * linear, linear, *_decades(linear, largest)]
         axes.set_yticks(sorted({sign * tick + 0.0 for tick in ticks for sign in (-1.0, 1.0)}))
         axes.yaxis.set_major_formatter("{x:g}")
@@ -518,9 +519,10 @@ def _round_up(value: float) -> float:
 
 
 def _decades(above: float, largest: float) -> list[float]:
-    first = math.floor(math.log10(above)) + 1
-    return [10.0**power for power in range(first, math.floor(math.log10(largest)) + 1)
-            if 10.0**power > 1.5 * above]  # fmt: skip
+    """Return the powers of ten that have room for a label on an axis logarithmic from `above`."""
+    decades = _LINEAR_SHARE + math.log10(largest / above)  # from zero to the edge
+    powers = range(math.floor(math.log10(above)) + 1, math.floor(math.log10(largest)) + 1)
+    return [10.0**p for p in powers if math.log10(10.0**p / above) > 0.17 * decades]
 
 
 def _legend_above(axes: Axes) -> None:
