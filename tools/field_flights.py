@@ -51,11 +51,6 @@ class Flight:
     truth: Track  # reference clock
     epoch: float  # s
 
-    @property
-    def clusters(self) -> str:
-        """What its figures share their difficulties with: all IMUs and seeds of a flight."""
-        return self.name
-
 
 @dataclass(frozen=True, eq=False)
 class Fixes:
@@ -106,11 +101,14 @@ def first_yaw(flight: Flight, offset: float) -> float:
     return math.atan2(C[1, 0], C[0, 0])
 
 
-class _Recorded(Estimator):
+class Recorded(Estimator):
     """Keeps the verdicts that it tells."""
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], first_ns: int) -> None:
+        self.first_ns = first_ns
         self.rows: list[tuple[int, str, bool, str, float, float, float, float]] = []
+        self.levels_t: list[float] = []  # s, and the levels in force then
+        self.levels: list[Array] = []
         super().__init__(values, lambda level, text: None)
 
     def _tell_verdicts(self) -> None:
@@ -122,6 +120,10 @@ class _Recorded(Estimator):
                 stamp = v.measurement.t_ns - round(offset * 1e9)
                 self.rows.append((stamp, "position", v.accepted, v.reason, v.nis,
                                   float(len(v.sigma)), v.threshold, offset))
+        running = self.navigator.filter
+        if running is not None:
+            self.levels_t.append((running.t_ns - self.first_ns) * 1e-9)
+            self.levels.append(running.noise.levels())
         super()._tell_verdicts()
 
 
@@ -130,7 +132,7 @@ class Flown:
     """What came of a flight."""
 
     result: Result
-    estimator: Estimator
+    estimator: Recorded
 
 
 def fly(
@@ -161,7 +163,7 @@ def fly(
             "alignment.heading_source": "parameter",
             "alignment.yaw": first_yaw(flight, offset) + heading,
             "alignment.yaw_std": max(0.1, abs(heading))})
-    estimator = _Recorded(values)
+    estimator = Recorded(values, int(flight.stamp_ns[0]))
     force = flight.force if force is None else force
     rate = flight.rate if rate is None else rate
     due = aid.stamp_ns + round(offset * 1e9)

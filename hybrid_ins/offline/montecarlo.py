@@ -200,6 +200,8 @@ class Flight:
         [m, NED]; NaN from where a filter diverged.
     nees : ndarray, shape (K,)
         Of the whole state: 15 on average for a right covariance.
+    position_nees : ndarray, shape (K,)
+        Of the position alone: 3.
     q : ndarray, shape (K, 6)
         Levels in force.
     fallback : ndarray of bool, shape (K,)
@@ -209,6 +211,7 @@ class Flight:
     t: Array
     position_error: Array
     nees: Array
+    position_nees: Array
     q: Array
     fallback: NDArray[np.bool_]
 
@@ -329,7 +332,8 @@ def fly(run: Run, method: Method) -> Flight:
                 fallback[act] = ins.noise.source == "fallback"
             else:
                 act()
-    return Flight(run.t, error[:, DP], nees(error, P), q, fallback)
+    return Flight(
+        run.t, error[:, DP], nees(error, P), nees(error[:, DP], P[:, DP, DP]), q, fallback)
 
 
 def _events(
