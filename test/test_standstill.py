@@ -1,0 +1,48 @@
+"""Standing is told from vibration, hovering and cruising."""
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.core.standstill import is_standing
+
+RATE = 200.0
+
+
+def samples(force_std=0.02, rate_std=0.002, seconds=1.0, force=None, rate=None):
+    rng = np.random.default_rng(0)
+    n = int(seconds * RATE)
+    table = np.zeros(n, SAMPLE_DTYPE)
+    t = np.arange(n) / RATE
+    table["t_ns"] = np.rint(t * 1e9) + 1
+    table["f"] = [0.0, 0.0, -9.8] + force_std * rng.standard_normal((n, 3))
+    table["w"] = rate_std * rng.standard_normal((n, 3))
+    if force is not None:
+        table["f"] += force(t)[:, None]
+    if rate is not None:
+        table["w"] += rate(t)[:, None]
+    return table
+
+
+def test_a_calm_sensor_stands() -> None:
+    assert is_standing(samples())
+
+
+def test_a_biased_sensor_that_stands_stands() -> None:
+    assert is_standing(samples(rate=lambda t: 0.01 + 0.0 * t))
+
+
+@pytest.mark.parametrize(("what", "changes"), [
+    ("vibration", {"force_std": 0.5}),
+    ("a vibrating gyroscope", {"rate_std": 0.05}),
+    ("a hovering drone that balances", {"rate": lambda t: 0.015 * np.sin(2 * np.pi * 1.5 * t)}),
+    ("speeding up", {"force": lambda t: 0.5 * t}),
+    ("a slow turn", {"rate": lambda t: 0.1 + 0.0 * t}),
+    ("swaying", {"force": lambda t: 0.2 * np.sin(2 * np.pi * t)}),
+])
+def test_motion_is_not_standing(what: str, changes: dict) -> None:
+    assert not is_standing(samples(**changes)), what
+
+
+def test_too_few_samples_tell_nothing() -> None:
+    assert not is_standing(samples(seconds=0.05))
