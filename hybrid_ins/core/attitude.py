@@ -63,12 +63,13 @@ def matrix_from_quat(quat_xyzw: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4); [1]_ eq. 115."""
     q = np.asarray(quat_xyzw, float)
     x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    C = np.empty((*q.shape[:-1], 3, 3))
+    C[..., 0, 0], C[..., 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
+    C[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    C[..., 0, 1], C[..., 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    C[..., 0, 2], C[..., 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    C[..., 1, 2], C[..., 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return C
 
 
 def quat_from_matrix(matrix: ArrayLike) -> Array:

@@ -11,8 +11,38 @@ import numpy as np
 from numba.extending import register_jitable
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.earth import normal_gravity
+from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.kalman import factorise
-from hybrid_ins.core.state import N_ERROR
+from hybrid_ins.core.state import LLA, N_ERROR, QUAT, VELOCITY
+from hybrid_ins.core.strapdown import rotation
+
+
+@kernel()
+def mean_system(nav, velocity_n, C_nb, T, F, C_mean):  # type: ignore[no-untyped-def]
+    """
+    Error dynamics over the time since a correction, without a look at the IMU.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state now.
+    velocity_n, C_nb : ndarray, shape (3,), (3, 3)
+        After that correction.
+    T : float
+        Time since it [s]; 0: there was none.
+    F, C_mean : ndarray, shape (15, 15), (3, 3)
+        Written: system matrix, where it is not zero, and attitude of the mean motion.
+    """
+    f_n, C = np.zeros(3), C_mean.reshape(9)
+    f_n[2] = -normal_gravity(nav[LLA][0], nav[LLA][2])[1]
+    rotation(nav[QUAT], C)
+    if T > 0.0:
+        for i in range(3):
+            f_n[i] += (nav[VELOCITY][i] - velocity_n[i]) / T
+            for j in range(3):
+                C_mean[i, j] = 0.5 * (C_mean[i, j] + C_nb[i, j])
+    system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
 
 
 @kernel(fastmath={"contract"})

@@ -26,11 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.attitude import matrix_from_quat
-from hybrid_ins.core.earth import normal_gravity
-from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.noise import Correction, Reseat
-from hybrid_ins.core.noise_bank import advance
-from hybrid_ins.core.state import DV, LLA, N_ERROR, QUAT, VELOCITY, covariance
+from hybrid_ins.core.noise_bank import advance, mean_system
+from hybrid_ins.core.state import DV, N_ERROR, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
@@ -156,11 +154,6 @@ def system_between(
     F, C_nb : ndarray, shape (15, 15), (3, 3)
         System matrix and attitude of the mean motion.
     """
-    f_n = -np.array([0.0, 0.0, normal_gravity(nav[LLA.start], nav[LLA.stop - 1])[1]])
-    C_mean = matrix_from_quat(nav[QUAT])
-    if T > 0.0:
-        f_n = f_n + (nav[VELOCITY] - velocity_n) / T
-        C_mean = 0.5 * (C_mean + C_nb)
-    F = np.zeros((N_ERROR, N_ERROR))
-    system_matrix(nav[LLA], nav[VELOCITY], f_n, C_mean.ravel(), F)
+    F, C_mean = np.zeros((N_ERROR, N_ERROR)), np.empty((3, 3))
+    mean_system(nav, velocity_n, C_nb, T, F, C_mean)
     return F, C_mean

@@ -33,6 +33,7 @@ VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRUTH = "/truth/"
+BLOCK = 256  # odometry messages that are written at a time
 
 
 def replay(
@@ -115,6 +116,8 @@ def replay(
 
     carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
     carried[fix_topic] = "/gnss/fix"
+    if velocity_topic in handlers:
+        carried[velocity_topic] = "/gnss/velocity"
     start, total = 0, len(imu.log_ns)
     hidden = None if progress else True
     with tqdm(total=total, desc="replay", unit="sample", unit_scale=True, disable=hidden) as bar:
@@ -128,11 +131,13 @@ def replay(
             if topic in carried:
                 out.write_raw(carried[topic], bag.topics[topic], data, log_ns)
         run(slice(start, total))
+    for writer in writers:
+        writer.flush()
     return estimator
 
 
 class _OdometryWriter:
-    """Writes odometry of one frame at the rate that the parameters ask for."""
+    """Writes odometry of one frame at the rate that the parameters ask for, many at a time."""
 
     def __init__(self, out: BagWriter, values: Mapping[str, Any], topic: str, frame: str) -> None:
         self._out = out
@@ -141,13 +146,27 @@ class _OdometryWriter:
         rate = values["odometry_rate"]
         self._period_ns = int(1e9 / rate) if rate else 0
         self._next_ns = 0
+        self._waiting: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
+        self._count = 0
 
     def write(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Take odometry; it is written with what follows it closely."""
         if self._period_ns:
             due = [k for k, t_ns in enumerate(stamps.tolist()) if self._is_due(t_ns)]
             stamps, values = stamps[due], values[due]
-        rows = self._encoder.messages(stamps, values)
-        self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps)
+        self._waiting.append((stamps, values))
+        self._count += len(stamps)
+        if self._count >= BLOCK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has been taken so far."""
+        if self._count:
+            stamps, values = map(np.concatenate, zip(*self._waiting, strict=True))
+            rows = self._encoder.messages(stamps, values)
+            self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps)
+        self._waiting.clear()
+        self._count = 0
 
     def _is_due(self, t_ns: int) -> bool:
         if self._next_ns - self._period_ns <= t_ns < self._next_ns:
