@@ -11,7 +11,15 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
+try:
+    import rclpy
+except ModuleNotFoundError as error:
+    if error.name != "rclpy":
+        raise
+    raise SystemExit(
+        "ins_node: error: ROS 2 is not here: source /opt/ros/jazzy/setup.bash, or install its "
+        'wheels: pip install "hybrid_ins[ros]"'
+    ) from None
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     AccelWithCovarianceStamped,

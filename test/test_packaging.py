@@ -208,3 +208,13 @@ def test_environment_of_the_tests_has_every_program() -> None:
     missing = [name for name in sorted(PROGRAMS) if not Path(program(name)).exists()]
 
     assert not missing, f"{missing} not installed: run tools/setup.sh"
+
+
+def test_node_without_ros_says_what_to_install() -> None:
+    hidden = "import sys; sys.modules['rclpy'] = None; import hybrid_ins.node"
+
+    result = subprocess.run([sys.executable, "-c", hidden], capture_output=True, text=True)
+
+    assert result.returncode == 1
+    assert result.stderr.startswith("ins_node: error: ROS 2 is not here")
+    assert "Traceback" not in result.stderr
