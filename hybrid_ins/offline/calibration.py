@@ -138,7 +138,7 @@ def read_run(
     stretch = _longest_stretch(stamps, int(values["imu.max_gap"] * 1e9))
     stamps, samples = stamps[stretch], samples[stretch]
     origin = int(stamps[0])
-    t = (stamps - origin) * 1e-9
+    t = np.asarray((stamps - origin) * 1e-9, float)
     keep = t <= longest
     rows = [row for row in aid if -10.0 < (row[0] - origin) * 1e-9 < min(t[-1], longest) + 10.0]
     positions = [row for row in rows if row[1] == POSITION]

@@ -86,7 +86,7 @@ def quadrotor_flight(
     if seed is not None:
         rng = np.random.default_rng(seed)
         factors, phase = rng.uniform(0.8, 1.25, 4), rng.uniform(-np.pi, np.pi)
-        side = rng.choice([-1.0, 1.0])
+        side = float(rng.choice([-1.0, 1.0]))
     speed, radius, height, sway = factors * [7.0, 10.0, 15.0, 0.3]
 
     t = _grid(duration)
