@@ -626,6 +626,7 @@ class Estimator:
             "sigma_heading_deg": math.degrees(sigma[8]),
             "fixes_fused": self.fixes_fused,
             "standing": str(self.navigator.standing).lower(),
+            "imu_samples": self.navigator.ring.count,
         })
 
     def _input_status(self) -> Status:
