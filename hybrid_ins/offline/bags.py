@@ -13,6 +13,7 @@ import logging
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
@@ -26,6 +27,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from hybrid_ins.conversions import imu_fields
 from hybrid_ins.errors import InputError
@@ -43,7 +45,6 @@ Message: TypeAlias = Any  # its class depends on the topic
 IMU = "sensor_msgs/msg/Imu"
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
-_ROS1_TYPES = get_typestore(Stores.ROS1_NOETIC)
 _METADATA = "metadata.yaml"
 _METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
 
@@ -612,11 +613,17 @@ def _is_readable(channel: Channel) -> bool:
 
 def _translates(type_name: str, md5sum: str) -> bool:
     """Say whether a ROS 1 type is the well-known one, so that its bytes can become CDR."""
+    known = _ros1_types()
     return (
         is_standard(type_name)
-        and type_name in _ROS1_TYPES.fielddefs
-        and _ROS1_TYPES.generate_msgdef(type_name)[1] == md5sum
+        and type_name in known.fielddefs
+        and known.generate_msgdef(type_name)[1] == md5sum
     )
+
+
+@cache
+def _ros1_types() -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC)
 
 
 def _absolute(topic: str) -> str:

@@ -23,7 +23,7 @@ from hybrid_ins import kernels
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
-from hybrid_ins.offline import evaluation, fleet, options, plots, program
+from hybrid_ins.offline import fleet, options, program
 from hybrid_ins.offline.bags import BagReader, BagWriter
 from hybrid_ins.parameters import Values
 from hybrid_ins.wire import OdometryEncoder
@@ -203,6 +203,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _body(args: argparse.Namespace) -> int:
     if args.plot is not None:
+        from hybrid_ins.offline import plots
+
         plots.check(args.plot)
     values, topics = options.parameter_values(args), options.topics(args)
     if len(args.input) > 1 or not fleet.is_bag(args.input[0]):
@@ -221,6 +223,8 @@ def _body(args: argparse.Namespace) -> int:
                          f"{estimator.navigator.waiting_for}; {args.output} holds no odometry")
     print(estimator.summary())
     if args.plot is not None:
+        from hybrid_ins.offline import evaluation
+
         evaluation.draw(args.output, args.plot)
         print(f"picture: {args.plot}")
     return 0
