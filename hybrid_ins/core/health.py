@@ -22,6 +22,8 @@ FROZEN = 0.5  # share of the window in which nothing changes
 AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 UNUSABLE = ("imu: no gravity", "imu: too much gravity", "imu: frozen", "imu: degrees")
+SPIKE = 12.0  # times the median of how far a sample lies off its neighbours
+SPIKE_FORCE, SPIKE_RATE = 20.0, 2.0  # m/s², rad/s: smaller ones do no harm
 WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
 
 
@@ -52,11 +54,27 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
                 return f"imu: saturated {name}", (
                     f"{name} on axis {'xyz'[axis]} stays at {top[axis]:.2f} {unit}: choose a "
                     "larger range, or dampen the mount")
+    for readings, least, name, unit in (
+            (force, SPIKE_FORCE, "acceleration", "m/s²"), (rate, SPIKE_RATE, "rate", "rad/s")):
+        spike = _largest_spike(readings, least)
+        if spike:
+            return f"imu: spikes in {name}", (
+                f"single readings of {name} jump away by {spike:.1f} {unit} and back: check "
+                "plugs, cables, shielding")
     if _in_degrees(samples):
         return "imu: degrees", (
             f"rates of {np.abs(rate).max():.0f} do not fit the acceleration: they seem to be in "
             "degrees per second; radians per second are meant")
     return None
+
+
+def _largest_spike(readings: Array, least: float) -> float:
+    """Return how far the worst single reading lies off its neighbours; 0 where none is odd."""
+    off = np.abs(readings[1:-1] - 0.5 * (readings[2:] + readings[:-2]))
+    off = np.where(np.abs(readings[2:] - readings[:-2]) < 0.5 * off, off, 0.0)
+    usual = np.median(off, axis=0)
+    odd = off[off > np.maximum(SPIKE * usual, least)]
+    return float(odd.max(initial=0.0))
 
 
 def _in_degrees(samples: NDArray[np.void]) -> bool:

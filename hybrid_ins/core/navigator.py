@@ -38,7 +38,8 @@ BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
-SATURATED = {"imu: saturated acceleration": B_A, "imu: saturated rate": B_G}
+MISLEADING = {"imu: saturated acceleration": B_A, "imu: saturated rate": B_G,
+              "imu: spikes in acceleration": B_A, "imu: spikes in rate": B_G}
 STAMP_FAULTS = {
     "imu: repeated stamp": "header.stamp repeats: a driver that stamps twice, or two publishers "
                            "on one topic",
@@ -317,7 +318,7 @@ class Navigator:
         span = t_ns - samples["t_ns"][0]
         before, self.fault = self.fault, find_fault(samples)
         for fault in (before, self.fault):
-            if fault is not None and fault[0] in SATURATED:
+            if fault is not None and fault[0] in MISLEADING:
                 (self.bank or running).submit(Doubt(t_ns, self._doubted(fault[0])))
         if self.fault is not None and self.fault[0] in UNUSABLE:
             fault = self.fault
@@ -331,9 +332,9 @@ class Navigator:
             (self.bank or running).submit(Standstill.of(samples))
 
     def _doubted(self, fault: str) -> Array:
-        """Standard deviations, (15,), of the errors that a saturated sensor leaves behind."""
+        """Standard deviations, (15,), of the errors that misleading readings leave behind."""
         std, settings = np.zeros(N_ERROR), self._alignment_settings
-        if SATURATED[fault] == B_A:
+        if MISLEADING[fault] == B_A:
             std[B_A] = settings.bias_a_std
         else:
             std[B_G] = settings.bias_g_std
