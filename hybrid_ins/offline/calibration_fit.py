@@ -19,8 +19,11 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -287,6 +290,9 @@ class Problem:
     def run(self, k: int, x: Array, keep_rows: bool = False) -> Pass:
         """Run the filter over recording ``k`` with parameters ``x``."""
         self.tell()
+        return self._filter(k, x, keep_rows)
+
+    def _filter(self, k: int, x: Array, keep_rows: bool = False) -> Pass:
         psd = np.repeat(np.exp([self.value(x, "psd_a"), self.value(x, "psd_g"),
                                 2.0 * self.value(x, "walk_a"), 2.0 * self.value(x, "walk_g")]), 3)
         lever = np.array([self.value(x, name) for name in SHARED[:3]])
@@ -303,11 +309,16 @@ class Problem:
         self._bank = np.zeros((len(self.runs), len(grid), YAWS))
         for k, whole in enumerate(self.runs):
             run = whole.aided(whole.aid_t[0], whole.aid_t[0] + LONGEST_COARSE)
-            for g, offset in enumerate(grid):
-                for j, yaw in enumerate(yaws):
-                    self.tell()
-                    self._bank[k, g, j] = np.sum(run_filter(
-                        run, offset, given.lever_b, psd, 1.0, given, yaw, BANK_STD).log_likelihood)
+            starts = [(offset, yaw) for offset in grid for yaw in yaws]
+
+            def begun(start: tuple[float, float], run: Run = run) -> Pass:
+                offset, yaw = start
+                return run_filter(run, offset, given.lever_b, psd, 1.0, given, yaw, BANK_STD)
+
+            self._bank[k] = np.reshape(
+                [np.sum(p.log_likelihood) for p in self._at_once(begun, starts)],
+                (len(grid), YAWS))
+            for g in range(len(grid)):
                 best = np.max(self._bank[k, g])
                 profile[k, g] = best + math.log(np.mean(np.exp(self._bank[k, g] - best)))
         return profile
@@ -341,15 +352,29 @@ class Problem:
 
     def scores(self, x: Array) -> tuple[list[Array], list[Array]]:
         """Log-likelihood (M,) and its derivatives (M, n) of each measurement of each run."""
-        values = [self.run(k, x).log_likelihood for k in range(len(self.runs))]
-        slopes = [np.zeros((len(v), len(x))) for v in values]
-        for i in self._free():
-            step = self.prior[i].step
+        steps = [(k, i) for i in self._free() for k in self._concerned(self.names[i])]
+
+        def moved(step: tuple[int, int]) -> Pass:
+            k, i = step
             high = x.copy()
-            high[i] = x[i] + step
-            for k in self._concerned(self.names[i]):
-                slopes[k][:, i] = (self.run(k, high).log_likelihood - values[k]) / step
+            if i >= 0:
+                high[i] += self.prior[i].step
+            return self._filter(k, high)
+
+        points = [*((k, -1) for k in range(len(self.runs))), *steps]
+        found = [passed.log_likelihood for passed in self._at_once(moved, points)]
+        values = found[:len(self.runs)]
+        slopes = [np.zeros((len(v), len(x))) for v in values]
+        for (k, i), high in zip(steps, found[len(self.runs):], strict=True):
+            slopes[k][:, i] = (high - values[k]) / self.prior[i].step
         return values, slopes
+
+    def _at_once(self, call: Callable[[Any], Pass], arguments: Sequence[Any]) -> Iterator[Pass]:
+        """Run the filter for each argument, on all processors: it leaves Python's lock."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for passed in pool.map(call, arguments):
+                self.tell()
+                yield passed
 
     def value_at(self, x: Array) -> float:
         """Log-posterior."""

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 POSITION, VELOCITY = 0, 1
 
 
-@kernel()
+@kernel(nogil=True)
 def innovations(  # type: ignore[no-untyped-def]
     nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, rows
 ):
