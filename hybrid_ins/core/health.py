@@ -71,10 +71,9 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
 def _largest_spike(readings: Array, least: float) -> float:
     """Return how far the worst single reading lies off its neighbours; 0 where none is odd."""
     off = np.abs(readings[1:-1] - 0.5 * (readings[2:] + readings[:-2]))
-    off = np.where(np.abs(readings[2:] - readings[:-2]) < 0.5 * off, off, 0.0)
+    alone = np.abs(readings[2:] - readings[:-2]) < 0.5 * off
     usual = np.median(off, axis=0)
-    odd = off[off > np.maximum(SPIKE * usual, least)]
-    return float(odd.max(initial=0.0))
+    return float(off[alone & (off > np.maximum(SPIKE * usual, least))].max(initial=0.0))
 
 
 def _in_degrees(samples: NDArray[np.void]) -> bool:
