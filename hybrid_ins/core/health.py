@@ -23,7 +23,7 @@ AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 UNUSABLE = ("imu: no gravity", "imu: too much gravity", "imu: frozen", "imu: degrees")
 SPIKE = 12.0  # times the median of how far a sample lies off its neighbours
-SPIKE_FORCE, SPIKE_RATE = 20.0, 2.0  # m/s², rad/s: smaller ones do no harm
+SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
 WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
 
 
