@@ -18,6 +18,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -58,7 +59,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     done: list[Section] = []
     start = time.monotonic()
     for name in args.only:
-        section = SECTIONS[name](args.quick)
+        try:
+            section = SECTIONS[name](args.quick)
+        except Exception as error:  # the other sections are worth having
+            section = Section(name.capitalize(), remarks=[f"failed: {error}"])
+            traceback.print_exc()
         done.append(section)
         print(f"\n{section.title}\n{plain(section.rows())}", flush=True)
         for caption, rows in section.tables:
@@ -76,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     missed = [f.name for s in done for f in s.figures if f.verdict == "NO"]
     print(f"\n{about['minutes']} minutes, load {about['load']} before and {about['load_after']} "
           f"after; bars missed: {', '.join(missed) or 'none'}")
-    return 0
+    return 0 if all(section.figures for section in done) else 1
 
 
 def report(about: dict[str, object], sections: Sequence[Section]) -> str:
