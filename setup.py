@@ -36,6 +36,8 @@ EXTRAS = {
         "colcon-core",
         "colcon-package-selection",
         "colcon-ros",
+        "dask",
+        "distributed",
         "hypothesis",
         "mcap",
         "mypy",
