@@ -8,6 +8,9 @@ together, a wrong R makes them jump back and forth, an outlier comes alone. So a
 hypotheses (factors on the accelerometer's and the gyroscope's noise, and on R) is compared by the
 likelihood that each would have given the whole sequence.
 
+The factors may also fall below 1, by a decade: vibration that the regressor reads above the
+frequencies of motion need not reach down to those that integrate into position.
+
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. What the
 running filter knows is in its innovations and corrections; a hypothesis only keeps how far its
 own estimate leads the running one.
@@ -22,6 +25,8 @@ References
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,8 +37,8 @@ from hybrid_ins.core.state import DV, N_ERROR, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
-DECADES = np.array([0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
-RATE_DECADES = np.array([0.0, 3.0])  # on the gyroscope's
+DECADES = np.array([-1.0, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
+RATE_DECADES = np.array([-1.0, 0.0, 3.0])  # on the gyroscope's
 GNSS_DECADES = np.array([0.0, 0.7, 1.5, 3.0])  # on R
 LEAVING = 2.0  # nats that a factor other than 1 must be worth: the model is right until shown wrong
 COST = (1.0, 1.0, 2.0)  # and each of its decades
@@ -45,7 +50,7 @@ LONGEST = 60.0  # s without a fix after which the hypotheses begin anew
 
 _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
-_PRIOR = -sum((LEAVING * (grid > 0.0) + cost * grid
+_PRIOR = -sum((LEAVING * (grid != 0.0) + cost * np.abs(grid)
                for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
 _FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R), axis=1)
 
@@ -69,7 +74,7 @@ class NoiseScale:
         self._gnss = 1.0
 
     def scale(self) -> tuple[float, float]:
-        """Factors on the noise variances of accelerometer and gyroscope, 1 to 10⁴ and 10³."""
+        """Factors on the noise variances of accelerometer and gyroscope, 0.1 to 10⁴ and 10³."""
         return self._scale
 
     def gnss(self) -> float:
@@ -119,7 +124,7 @@ class NoiseScale:
         posterior = self._evidence + _PRIOR
         weights = np.exp(posterior - np.max(posterior))
         weights /= np.sum(weights)
-        a, g, r = (10.0 ** max(0.0, float(weights @ decades) - MARGIN) for decades in (_A, _G, _R))
+        a, g, r = (_factor(float(weights @ decades)) for decades in (_A, _G, _R))
         self._scale, self._gnss = (a, g), r
         factors = np.array([a, g, r])
         risen = np.max(factors / self._seated)
@@ -132,6 +137,11 @@ class NoiseScale:
         P = np.einsum("i,ijk->jk", weights, self._P) + (weights[:, None] * apart).T @ apart
         self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
         return Reseat(dx, P)
+
+
+def _factor(decades: float) -> float:
+    """Of so many decades, less the margin towards 1."""
+    return float(10.0 ** math.copysign(max(0.0, abs(decades) - MARGIN), decades))
 
 
 def system_between(
