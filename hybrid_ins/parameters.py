@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,13 +17,13 @@ from typing import Any
 
 import yaml
 
+from hybrid_ins import plain_yaml
 from hybrid_ins.errors import InputError
 
 Value = bool | int | float | str | list[float]
 Values = dict[str, Value]
 
 NODE_NAME = "ins_node"
-LARGEST_FILE = 1_000_000  # bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +264,8 @@ def parse_value(name: str, text: str) -> object:
     """Return a value given on a command line, or raise `InputError`."""
     find(name)
     try:
-        return yaml.load(text, _PlainLoader)
-    except yaml.YAMLError:
+        return plain_yaml.parse(text)
+    except (yaml.YAMLError, ValueError):
         raise InputError(f"parameter {name}: {text!r} is no value") from None
 
 
@@ -281,20 +280,6 @@ def check_together(values: Mapping[str, Any]) -> None:
                          f"{values['gnss.position_std_min']:g} m exceeds gnss.position_std_max")
 
 
-class _PlainLoader(yaml.SafeLoader):
-    """YAML without anchors: a file cannot grow by referring to itself."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError("aliases (*name) are not accepted in a parameter file")
-        return super().compose_node(parent, index)
-
-
-# YAML 1.1 takes 1e-4 for a text; ROS takes it for the number that everybody means.
-_PlainLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789"))
-
-
 def load_file(path: str | Path) -> Values:
     """
     Read a ROS 2 parameter file: ``<node name or /**>: {ros__parameters: {...}}``.
@@ -305,21 +290,8 @@ def load_file(path: str | Path) -> Values:
         No such file, too large, not YAML, not that form, or a value that `check_all` refuses.
     """
     path = Path(path)
-    return check_all(flatten(_ros_parameters(path, _read_yaml(path)), path))
-
-
-def _read_yaml(path: Path) -> object:
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes: no parameter file")
-        return yaml.load(path.read_text(encoding="utf-8"), _PlainLoader)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}: give a parameter file") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        first = str(error).replace("\n", " ")
-        raise InputError(f"{path}: no readable YAML: {first[:200]}") from None
+    content = plain_yaml.read(path, "a parameter file")
+    return check_all(flatten(_ros_parameters(path, content), path))
 
 
 def _ros_parameters(path: Path, content: object) -> dict[str, object]:

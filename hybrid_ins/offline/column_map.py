@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from hybrid_ins import plain_yaml
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline.csv_table import CsvFormat
 from hybrid_ins.offline.flight_bag import EPOCH_NS
 from hybrid_ins.offline.tracks import Array
 
-LARGEST_FILE = 100_000  # bytes
 DELIMITERS = {"tab": "\t", "space": " "}
 UNKNOWN_ANGLE = np.degrees(np.pi / np.sqrt(3.0))  # std of an angle of which nothing is known
 DEFAULT_EPOCH = EPOCH_NS * 1e-9
@@ -116,7 +115,7 @@ def load_map(path: Path) -> ColumnMap:
         No such file, no YAML, or an entry is missing, unknown or impossible.
 
     """
-    top = _Section(path, "", _read_yaml(path))
+    top = _Section(path, "", plain_yaml.read(path, "a column map"))
     attitude = top.section("attitude", required=False)
     result = ColumnMap(
         top.number("epoch", DEFAULT_EPOCH),
@@ -311,19 +310,3 @@ class _Section:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-
-
-def _read_yaml(path: Path) -> object:
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes: no column map")
-        text = path.read_text(encoding="utf-8")
-        # Aliases let a file grow or contain itself; no map needs one.
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise InputError(f"{path}: aliases (*name) are not accepted in a column map")
-        return yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}: give a column map (YAML)") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: no readable YAML: {reason[:200]}") from None
