@@ -90,7 +90,7 @@ def levels_over_time(path: Path, run: Run, flights: Mapping[str, Flight]) -> Non
             axis.semilogy(flight.t, flight.q[:, channel], color=LINES[name][0], linewidth=1.0,
                           label=name)
         axis.set(title=title, xlabel="time [s]")
-    axes[0].legend(loc="upper right")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
     _save(figure, path)
 
 
@@ -111,7 +111,8 @@ def error_distributions(path: Path, groups: Mapping[str, Mapping[str, Sequence[F
                           label=name, linewidth=2.6 if name == "ours" else 1.2)
             axis.set(title=title, xscale="log", xlabel=metric)
             axis.set_xlim(left=0.02)
-            axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+            between = (1.0, 2.0, 5.0) if axis.get_xlim()[1] < 2.0 else (1.0,)
+            axis.xaxis.set_major_locator(ticker.LogLocator(subs=between))
             axis.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
             axis.xaxis.set_minor_formatter(ticker.NullFormatter())
         row[0].set_ylabel("share of epochs")
