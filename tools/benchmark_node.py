@@ -122,8 +122,12 @@ def drive(processes: Processes, node: Node, rate: float, duration: float, folder
     counted = (sent >= began_ns) & (sent < ended_ns)
     there = (stamps >= began_ns) & (stamps < ended_ns)
     latency = (published[there] - stamps[there]) * 1e-6 if times else np.empty(0)
-    return Passage((after - before) / ((ended_ns - began_ns) * 1e-9), int(counted.sum()),
-                   len(np.unique(stamps[there])), latency)
+    # Answers that were given in that time: a node that falls behind answers later.
+    when = published if times else stamps
+    answers = int(np.sum((when >= began_ns) & (when < ended_ns)))
+    return Passage(
+        (after - before) / ((ended_ns - began_ns) * 1e-9), (after - before) / max(answers, 1),
+        int(counted.sum()), len(np.unique(stamps[there])), latency)
 
 
 @contextmanager
