@@ -67,7 +67,7 @@ class Found:
     """What an estimator said over a run."""
 
     stamp_ns: NDArray[np.int64]
-    yaw: Array
+    C: Array  # (K, 3, 3) base_link to map
     yaw_std: Array
     position: Array
 
@@ -92,11 +92,15 @@ class Row:
     ratio: float  # position RMSE over that with the heading given
 
 
+def about_z(angle: float) -> Array:
+    """Rotation (3, 3) by an angle [rad] about the third axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def turned(case: Case, angle: float) -> Case:
     """Turn the IMU by an angle [rad] about its vertical axis."""
-    c, s = math.cos(angle), math.sin(angle)
-    back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return replace(case, force=case.force @ back.T, rate=case.rate @ back.T)
+    return replace(case, force=case.force @ about_z(angle), rate=case.rate @ about_z(angle))
 
 
 def estimate(case: Case, yaw: float | None) -> Found:
@@ -121,19 +125,16 @@ def estimate(case: Case, yaw: float | None) -> Found:
         estimator.fix(message)
         estimator.outbox.clear()
     if not done:
-        return Found(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 3)))
+        return Found(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty(0), np.empty((0, 3)))
     stamps = np.concatenate([part[0] for part in done])
     rows = np.concatenate([part[1] for part in done])
-    x, y, z, w = rows[:, 3:7].T
-    return Found(stamps, np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-                 np.sqrt(rows[:, 7 + 35]), rows[:, :3])
+    return Found(stamps, matrix_from_quat(rows[:, 3:7]), np.sqrt(rows[:, 7 + 35]), rows[:, :3])
 
 
-def true_yaw(track: Track) -> Array:
-    """Heading of base_link in the map [rad]."""
-    assert track.quat_xyzw is not None
-    C = matrix_from_quat(track.quat_xyzw)
-    return np.arctan2(C[:, 1, 0], C[:, 0, 0])
+def about_vertical(C: Array, C_true: Array) -> Array:
+    """Turn about the vertical that leads from one attitude to another [rad]."""
+    turn = C @ np.swapaxes(C_true, -1, -2)
+    return np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
 
 
 def wrapped(angle: Array) -> Array:
@@ -144,12 +145,13 @@ def wrapped(angle: Array) -> Array:
 def run(case: Case) -> list[Row]:
     """Give the heading once, then let it be found from all the others."""
     truth = case.truth
-    yaw = true_yaw(truth)
-    first = yaw[int(np.argmin(np.abs(truth.stamp_ns - case.stamp_ns[0])))]
-    known = estimate(case, float(first))
+    assert truth.quat_xyzw is not None
+    C = matrix_from_quat(truth.quat_xyzw)
+    first = C[int(np.argmin(np.abs(truth.stamp_ns - case.stamp_ns[0])))]
+    known = estimate(case, math.atan2(first[1, 0], first[0, 0]))
     rows = known.at(truth.stamp_ns)
     late = (rows >= 0) & (truth.stamp_ns > case.moving_ns + round(MANOEUVRING * 0.5e9))
-    settled = float(np.median(wrapped(known.yaw[rows[late]] - yaw[late])))
+    settled = float(np.median(about_vertical(known.C[rows[late]], C[late])))
     results = []
     for k in range(HEADINGS):
         angle = 2.0 * math.pi * (k + 0.37 * ((7 * k) % HEADINGS) / HEADINGS) / HEADINGS
@@ -157,7 +159,8 @@ def run(case: Case) -> list[Row]:
         own = found.at(truth.stamp_ns)
         there = own >= 0
         error = np.full(len(own), math.nan)
-        error[there] = wrapped(found.yaw[own[there]] - yaw[there] - settled - angle)
+        error[there] = wrapped(
+            about_vertical(found.C[own[there]], C[there] @ about_z(angle)) - settled)
         std = np.full(len(own), math.nan)
         std[there] = found.yaw_std[own[there]]
         time = (truth.stamp_ns - case.moving_ns) * 1e-9
