@@ -181,7 +181,7 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               low=0.01, high=10.0, runtime=True),
     Parameter("noise.innovation_scale", True, "In mode learned: multiply the noise, and what fixes "
               "claim, by factors, up when the innovations show that the IMU or the fixes are worse "
-              "than their noise, and down by ten at most", runtime=True),
+              "than their noise, and down by thirty at most", runtime=True),
     Parameter("noise.innovation_window", 3, "Innovations averaged in mode innovation, the paper's "
               "ξ", low=1, high=100, runtime=True),
     Parameter("noise.units", "consistent", "consistent: Qc = q·Δt; paper: Qc = q, literally",

@@ -313,7 +313,7 @@ class Experiment:
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
         self.cache = Cache(args.work or args.out / ".field")
-        numbers = {name: n[:2] if args.quick else n for name, n in SESSIONS.items()}
+        numbers = {name: n[:1] if args.quick else n for name, n in SESSIONS.items()}
         self.sessions = {
             name: n for name, n in numbers.items()
             if all((args.data / "Horizontal" / f"path_{k}").is_dir() for k in n)}
@@ -361,20 +361,23 @@ class Experiment:
             (args.data, numbers, imu) for numbers in self.sessions.values() for imu in self.imus])
         self.values = {(int(r["flight"][1:]), r["imu"]): r["values"] for r in self.calibrations}
         self.span = {int(r["flight"][1:]): r["span"] for r in self.calibrations}
-        grid = dict(list(GRID.items())[:2]) if args.quick else GRID
-        noisy_grid = dict(list(NOISY_GRID.items())[:2]) if args.quick else NOISY_GRID
+        grid, noisy_grid, others = GRID, NOISY_GRID, OTHERS
+        if args.quick:
+            grid, noisy_grid = (dict(list(g.items())[:2]) for g in (GRID, NOISY_GRID))
+            others = {name: OTHERS[name] for name in (NO_SCALE, PAPER)}
         ours: dict[str, dict[str, Any]] = {OURS: {}}
         rows = []
         for rate in (5.0, 1.0):
             rows += self.fly(f"{rate:g} Hz", self.tasks(
-                f"{rate:g} Hz", rate, {**ours, **OTHERS, **grid}, self.seeds))
+                f"{rate:g} Hz", rate, {**ours, **others, **grid}, self.seeds))
         rows += self.fly("injected noise", self.tasks(
             "injected", 5.0, {**ours, NO_SCALE: OTHERS[NO_SCALE], PAPER: OTHERS[PAPER],
                               "MB-EKF-CQ3": OTHERS["MB-EKF-CQ3"], **noisy_grid},
             self.seeds, injected=True))
-        outage_grid = {n: v for n, v in grid.items() if n.endswith(("1e-06", "1e-05"))}
+        outage_grid = {
+            n: v for n, v in grid.items() if n.endswith(("1e-06", "1e-05"))}
         rows += self.fly("outages", self.tasks(
-            "outage", 5.0, {**ours, **OTHERS, **outage_grid}, self.seeds))
+            "outage", 5.0, {**ours, **others, **outage_grid}, self.seeds))
         rows += self.fly("heading 30°", self.tasks(
             "heading 30°", 5.0, ours, [0], heading=float(np.radians(30.0))))
         rows += self.fly("heading unknown", self.tasks(
@@ -386,8 +389,8 @@ class Experiment:
         rows += self.fly("online offset", self.tasks(
             "online", 5.0, {OURS: {"gnss.time_offset.estimate": True}}, [0], values={}))
         simulated = self.run("simulations", simulate_task, [
-            (kind, seed, 30.0 if args.quick else 80.0) for kind in MISFITS
-            for seed in range(1 if args.quick else 4)])
+            (kind, seed, 20.5 if args.quick else 80.0) for kind in MISFITS
+            for seed in range(1 if args.quick else 1 + len(self.seeds))])
         five, chosen_5 = Group.of(rows, "5 Hz").with_constants(grid)
         one, chosen_1 = Group.of(rows, "1 Hz").with_constants(grid)
         noisy, chosen_noisy = Group.of(rows, "injected").with_constants(noisy_grid)
@@ -508,7 +511,7 @@ class Experiment:
         count = sum(map(len, self.sessions.values()))
         quick = ["**Quick mode: a few flights, to see that the program works. Its figures mean "
                  "nothing.**"] if self.args.quick else []
-        text = share_path("tools/field_text.md").read_text(encoding="utf-8")
+        text = Path(__file__).with_name("field_text.md").read_text(encoding="utf-8")
         head, _, tail = text.partition("<!-- figures -->")
         return "\n\n".join((
             "# The field experiment", *quick,

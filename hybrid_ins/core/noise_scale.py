@@ -8,8 +8,8 @@ together, a wrong R makes them jump back and forth, an outlier comes alone. So a
 hypotheses (factors on the accelerometer's and the gyroscope's noise, and on R) is compared by the
 likelihood that each would have given the whole sequence.
 
-The factors may also fall below 1, by a decade: vibration that the regressor reads above the
-frequencies of motion need not reach down to those that integrate into position.
+The factors may also fall below 1, by a decade and a half: vibration that the regressor reads above
+the frequencies of motion need not reach down to those that integrate into position.
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. What the
 running filter knows is in its innovations and corrections; a hypothesis only keeps how far its
@@ -37,11 +37,12 @@ from hybrid_ins.core.state import DV, N_ERROR, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
-DECADES = np.array([-1.0, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
-RATE_DECADES = np.array([-1.0, 0.0, 3.0])  # on the gyroscope's
+DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
+RATE_DECADES = np.array([-1.5, 0.0, 3.0])  # on the gyroscope's
 GNSS_DECADES = np.array([0.0, 0.7, 1.5, 3.0])  # on R
 LEAVING = 2.0  # nats that a factor other than 1 must be worth: the model is right until shown wrong
 COST = (1.0, 1.0, 2.0)  # and each of its decades
+LESS, LESS_COST = 1.5, 0.3  # the same of factors below 1: vibration is an upper bound
 MARGIN = 0.1  # decades that are not told from none
 MEMORY = 20.0  # s over which the likelihood is remembered
 TAIL = 6.0  # degrees of freedom of an innovation, [2]_
@@ -50,7 +51,7 @@ LONGEST = 60.0  # s without a fix after which the hypotheses begin anew
 
 _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
-_PRIOR = -sum((LEAVING * (grid != 0.0) + cost * np.abs(grid)
+_PRIOR = -sum((np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
                for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
 _FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R), axis=1)
 
@@ -74,7 +75,7 @@ class NoiseScale:
         self._gnss = 1.0
 
     def scale(self) -> tuple[float, float]:
-        """Factors on the noise variances of accelerometer and gyroscope, 0.1 to 10⁴ and 10³."""
+        """Factors on the noise variances of accelerometer and gyroscope, 0.04 to 10⁴ and 10³."""
         return self._scale
 
     def gnss(self) -> float:
