@@ -275,7 +275,7 @@ def test_a_missing_topic_names_those_that_would_do(flight: Path) -> None:
             bag.imu("imu")
         with pytest.raises(InputError, match=r"/gnss/fix is .*NavSatFix, not .*Imu: choose /imu"):
             bag.imu("/gnss/fix")
-        with pytest.raises(InputError, match=r"no topic is std_msgs/msg/Bool; it has /gnss/fix, "):
+        with pytest.raises(InputError, match=r"no other is std_msgs/msg/Bool; it has /gnss/fix, "):
             bag.require("/x", "std_msgs/msg/Bool", "--x")
 
 
@@ -284,7 +284,7 @@ def test_the_map_s_origin_and_the_truth_would_not_do(tmp_path: Path) -> None:
         for topic in ("/truth/datum", "/datum"):
             out.write(topic, new_message("sensor_msgs/msg/NavSatFix"), 1)
 
-    with BagReader(tmp_path / "bag") as bag, pytest.raises(InputError, match=r"no topic is .*Fix"):
+    with BagReader(tmp_path / "bag") as bag, pytest.raises(InputError, match=r"no other is .*Fix"):
         bag.require("/gnss/fix", "sensor_msgs/msg/NavSatFix", "--fix-topic")
 
 

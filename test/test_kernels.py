@@ -36,7 +36,7 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
         estimator = replay.replay(source, out, parameters.defaults(), progress=False)
 
     assert estimator.fixes_fused > 100
-    assert min(before.values()) == max(before.values()) == 1
+    assert min(before.values()) >= 1
     assert compiled() == before
 
 

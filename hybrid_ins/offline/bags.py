@@ -191,7 +191,7 @@ class BagReader:
         way_out = (
             f"choose {' or '.join(sorted(others))} with {option}"
             if others
-            else f"no topic is {type_name}; it has {', '.join(sorted(self.topics)) or 'none'}"
+            else f"no other is {type_name}; it has {', '.join(sorted(self.topics)) or 'none'}"
         )
         raise InputError(f"{self.path}: {wrong}: {way_out}")
 
