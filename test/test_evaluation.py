@@ -675,7 +675,7 @@ class TestProgram:
         _, error = said(capsys, 2, truth_bag)
 
         assert "no topic /odometry" in error
-        assert "it has /truth/odometry" in error
+        assert "/truth/odometry" in error.partition("it has")[2]
 
     def test_a_zero_quaternion_is_no_attitude(
         self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
