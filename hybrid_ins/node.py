@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 try:
@@ -116,8 +116,10 @@ class InsNode(Node):
                 MESSAGES[type_name], topic, LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
                 qos_overriding_options=overriding)
             for topic, type_name in conversions.OUTPUTS.items()}
-        self._publish_odometry = self._publishers_by_topic["odometry"].publish
-        self._publish_local = self._publishers_by_topic["odometry/local"].publish
+        self._poses = (
+            (self._publishers_by_topic["odometry"], self._encoder),
+            (self._publishers_by_topic["odometry/local"], self._local_encoder))
+        self._heard_poses: list[tuple[Callable[[bytes], None], OdometryEncoder]] = []
         self._transforms: Any = None
         if TFMessage is None:
             if values["publish_tf"]:
@@ -174,6 +176,7 @@ class InsNode(Node):
         estimator.tick()
         if estimator.outbox:
             self._flush()
+            self._find_listeners()
 
     def _received_ns(self) -> int | None:
         return self.get_clock().now().nanoseconds if self._by_receipt else None
@@ -221,8 +224,8 @@ class InsNode(Node):
     def _tell_pose(self, t_ns: int) -> None:
         """Publish odometry and transforms where they are due; time may have jumped back."""
         if not self._next_odometry_ns - self._odometry_ns <= t_ns < self._next_odometry_ns:
-            self._publish_odometry(self._encoder.message(t_ns))
-            self._publish_local(self._local_encoder.message(t_ns))
+            for publish, encoder in self._heard_poses:
+                publish(encoder.message(t_ns))
             self._next_odometry_ns = t_ns - t_ns % self._odometry_ns + self._odometry_ns
         if self._transforms is not None and not (
                 self._next_transform_ns - TRANSFORM_NS <= t_ns < self._next_transform_ns):
@@ -235,6 +238,12 @@ class InsNode(Node):
         while outbox:
             topic, message = outbox.popleft()
             self._publishers_by_topic[topic].publish(message)
+
+    def _find_listeners(self) -> None:
+        """Odometry at IMU rate is worth its time only where somebody listens."""
+        self._heard_poses = [
+            (publisher.publish, encoder) for publisher, encoder in self._poses
+            if publisher.get_subscription_count()]
 
     def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
         self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))
