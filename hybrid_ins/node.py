@@ -55,6 +55,7 @@ except ImportError:  # the wheels of ROS have none
     TFMessage = None
 
 from hybrid_ins import conversions, kernels, parameters
+from hybrid_ins.cadence import Cadence
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator, warm_up
 from hybrid_ins.wire import ImuDecoder, OdometryEncoder, Status, encode_diagnostics
@@ -78,7 +79,7 @@ OUTPUT_QOS = QoSProfile(
 LATCHED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TRANSFORM_NS = 20_000_000  # between transforms on /tf
+TRANSFORM_RATE = 50.0  # Hz, on /tf
 FIXED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -104,11 +105,10 @@ class InsNode(Node):
         self._estimator.odometry = self._encoder.values
         self._estimator.local = self._local_encoder.values
         self._by_receipt = bool(values["use_receive_time"])
-        self._next_transform_ns = 0
+        self._transforms_due = Cadence(TRANSFORM_RATE)
         self._crowded: set[str] = set()
         self._last_imu = time.monotonic()
-        self._next_odometry_ns = 0
-        self._set_rate(values["odometry_rate"])
+        self._odometry_due = Cadence(values["odometry_rate"])
 
         overriding = QoSOverridingOptions.with_default_policies()
         self._publishers_by_topic = {
@@ -222,14 +222,11 @@ class InsNode(Node):
     # Output.
 
     def _tell_pose(self, t_ns: int) -> None:
-        """Publish odometry and transforms where they are due; time may have jumped back."""
-        if not self._next_odometry_ns - self._odometry_ns <= t_ns < self._next_odometry_ns:
+        """Publish odometry and transforms where they are due."""
+        if self._odometry_due.is_due(t_ns):
             for publish, encoder in self._heard_poses:
                 publish(encoder.message(t_ns))
-            self._next_odometry_ns = t_ns - t_ns % self._odometry_ns + self._odometry_ns
-        if self._transforms is not None and not (
-                self._next_transform_ns - TRANSFORM_NS <= t_ns < self._next_transform_ns):
-            self._next_transform_ns = t_ns - t_ns % TRANSFORM_NS + TRANSFORM_NS
+        if self._transforms is not None and self._transforms_due.is_due(t_ns):
             self._estimator.fill_transforms(self._transforms.transforms)
             self._publish_transforms(self._transforms)
 
@@ -268,9 +265,6 @@ class InsNode(Node):
                 except InputError as error:
                     self.get_logger().warning(str(error))
 
-    def _set_rate(self, rate: float) -> None:
-        self._odometry_ns = int(1e9 / rate) if rate else 1
-
     def _check_parameters(self, changes: list[Any]) -> SetParametersResult:
         try:
             self._checked(changes)
@@ -287,7 +281,7 @@ class InsNode(Node):
         checked = self._checked(changes)
         if checked:
             self._estimator.change(checked)
-            self._set_rate(self._estimator.values["odometry_rate"])
+            self._odometry_due.change(self._estimator.values["odometry_rate"])
 
     def say_goodbye(self) -> None:
         """Publish what is left and a last diagnostics message."""

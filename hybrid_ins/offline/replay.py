@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from hybrid_ins import kernels
+from hybrid_ins.cadence import Cadence
 from hybrid_ins.conversions import OUTPUTS, Message
 from hybrid_ins.errors import InputError
 from hybrid_ins.estimator import Estimator
@@ -143,16 +144,14 @@ class _OdometryWriter:
         self._out = out
         self._topic = topic
         self._encoder = OdometryEncoder(frame, values["base_frame"])
-        rate = values["odometry_rate"]
-        self._period_ns = int(1e9 / rate) if rate else 0
-        self._next_ns = 0
+        self._cadence = Cadence(values["odometry_rate"]) if values["odometry_rate"] else None
         self._waiting: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
         self._count = 0
 
     def write(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Take odometry; it is written with what follows it closely."""
-        if self._period_ns:
-            due = [k for k, t_ns in enumerate(stamps.tolist()) if self._is_due(t_ns)]
+        if self._cadence is not None:
+            due = [k for k, t_ns in enumerate(stamps.tolist()) if self._cadence.is_due(t_ns)]
             stamps, values = stamps[due], values[due]
         self._waiting.append((stamps, values))
         self._count += len(stamps)
@@ -167,12 +166,6 @@ class _OdometryWriter:
             self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps)
         self._waiting.clear()
         self._count = 0
-
-    def _is_due(self, t_ns: int) -> bool:
-        if self._next_ns - self._period_ns <= t_ns < self._next_ns:
-            return False
-        self._next_ns = t_ns - t_ns % self._period_ns + self._period_ns
-        return True
 
 
 def _say(level: str, text: str) -> None:
