@@ -83,7 +83,7 @@ def _compile_output() -> None:
     output.fix_values(nav, zero, np.zeros(output.N_FIX))
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
-    noise_bank.mean_system(nav, zero, turn, 0.1, np.zeros((N_ERROR, N_ERROR)), np.eye(3))
+    noise_bank.mean_system(nav, zero, turn, 0.1)
     bank = np.eye(N_ERROR)[None]
     noise_bank.advance(
         bank, np.zeros((1, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), 0.1, turn, np.ones(12),

@@ -19,7 +19,7 @@ from hybrid_ins.core.strapdown import rotation
 
 
 @kernel()
-def mean_system(nav, velocity_n, C_nb, T, F, C_mean):  # type: ignore[no-untyped-def]
+def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     """
     Error dynamics over the time since a correction, without a look at the IMU.
 
@@ -31,10 +31,14 @@ def mean_system(nav, velocity_n, C_nb, T, F, C_mean):  # type: ignore[no-untyped
         After that correction.
     T : float
         Time since it [s]; 0: there was none.
-    F, C_mean : ndarray, shape (15, 15), (3, 3)
-        Written: system matrix, where it is not zero, and attitude of the mean motion.
+
+    Returns
+    -------
+    F, C_nb : ndarray, shape (15, 15), (3, 3)
+        System matrix and attitude of the mean motion.
     """
-    f_n, C = np.zeros(3), C_mean.reshape(9)
+    F, C_mean, f_n = np.zeros((N_ERROR, N_ERROR)), np.empty((3, 3)), np.zeros(3)
+    C = C_mean.reshape(9)
     f_n[2] = -normal_gravity(nav[LLA][0], nav[LLA][2])[1]
     rotation(nav[QUAT], C)
     if T > 0.0:
@@ -43,6 +47,7 @@ def mean_system(nav, velocity_n, C_nb, T, F, C_mean):  # type: ignore[no-untyped
             for j in range(3):
                 C_mean[i, j] = 0.5 * (C_mean[i, j] + C_nb[i, j])
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
+    return F, C_mean
 
 
 @kernel(fastmath={"contract"})

@@ -112,7 +112,7 @@ class NoiseScale:
             self._P = np.tile(P, (len(_PRIOR), 1, 1))
             self._lead = np.zeros((len(_PRIOR), N_ERROR))
             T = 0.0
-        F, C_mean = system_between(nav, self._velocity_n, self._C_nb, T)
+        F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
         R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
         self._P, self._lead, gained = advance(
             self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
@@ -143,28 +143,3 @@ class NoiseScale:
 def _factor(decades: float) -> float:
     """Of so many decades, less the margin towards 1."""
     return float(10.0 ** math.copysign(max(0.0, abs(decades) - MARGIN), decades))
-
-
-def system_between(
-    nav: Array, velocity_n: Array, C_nb: Array, T: float
-) -> tuple[Array, Array]:
-    """
-    Error dynamics over the time since a correction, without a look at the IMU.
-
-    Parameters
-    ----------
-    nav : ndarray, shape (N_FLAT,)
-        Flat state now.
-    velocity_n, C_nb : ndarray, shape (3,), (3, 3)
-        After that correction.
-    T : float
-        Time since it [s]; 0: there was none.
-
-    Returns
-    -------
-    F, C_nb : ndarray, shape (15, 15), (3, 3)
-        System matrix and attitude of the mean motion.
-    """
-    F, C_mean = np.zeros((N_ERROR, N_ERROR)), np.empty((3, 3))
-    mean_system(nav, velocity_n, C_nb, T, F, C_mean)
-    return F, C_mean

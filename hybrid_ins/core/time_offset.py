@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.noise_scale import system_between
+from hybrid_ins.core.noise_bank import mean_system
 from hybrid_ins.core.state import DP, DV, N_ERROR, QUAT, VELOCITY
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class ClockOffset:
             s = self._s
             if T > 0.0:
                 acceleration = (velocity_n - self._velocity_n) / T
-                F = system_between(nav, self._velocity_n, self._C_nb, T)[0]
+                F = mean_system(nav, self._velocity_n, self._C_nb, T)[0]
                 once = T * (F @ s)
                 twice = T * (F @ once)
                 s = np.asarray(s + once + twice / 2.0 + T * (F @ twice) / 6.0)
