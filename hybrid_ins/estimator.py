@@ -102,8 +102,9 @@ class Estimator:
                 values["alignment.heading_source"],
                 conversions.yaw_ned_from_enu(values["alignment.yaw"]),
                 values["alignment.yaw_std"], values["alignment.course_min_speed"],
-                values["alignment.window"], values["imu.accelerometer_bias_std"],
-                values["imu.gyroscope_bias_std"]),
+                values["alignment.window"],
+                FLIP @ values["imu.accelerometer_bias"], values["imu.accelerometer_bias_std"],
+                FLIP @ values["imu.gyroscope_bias"], values["imu.gyroscope_bias_std"]),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
             self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"],
             values["imu.zero_updates"], self._start_over)
@@ -131,10 +132,13 @@ class Estimator:
             (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3)
         if mode in PAPER_CONSTANTS:
             return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
-        if mode == "learned" and self.values["noise.innovation_scale"]:
-            return ScaledNoise(LearnedNoise(constant), process, NoiseScale())
         if mode == "learned":
-            return LearnedNoise(constant)
+            learned = LearnedNoise(constant, np.repeat(
+                (self.values["noise.background_accelerometer"],
+                 self.values["noise.background_gyroscope"]), 3))
+            if self.values["noise.innovation_scale"]:
+                return ScaledNoise(learned, process, NoiseScale())
+            return learned
         if mode in ("innovation", "innovation_literal"):
             floor = np.repeat((self.values["noise.q_accelerometer_min"],
                                self.values["noise.q_gyroscope_min"]), 3)

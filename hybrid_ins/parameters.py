@@ -119,8 +119,12 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("imu.position", [0.0, 0.0, 0.0], "IMU in base_frame (forward, left, up)", **_METRES),
     Parameter("imu.mount_rpy", [0.0, 0.0, 0.0], "Roll, pitch, yaw that turn base_frame's axes "
               "into the IMU's", unit="rad", low=-6.3, high=6.3),
+    Parameter("imu.accelerometer_bias", [0.0, 0.0, 0.0], "Accelerometer bias at start (forward, "
+              "left, up), as imu/bias tells it", unit="m/s²", low=-10.0, high=10.0),
     Parameter("imu.accelerometer_bias_std", 0.3, "Uncertainty of the accelerometer bias at start",
               unit="m/s²", low=1e-6, high=10.0),
+    Parameter("imu.gyroscope_bias", [0.0, 0.0, 0.0], "Gyroscope bias at start (forward, left, up), "
+              "as imu/bias tells it", unit="rad/s", low=-1.0, high=1.0),
     Parameter("imu.gyroscope_bias_std", 0.01, "Uncertainty of the gyroscope bias at start",
               unit="rad/s", low=1e-8, high=1.0),
     Parameter("imu.accelerometer_bias_walk", 1e-3, "Random walk of the accelerometer bias",
@@ -189,6 +193,10 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("noise.q_accelerometer", 4e-4, "Per-sample variance of the accelerometer: the "
               "constant, and what learned modes fall back to", unit="(m/s²)²",
               low=1e-12, high=1e4, runtime=True),
+    Parameter("noise.background_accelerometer", 0.0, "Highest level that the regressor reads in "
+              "this vehicle's ordinary motion, where noise.q_accelerometer is the noise; only "
+              "levels above it count as more; 0: not known, all levels count", unit="(m/s²)²",
+              low=0.0, high=1e4, runtime=True),
     Parameter("noise.q_accelerometer_min", 1e-8, "Lowest level that is believed",
               unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
     Parameter("noise.q_accelerometer_max", 1e3, "Estimates beyond this are refused",
@@ -196,6 +204,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("noise.q_gyroscope", 4e-6, "Per-sample variance of the gyroscope: the constant, and "
               "what learned modes fall back to", unit="(rad/s)²", low=1e-14, high=1e2,
               runtime=True),
+    Parameter("noise.background_gyroscope", 0.0, "The same of the gyroscope",
+              unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
     Parameter("noise.q_gyroscope_min", 1e-10, "Lowest level that is believed",
               unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
     Parameter("noise.q_gyroscope_max", 10.0, "Estimates beyond this are refused",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hybrid_ins.core.alignment import AlignmentSettings, yaw_of
 from hybrid_ins.core.attitude import rpy_from_quat
@@ -26,10 +27,13 @@ Q = np.repeat([4e-4, 4e-6], 3)
 
 def make_navigator(
     source: str = "auto", *, yaw: float = 0.0, yaw_std: float = 0.05, max_gap: float = 0.5,
+    bias_a: ArrayLike = (0.0, 0.0, 0.0), bias_g: ArrayLike = (0.0, 0.0, 0.0),
     on_restart: Callable[[str], None] = lambda reason: None,
 ) -> Navigator:
     return Navigator(
-        AlignmentSettings(source, yaw, yaw_std, 1.0, 1.0, 0.3, 0.01), FilterSettings(),
+        AlignmentSettings(
+            source, yaw, yaw_std, 1.0, 1.0, np.array(bias_a), 0.3, np.array(bias_g), 0.01),
+        FilterSettings(),
         lambda period: ProcessNoise(np.repeat([1e-6, 1e-8], 3), period),
         lambda process: ConstantNoise(Q),
         lambda: Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0), max_gap,

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scenes import EPOCH_NS, heading_std, make_navigator, play, scene, stamp
 
+from hybrid_ins.core.attitude import rpy_from_quat
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.state import BIAS_G
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.state import BIAS_A, BIAS_G, QUAT
 from hybrid_ins.offline.sensors import ImuErrors
 from hybrid_ins.offline.trajectories import (
     START_LLA,
@@ -171,6 +173,30 @@ def test_imu_heading_is_taken_where_it_is_asked_for() -> None:
 
     assert navigator.filter is not None
     assert run.errors(navigator, 4.0)[2] < 0.05
+
+
+def test_biases_that_are_given_are_where_the_filter_begins() -> None:
+    # GIVEN an IMU whose biases an earlier recording told, in a vehicle that moves from the start
+    errors = ImuErrors(accelerometer_bias=(0.5, -0.4, 0.3), gyroscope_bias=(0.2, -0.1, 0.05))
+    run = scene(random_motion(4.0, 7, heading=0.8), seed=7, errors=errors)
+
+    def tilt(navigator: Navigator) -> float:
+        play(run, navigator, stop=1.3)
+        assert navigator.filter is not None
+        k = int(np.argmin(np.abs(run.truth.t - 1.3)))
+        truth = rpy_from_quat(run.truth.quat_xyzw[k])
+        return float(np.max(np.abs((rpy_from_quat(navigator.filter.nav[QUAT]) - truth)[:2])))
+
+    knowing = make_navigator(
+        "parameter", yaw=run.yaw(0.0), bias_a=errors.accelerometer_bias,
+        bias_g=errors.gyroscope_bias)
+    ignorant = make_navigator("parameter", yaw=run.yaw(0.0))
+
+    # THEN the first state holds them, and is levelled by readings that are freed from them
+    assert tilt(knowing) < 0.5 * tilt(ignorant)
+    assert knowing.filter is not None
+    assert knowing.filter.nav[BIAS_A] == pytest.approx(errors.accelerometer_bias, abs=0.02)
+    assert knowing.filter.nav[BIAS_G] == pytest.approx(errors.gyroscope_bias, abs=2e-3)
 
 
 def test_upside_down_is_an_attitude_like_any_other() -> None:

@@ -14,7 +14,7 @@ from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.state import PSD, NavState
+from hybrid_ins.core.state import N_NAV, PSD, NavState
 from hybrid_ins.offline import sensors, trajectories
 from hybrid_ins.offline.bags import BagWriter, new_message
 from hybrid_ins.offline.calibration import (
@@ -22,10 +22,12 @@ from hybrid_ins.offline.calibration import (
     _Report,
     antenna_is_base,
     calibrate,
+    highest_levels,
     main,
+    next_biases,
     table,
 )
-from hybrid_ins.offline.calibration_fit import Run
+from hybrid_ins.offline.calibration_fit import Pass, Run
 from hybrid_ins.offline.innovations import (
     POSITION,
     empty_rows,
@@ -145,6 +147,46 @@ def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
     arm = np.array(found.values["gnss.antenna_position"])
     np.testing.assert_allclose(report.values["imu.position"], -arm)
     assert report.values["gnss.antenna_position"] == [0.0, 0.0, 0.0]
+
+
+def test_biases_are_found_for_the_next_start(found: Calibration) -> None:
+    # GIVEN recordings of one IMU, its biases here in FLU
+    for name, true in (
+            ("accelerometer", (0.05, 0.03, -0.04)), ("gyroscope", (0.002, 0.003, -0.001))):
+        bias, std = found.values[f"imu.{name}_bias"], found.values[f"imu.{name}_bias_std"]
+        # THEN the parameters are nearer to them than the defaults, and say how near
+        assert np.linalg.norm(np.subtract(bias, true)) < min(3.0 * std, 0.7 * np.linalg.norm(true))
+        assert std < 0.6 * parameters.defaults()[f"imu.{name}_bias_std"]
+
+
+def test_biases_that_differ_from_start_to_start_are_known_no_better_than_that() -> None:
+    def last_state(bias_g: float) -> Pass:
+        nav = NavState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3),
+                       np.full(3, bias_g), np.diag(np.full(15, 1e-8))).to_flat()
+        return Pass(np.zeros((1, 3)), np.eye(3)[None], np.ones(1), nav[None, :N_NAV])
+
+    steady = next_biases([last_state(0.01)] * 6)[1]
+    spread = next_biases([last_state(0.01 + d) for d in (-0.004, 0.004, -0.002, 0.002, 0, 0)])[1]
+
+    assert steady[0] == pytest.approx(np.full(3, 0.01))
+    assert 4e-4 < steady[1][0] < 1e-3
+    assert spread[0] == pytest.approx(np.full(3, 0.01), abs=1e-9)
+    assert 2e-3 < spread[1][0] < 4e-3
+
+
+def test_the_levels_of_ordinary_motion_become_the_background(found: Calibration) -> None:
+    run = a_run(0.23, seed=1, duration=20.0)
+    values = parameters.defaults()
+    quiet = highest_levels([run], values)
+    run.samples[500:900, 3:] += 0.2 * np.random.default_rng(0).standard_normal((400, 3))
+    shaken = highest_levels([run], values)
+
+    # White noise of 0.2 rad/s for longer than a window is what the highest window holds.
+    assert quiet is not None and shaken is not None
+    assert shaken[0] == pytest.approx(quiet[0])
+    assert 0.02 < shaken[1] < 0.08
+    assert found.values["noise.background_accelerometer"] == pytest.approx(quiet[0], rel=0.5)
+    assert "noise.model plateau" in found.notes["noise.background_accelerometer"]
 
 
 def test_parameter_file_is_read_back(found: Calibration, tmp_path: Path) -> None:

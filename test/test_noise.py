@@ -129,6 +129,27 @@ def test_refused_estimates_fall_back_within_a_second_and_the_next_good_one_count
     assert noise.source == "learned"
 
 
+def test_only_what_exceeds_the_background_counts_as_more_than_the_constant() -> None:
+    # GIVEN a vehicle in whose ordinary motion up to 100 times the noise is read
+    noise = LearnedNoise(FALLBACK, 100.0 * FALLBACK)
+
+    def counts(times: float) -> float:
+        noise.refresh(0, times * FALLBACK)
+        ratio = noise.levels() / FALLBACK
+        assert np.ptp(ratio) < 1e-9
+        return float(ratio[0])
+
+    # THEN ordinary motion is no noise, a quieter stretch is quieter, and far more counts in full
+    assert counts(50.0) == counts(100.0) == 1.0
+    assert counts(0.2) == pytest.approx(0.2)
+    assert counts(1e5) == pytest.approx(1e5, rel=1e-3)
+    # AND nothing jumps, nor falls while the level rises, nor exceeds it
+    times = np.geomspace(0.1, 1e4, 400)
+    counted = np.array([counts(level) for level in times])
+    assert np.all(counted <= times * (1.0 + 1e-12))
+    assert np.all((np.diff(counted) >= 0.0) & (np.diff(np.log(counted)) < 2.0))
+
+
 def test_learned_ignores_corrections() -> None:
     noise = LearnedNoise(FALLBACK)
     noise.learn(correction(np.ones(3)))

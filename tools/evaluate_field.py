@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,23 @@ from field_flights import IMUS, SESSIONS, Fixes, Flight, as_run, fixes, fly, loa
 from joblib import Parallel, delayed
 
 from hybrid_ins import parameters
+from hybrid_ins.conversions import FLIP
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import montecarlo, options, program
-from hybrid_ins.offline.calibration import calibrate
+from hybrid_ins.offline.calibration import calibrate, next_biases
+from hybrid_ins.offline.calibration_fit import Pass
 from hybrid_ins.offline.montecarlo import Method, Scenario
 from hybrid_ins.offline.sensors import ImuErrors
 from hybrid_ins.offline.statistics import Ratio, paired_ratio
 from hybrid_ins.resources import share_path
 
 OURS, TUNED, BEST = "HB-AEKF, ours", "tuned on the other session", "best constant in hindsight"
+NO_BACKGROUND = {"noise.background_accelerometer": 0.0, "noise.background_gyroscope": 0.0}
 OTHERS: dict[str, dict[str, Any]] = {
     "HB-AEKF, ours, without innovation scale": {"noise.innovation_scale": False},
-    "HB-AEKF, paper's network": {"noise.model": "paper", "noise.innovation_scale": False},
+    "HB-AEKF, ours, without background": NO_BACKGROUND,
+    "HB-AEKF, paper's network": {
+        "noise.model": "paper", "noise.innovation_scale": False, **NO_BACKGROUND},
     "MB-EKF-AQ1 (ξ = 1)": {"noise.mode": "innovation", "noise.innovation_window": 1},
     "MB-EKF-AQ2 (ξ = 3)": {"noise.mode": "innovation", "noise.innovation_window": 3},
     "MB-EKF-AQ3 (ξ = 5)": {"noise.mode": "innovation", "noise.innovation_window": 5},
@@ -50,7 +55,8 @@ OTHERS: dict[str, dict[str, Any]] = {
     "MB-EKF-CQ3": {"noise.mode": "cq3"},
     "MB-EKF-CQ3, Qc = q as printed": {"noise.mode": "cq3", "noise.units": "paper"},
 }
-NO_SCALE, PAPER, *_ = OTHERS
+NO_SCALE, PLAIN, PAPER, *_ = OTHERS
+ORACLE = "HB-AEKF, told the injected levels"
 PAPER_TABLE = {  # PMAE and PRMSE [m] of the paper's flight
     PAPER: (1.7, 1.2), "MB-EKF-AQ1 (ξ = 1)": (2.3, 1.6), "MB-EKF-AQ2 (ξ = 3)": (2.0, 1.4),
     "MB-EKF-AQ3 (ξ = 5)": (1.8, 1.3), "MB-EKF-CQ1": (2.4, 1.8), "MB-EKF-CQ2": (2.4, 1.7),
@@ -65,7 +71,7 @@ def constant(accelerometer: float, gyroscope: float) -> tuple[str, dict[str, Any
         "noise.q_gyroscope": gyroscope}
 
 
-GRID = dict(constant(a, g) for g in (1e-6, 1e-5, 1e-4) for a in (0.03, 0.1, 0.3, 1.0))
+GRID = dict(constant(a, g) for g in (1e-6, 1e-5, 1e-4) for a in (0.01, 0.03, 0.1, 0.3, 1.0))
 NOISY_GRID = dict(constant(a, g) for g in (1e-4, 1e-3, 1e-2) for a in (0.3, 1.0, 3.0, 10.0))
 INJECTED = (3.0, 0.1)  # m/s2, rad/s: standard deviation of the injected noise, per sample
 BLOCK = 5.0  # s of quiet, then of injected noise
@@ -114,6 +120,17 @@ def inject(flight: Flight, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return force, rate
 
 
+def injected_levels(flight: Flight, values: Mapping[str, Any]) -> Callable[[int], np.ndarray]:
+    """Return what gives the true levels at a stamp [ns]: the calibrated ones, and the injected."""
+    quiet = np.repeat([values["noise.q_accelerometer"], values["noise.q_gyroscope"]], 3)
+    rough = quiet + np.repeat(np.square(INJECTED), 3)
+
+    def levels(t_ns: int) -> np.ndarray:
+        return rough if (t_ns - flight.stamp_ns[0]) * 1e-9 // BLOCK % 2 == 1 else quiet
+
+    return levels
+
+
 def fly_task(data: Path, task: Task) -> list[Row]:
     """Fly a task with all its methods."""
     flight = load(data, task.number, task.imu)
@@ -127,7 +144,8 @@ def fly_task(data: Path, task: Task) -> list[Row]:
                     "session": flight.session, "imu": task.imu, "seed": task.seed, "method": name}
         try:
             flown = fly(flight, aid, values, offset=values["gnss.time_offset.value"],
-                        heading=task.heading, force=force, rate=rate)
+                        heading=task.heading, force=force, rate=rate,
+                        told=injected_levels(flight, values) if name == ORACLE else None)
         except InputError:
             rows.append({**row, "prmse": np.inf, "pmae": np.inf, "nees": np.inf, "nis": np.inf,
                          "end": np.inf, "offset_20": np.nan})
@@ -160,13 +178,30 @@ def calibrate_task(data: Path, numbers: Sequence[int], imu: int) -> list[Row]:
     chosen = {k: v for k, v in found.values.items() if v != given[k]}
     return [{
         "flight": flight.name, "session": flight.session, "imu": imu, "values": {
-            **chosen, "gnss.time_offset.value": float(found.fitted.offset(k))},
+            **chosen, **_biases([p for j, p in enumerate(found.after) if j != k]),
+            "gnss.time_offset.value": float(found.fitted.offset(k))},
         "offset": found.fitted.offset(k), "sigma": found.fitted.sigma(f"offset_{k}"),
         "exact": exact.fitted.offset(k), "exact_sigma": exact.fitted.sigma(f"offset_{k}"),
         "imu_position": found.values["imu.position"],
         "exact_position": exact.values["imu.position"],
         "span": float(flight.position.t[-1] - flight.position.t[0]),
     } for k, flight in enumerate(flights)]
+
+
+def _biases(others: Sequence[Pass]) -> dict[str, Any]:
+    """
+    Biases at a flight's start, by the session's other flights.
+
+    By the flight itself they would be told by fixes that an outage is to hide.
+    """
+    if not others:
+        return {}
+    (bias_a, std_a), (bias_g, std_g) = next_biases(others)
+    return {
+        "imu.accelerometer_bias": (FLIP @ bias_a).tolist(),
+        "imu.accelerometer_bias_std": float(np.max(std_a)),
+        "imu.gyroscope_bias": (FLIP @ bias_g).tolist(),
+        "imu.gyroscope_bias_std": float(np.max(std_g))}
 
 
 def simulate_task(kind: str, seed: int, duration: float) -> list[Row]:
@@ -364,14 +399,15 @@ class Experiment:
         grid, noisy_grid, others = GRID, NOISY_GRID, OTHERS
         if args.quick:
             grid, noisy_grid = (dict(list(g.items())[:2]) for g in (GRID, NOISY_GRID))
-            others = {name: OTHERS[name] for name in (NO_SCALE, PAPER)}
+            others = {name: OTHERS[name] for name in (NO_SCALE, PLAIN, PAPER)}
         ours: dict[str, dict[str, Any]] = {OURS: {}}
         rows = []
         for rate in (5.0, 1.0):
             rows += self.fly(f"{rate:g} Hz", self.tasks(
                 f"{rate:g} Hz", rate, {**ours, **others, **grid}, self.seeds))
         rows += self.fly("injected noise", self.tasks(
-            "injected", 5.0, {**ours, NO_SCALE: OTHERS[NO_SCALE], PAPER: OTHERS[PAPER],
+            "injected", 5.0, {**ours, ORACLE: {"noise.innovation_scale": False, **NO_BACKGROUND},
+                              **{name: OTHERS[name] for name in (NO_SCALE, PLAIN, PAPER)},
                               "MB-EKF-CQ3": OTHERS["MB-EKF-CQ3"], **noisy_grid},
             self.seeds, injected=True))
         outage_grid = {

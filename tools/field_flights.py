@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from hybrid_ins import conversions
 from hybrid_ins.conversions import FLIP
 from hybrid_ins.core.attitude import matrix_from_quat
+from hybrid_ins.core.ins_filter import NoiseEstimate
+from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.estimator import Estimator
+from hybrid_ins.noise_reader import NoiseReader
 from hybrid_ins.offline.bags import new_message
 from hybrid_ins.offline.calibration_fit import Run
 from hybrid_ins.offline.column_map import load_map
@@ -101,15 +104,38 @@ def first_yaw(flight: Flight, offset: float) -> float:
     return math.atan2(C[1, 0], C[0, 0])
 
 
+class _Told(NoiseReader):
+    """Answers with levels that it is told."""
+
+    def __init__(
+        self, values: Mapping[str, Any], mount: Array, log: Callable[[str, str], None],
+        levels: Callable[[int], Array],
+    ) -> None:
+        super().__init__(values, mount, log)
+        self._levels = levels
+
+    def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
+        """See `NoiseReader.read`."""
+        return NoiseEstimate(t_ns, self._levels(t_ns))
+
+
 class Recorded(Estimator):
     """Keeps the verdicts that it tells."""
 
-    def __init__(self, values: Mapping[str, Any], first_ns: int) -> None:
+    def __init__(
+        self, values: Mapping[str, Any], first_ns: int, told: Callable[[int], Array] | None
+    ) -> None:
         self.first_ns = first_ns
+        self._told = told
         self.rows: list[tuple[int, str, bool, str, float, float, float, float]] = []
         self.levels_t: list[float] = []  # s, and the levels in force then
         self.levels: list[Array] = []
         super().__init__(values, lambda level, text: None)
+
+    def _make_reader(self) -> NoiseReader | None:
+        if self._told is None:
+            return super()._make_reader()
+        return _Told(self.values, self._mount, self._log, self._told)
 
     def _tell_verdicts(self) -> None:
         for v in self.navigator.verdicts:
@@ -138,7 +164,7 @@ class Flown:
 def fly(
     flight: Flight, aid: Fixes, values: Mapping[str, Any], *, offset: float,
     heading: float | None = 0.0, skip: float = 5.0, force: Array | None = None,
-    rate: Array | None = None,
+    rate: Array | None = None, told: Callable[[int], Array] | None = None,
 ) -> Flown:
     """
     Run the node's estimator over a flight and judge it on epochs that it was not given.
@@ -156,6 +182,8 @@ def fly(
         Time after the start that does not count [s].
     force, rate : ndarray, optional
         Readings in place of the flight's.
+    told : callable, optional
+        Gives the levels (6,) at a stamp [ns] in place of the regressor.
     """
     values = dict(values)
     if heading is not None:
@@ -163,7 +191,7 @@ def fly(
             "alignment.heading_source": "parameter",
             "alignment.yaw": first_yaw(flight, offset) + heading,
             "alignment.yaw_std": max(0.1, abs(heading))})
-    estimator = Recorded(values, int(flight.stamp_ns[0]))
+    estimator = Recorded(values, int(flight.stamp_ns[0]), told)
     force = flight.force if force is None else force
     rate = flight.rate if rate is None else rate
     due = aid.stamp_ns + round(offset * 1e9)

@@ -62,8 +62,10 @@ class AlignmentSettings:
         [m/s].
     window : float
         IMU time that levelling averages [s].
-    bias_a_std, bias_g_std : float
-        Uncertainty of the biases [m/s², rad/s].
+    bias_a, bias_a_std : ndarray, shape (3,), float
+        Accelerometer bias, b, and its uncertainty [m/s²].
+    bias_g, bias_g_std : ndarray, shape (3,), float
+        Gyroscope bias, b, and its uncertainty [rad/s].
     """
 
     heading_source: str
@@ -71,7 +73,9 @@ class AlignmentSettings:
     yaw_std: float
     course_min_speed: float
     window: float
+    bias_a: Array
     bias_a_std: float
+    bias_g: Array
     bias_g_std: float
 
 
@@ -189,10 +193,11 @@ class Alignment:
         bias_a, bias_g, bias_P = self._first_biases(now)
         last = samples[-1]
         reading = np.concatenate((last["f"], last["w"]))
-        samples["f"] -= bias_a
-        down_b = _down(samples)
         rate = samples["w"].mean(axis=0)
         standing = is_standing(samples)
+        samples["f"] -= bias_a
+        samples["w"] -= bias_g
+        down_b = _down(samples)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(lla[0])
         bias_g_std = 0.1 * STANDING_RATE_STD
@@ -212,16 +217,17 @@ class Alignment:
         return Start(tuple(states), now, reading)
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
-        """Biases and their covariance: none known, or those of before, which have moved since."""
+        """Biases and their covariance: as given, or those of before, which have moved since."""
         settings = self._settings
         variance = np.repeat([settings.bias_a_std**2, settings.bias_g_std**2], 3)
+        given = settings.bias_a, settings.bias_g, np.diag(variance)
         known = self._biases
         if known is None:
-            return np.zeros(3), np.zeros(3), np.diag(variance)
+            return given
         age = abs(now - known.t_ns) * 1e-9
         P = known.P + np.diag(age * np.repeat([BIAS_A_DRIFT**2, BIAS_G_DRIFT**2], 3))
         if np.any(np.diag(P) > variance):
-            return np.zeros(3), np.zeros(3), np.diag(variance)
+            return given
         return known.accelerometer, known.gyroscope, P
 
     def _attitude(self, down_b: Array, yaw: float) -> Array:

@@ -195,18 +195,26 @@ class LearnedNoise:
     """
     Levels that a regressor reads off the IMU, and a constant while it cannot tell.
 
+    What it reads holds motion and vibration besides noise: an upper bound, since at no frequency
+    do they lie below the noise. Where recordings have told the noise of ordinary motion
+    (``fallback``) and what is read there at most (B, ``background``), a level L counts as
+    L - B²/L more than that: nothing below B, nearly all of L far above.
+
     Parameters
     ----------
     fallback : ndarray, shape (6,)
         Levels before the first estimate, and when the last one is older than ``HOLD_NS``: asked
         once a second or more often, the regressor has given way within a second.
+    background : ndarray, shape (6,), optional
+        See above; zero where it is not known: levels are taken as they are read.
     """
 
     HOLD_NS = 500_000_000
     fix_factor = 1.0
 
-    def __init__(self, fallback: Array) -> None:
+    def __init__(self, fallback: Array, background: Array | None = None) -> None:
         self._fallback = np.array(fallback, float)
+        self._background = np.zeros(6) if background is None else np.array(background, float)
         self._q = self._fallback
         self._estimated_ns: int | None = None
 
@@ -222,9 +230,13 @@ class LearnedNoise:
     def refresh(self, t_ns: int, q: Array | None) -> None:
         """Take a regressor's levels, or let the old ones grow stale."""
         if q is not None:
-            self._q, self._estimated_ns = q, t_ns
+            self._q, self._estimated_ns = self._beyond_background(q), t_ns
         elif self._estimated_ns is not None and t_ns - self._estimated_ns > self.HOLD_NS:
             self._q, self._estimated_ns = self._fallback, None
+
+    def _beyond_background(self, q: Array) -> Array:
+        share = np.divide(self._background, q, out=np.ones(6), where=q > self._background)
+        return np.asarray(np.minimum(q, self._fallback + q * (1.0 - share**2)))
 
     def learn(self, correction: Correction) -> None:
         """Ignore the correction."""

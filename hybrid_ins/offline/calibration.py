@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +30,10 @@ from hybrid_ins.core.attitude import (
     slerp,
 )
 from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT, VELOCITY
 from hybrid_ins.errors import InputError
+from hybrid_ins.noise_reader import NoiseReader
 from hybrid_ins.offline import calibration_plot, options, plots, program
 from hybrid_ins.offline.bags import BagReader
 from hybrid_ins.offline.calibration_fit import (
@@ -57,6 +60,8 @@ USELESS = {"offset": 0.08, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
 NOSE_SPREAD = math.radians(8.0)
+REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: of biases from start to start, as far as is known before
+KNOWN_STARTS = 2.0  # recordings that this weighs as much as
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,8 +242,9 @@ def calibrate(
     given = Given(
         values["gnss.time_offset.value"], lever_b, values["noise.q_accelerometer"] * period,
         values["noise.q_gyroscope"] * period, max(values["imu.accelerometer_bias_walk"], 1e-6),
-        max(values["imu.gyroscope_bias_walk"], 1e-8), values["imu.accelerometer_bias_std"],
-        values["imu.gyroscope_bias_std"])
+        max(values["imu.gyroscope_bias_walk"], 1e-8),
+        FLIP @ values["imu.accelerometer_bias"], values["imu.accelerometer_bias_std"],
+        FLIP @ values["imu.gyroscope_bias"], values["imu.gyroscope_bias_std"])
     fitted = fit(runs, given, own_offsets=own_offsets, search=search, useless=USELESS,
                  held=frozenset({"gnss_scale"} if trust_fixes else ()), tell=tell)
     before, after = passes(fitted, given, fitted.first), passes(fitted, given, fitted.x)
@@ -246,8 +252,10 @@ def calibrate(
     report.offsets(own_offsets, search)
     turn = report.mount(runs, nose_first)
     report.lever(turn, antenna_is_base)
-    report.biases()
+    report.biases(turn)
     report.noise()
+    report.background(runs)
+    report.scatter()
     return Calibration(fitted, before, after, report.findings, report.values, report.notes)
 
 
@@ -361,27 +369,26 @@ class _Report:
         self.values[parameter] = [round(float(a), 3) for a in place]
         self.notes[parameter] = "; ".join(words)
 
-    def biases(self) -> None:
-        """Biases at the end of each recording, as the filter has them."""
-        for label, part, unit, prior in (
-                ("accelerometer bias", BIAS_A, "m/s²", self.given.bias_a_std),
-                ("gyroscope bias", BIAS_G, "rad/s", self.given.bias_g_std)):
-            last = [rows.rows[np.isfinite(rows.nis)][-1] for rows in self.after]
-            bias = np.array([row[part] for row in last])
-            first = 9 if part is BIAS_A else 12
-            sigma = np.sqrt([row[COVARIANCE][DIAGONAL[first:first + 3]] for row in last])
-            weight = 1.0 / sigma**2
-            mean = FLIP @ (np.sum(weight * bias, axis=0) / np.sum(weight, axis=0))
-            std = np.sqrt(1.0 / np.sum(weight, axis=0))
-            known = std < 0.5 * prior
+    def biases(self, turn: Array) -> None:
+        """Biases at the next start, by those at the end of each recording."""
+        (bias_a, std_a), (bias_g, std_g) = next_biases(self.after)
+        for sensor, unit, b, std, prior, places in (
+                ("accelerometer", "m/s²", bias_a, std_a, self.given.bias_a_std, 3),
+                ("gyroscope", "rad/s", bias_g, std_g, self.given.bias_g_std, 5)):
+            mean = FLIP @ turn @ b
+            known = std < 0.6 * prior
             verdict = ("identified" if np.all(known) else
                        "weak" if np.any(known) else "not identifiable")
             note = "" if np.all(known) else "/".join(
                 axis for axis, k in zip(("forward", "left", "up"), known, strict=True)
                 if not k) + " not separable from tilt with this motion"
-            places = 3 if part is BIAS_A else 5
             text = ", ".join(f"{v:+.{places}f}" for v in mean)
-            self._add(label, f"[{text}] {unit}", f"{np.max(std):.{places}f}", verdict, note)
+            name = f"imu.{sensor}_bias"
+            self._add(f"{sensor} bias", f"[{text}] {unit}", f"{np.max(std):.{places}f}", verdict,
+                      note, name, f"{name}_std")
+            if np.any(known):
+                self.values[name] = [round(float(v), places + 1) for v in mean]
+                self.values[f"{name}_std"] = float(f"{min(np.max(std), prior):.2g}")
 
     def noise(self) -> None:
         """Noise floor, bias walks, and how far the fixes scatter."""
@@ -409,6 +416,22 @@ class _Report:
             self.values[parameter] = float(f"{value:.3g}")
             self._add(label, f"{value:.2g} {unit}", f"×/÷ {math.exp(min(sigma, 9.0)):.1f}", verdict,
                       note, parameter)
+
+    def background(self, runs: Sequence[Run]) -> None:
+        """Highest levels that the regressor reads in motion whose noise is now known."""
+        highest = highest_levels(runs, self.values)
+        if highest is None:
+            return
+        for sensor, unit, level in zip(
+                ("accelerometer", "gyroscope"), ("(m/s²)²", "(rad/s)²"), highest, strict=True):
+            name = f"noise.background_{sensor}"
+            self.values[name] = float(f"{level:.3g}")
+            self._add(f"{sensor} background", f"{level:.2g} {unit}", "", "identified",
+                      f"highest level that noise.model {self.values['noise.model']} reads here",
+                      name)
+
+    def scatter(self) -> None:
+        """How far the fixes scatter."""
         if "gnss_scale" in self.fitted.frozen:
             return
         scale, sigma = self.fitted.value("gnss_scale"), self.fitted.sigma("gnss_scale")
@@ -418,6 +441,54 @@ class _Report:
                 "the receiver is better than it says")
         self._add("fixes' scatter", f"{factor:.2f} × claimed σ", f"{0.5 * sigma * factor:.2f}",
                   "identified" if sigma < 0.3 else "weak", note)
+
+
+def next_biases(after: Sequence[Pass]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """
+    Biases to expect at the next start of the same IMU, from filters over earlier recordings.
+
+    Every recording tells them at its end with the filter's uncertainty; from start to start they
+    differ by a variance that the recordings tell, too (method of moments), together with what is
+    expected before any, ``REPEATABILITY``.
+
+    Returns
+    -------
+    (bias_a, std_a), (bias_g, std_g)
+        Means and standard deviations, shape (3,) each, b [m/s², rad/s].
+    """
+    last = [rows.rows[np.isfinite(rows.nis)][-1] for rows in after]
+    variances = np.array([row[COVARIANCE][DIAGONAL[9:15]] for row in last])
+    found = []
+    for part, axes, repeatability in (
+            (BIAS_A, slice(0, 3), REPEATABILITY[0]), (BIAS_G, slice(3, 6), REPEATABILITY[1])):
+        bias = np.array([row[part] for row in last])
+        weight = 1.0 / variances[:, axes]
+        mean = np.sum(weight * bias, axis=0) / np.sum(weight, axis=0)
+        beyond = np.sum(np.maximum((bias - mean) ** 2 - variances[:, axes], 0.0), axis=0)
+        between = (KNOWN_STARTS * repeatability**2 + beyond) / (KNOWN_STARTS + len(last) - 1)
+        weight = 1.0 / (variances[:, axes] + between)
+        mean = np.sum(weight * bias, axis=0) / np.sum(weight, axis=0)
+        found.append((mean, np.sqrt(between + 1.0 / np.sum(weight, axis=0))))
+    return found[0], found[1]
+
+
+def highest_levels(runs: Sequence[Run], values: Mapping[str, Any]) -> Array | None:
+    """Highest levels (2,) of accelerometer and gyroscope that the node would read in the runs."""
+    reader = NoiseReader(values, np.eye(3), _say)
+    highest = None
+    for run in runs:
+        samples = np.zeros(len(run.t), SAMPLE_DTYPE)
+        samples["t_ns"] = np.round((run.t + 1.0) * 1e9)
+        samples["f"], samples["w"] = run.samples[:, :3], run.samples[:, 3:]
+        ring = ImuRing()
+        count = max(1, round(values["noise.refresh_period"] / run.period))
+        for start in range(0, len(samples), count):
+            ring.extend(samples[start:start + count])
+            q = reader.read(ring, 0).q
+            if q is not None:
+                levels = np.max(np.reshape(q, (2, 3)), axis=1)
+                highest = levels if highest is None else np.maximum(highest, levels)
+    return highest
 
 
 def _rival(grid: Array, profile: Array, value: float) -> float | None:
@@ -538,6 +609,10 @@ def _body(args: argparse.Namespace) -> int:
     if args.plot:
         plots.save(calibration_plot.figure(found), Path(args.plot))
     return 0
+
+
+def _say(level: str, text: str) -> None:
+    tqdm.write(f"ins_calibrate: {level}: {text}", file=sys.stderr)
 
 
 class _Bar:

@@ -99,7 +99,9 @@ class Given:
     psd_g: float  # (rad/s)²/Hz
     walk_a: float  # m/s²/√s
     walk_g: float  # rad/s/√s
+    bias_a: Array  # (3,) m/s², b
     bias_a_std: float  # m/s²
+    bias_g: Array  # (3,) rad/s, b
     bias_g_std: float  # rad/s
 
 
@@ -186,7 +188,7 @@ def start_state(
     near = slice(int(np.searchsorted(run.t, now - 0.5)),
                  int(np.searchsorted(run.t, now + min(max(dt[-1], 0.5), 1.5))) + 1)
     force_n = acceleration - np.array([0.0, 0.0, normal_gravity(origin[0], origin[2])[1]])
-    quat = _levelled(run, near, first, force_n, yaw)
+    quat = _levelled(run, near, first, force_n, yaw, given)
     P = np.zeros((N_ERROR, N_ERROR))
     P[:3, :3] = R0 * max(spread[0, 0], 0.2) + 0.05**2 * np.eye(3)
     P[3:6, 3:6] = R0 * spread[1, 1] + 0.5**2 * np.eye(3)
@@ -194,7 +196,7 @@ def start_state(
         np.square([TILT_STD, given.bias_a_std, given.bias_g_std]), 3)
     P[8, 8] = yaw_std**2
     position = position - matrix_from_quat(quat) @ lever_b
-    state = NavState(origin + position / scale, velocity, quat, np.zeros(3), np.zeros(3), P)
+    state = NavState(origin + position / scale, velocity, quat, given.bias_a, given.bias_g, P)
     return first, state.to_flat()
 
 
@@ -209,14 +211,16 @@ def _outvoted(design: Array, places: Array, std: Array) -> tuple[Array, Array]:
     return np.asarray(coefficients, float), weights / np.max(weights)
 
 
-def _levelled(run: Run, near: slice, first: int, f_n: Array, yaw: float) -> Array:
+def _levelled(
+    run: Run, near: slice, first: int, f_n: Array, yaw: float, given: Given
+) -> Array:
     """Attitude at sample ``first`` in which the mean specific force of ``near`` is along f_n."""
-    w = run.samples[near, 3:]
+    f, w = run.samples[near, :3] - given.bias_a, run.samples[near, 3:] - given.bias_g
     dt = np.diff(run.t[near], prepend=run.t[near][0])
     angle = np.cumsum(w * dt[:, None], axis=0)
     angle -= angle[max(first - near.start, 0)]
     turned = matrix_from_quat(quat_from_rotvec(angle))  # each sample's b to that of the start
-    f_b = np.mean(np.einsum("kij,kj->ki", turned, run.samples[near, :3]), axis=0)
+    f_b = np.mean(np.einsum("kij,kj->ki", turned, f), axis=0)
     f_b /= np.linalg.norm(f_b)
     f_n = f_n / np.linalg.norm(f_n)
     roll, pitch = math.atan2(-f_b[1], -f_b[2]), math.atan2(f_b[0], math.hypot(f_b[1], f_b[2]))
