@@ -82,6 +82,14 @@ def mount_matrix(rpy: Sequence[float]) -> Array:
     return np.asarray(FLIP @ matrix_from_quat(quat_from_rpy(*rpy)))
 
 
+def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
+    """Accelerometer bias to begin with and its std [m/s²], gyroscope's [rad/s], (3,) each, b."""
+    bias_a, bias_g = (FLIP @ values[f"imu.{s}_bias"] for s in ("accelerometer", "gyroscope"))
+    std_a, std_g = (np.broadcast_to(values[f"imu.{s}_bias_std"], 3)
+                    for s in ("accelerometer", "gyroscope"))
+    return bias_a, std_a, bias_g, std_g
+
+
 @dataclass(frozen=True, slots=True)
 class Refused:
     """Input that could not be used, and why; ``name`` counts it, ``text`` tells the user."""

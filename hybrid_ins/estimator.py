@@ -103,8 +103,7 @@ class Estimator:
                 conversions.yaw_ned_from_enu(values["alignment.yaw"]),
                 values["alignment.yaw_std"], values["alignment.course_min_speed"],
                 values["alignment.window"],
-                FLIP @ values["imu.accelerometer_bias"], values["imu.accelerometer_bias_std"],
-                FLIP @ values["imu.gyroscope_bias"], values["imu.gyroscope_bias_std"]),
+                *conversions.first_biases(values)),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
             self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"],
             values["imu.zero_updates"], self._start_over)
@@ -133,9 +132,9 @@ class Estimator:
         if mode in PAPER_CONSTANTS:
             return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
         if mode == "learned":
-            learned = LearnedNoise(constant, np.repeat(
+            learned = LearnedNoise(constant, np.concatenate(
                 (self.values["noise.background_accelerometer"],
-                 self.values["noise.background_gyroscope"]), 3))
+                 self.values["noise.background_gyroscope"])))
             if self.values["noise.innovation_scale"]:
                 return ScaledNoise(learned, process, NoiseScale())
             return learned

@@ -42,7 +42,7 @@ class Parameter:
     choices : tuple of str
         Allowed words; empty: any.
     lengths : tuple of int
-        Allowed lengths of a list.
+        Allowed lengths of a list; where 1 is, a number will do.
     runtime : bool
         It may be changed while the node runs.
     """
@@ -76,6 +76,8 @@ class Parameter:
             raise self._refusal(value, "one of " + ", ".join(self.choices)
                                 if self.choices else "a text")
         if isinstance(self.default, list):
+            if 1 in self.lengths and isinstance(value, int | float):
+                value = [value]
             if not isinstance(value, list | tuple) or len(value) not in self.lengths:
                 sizes = " or ".join(map(str, self.lengths))
                 raise self._refusal(value, f"a list of {sizes} numbers")
@@ -121,12 +123,14 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               "into the IMU's", unit="rad", low=-6.3, high=6.3),
     Parameter("imu.accelerometer_bias", [0.0, 0.0, 0.0], "Accelerometer bias at start (forward, "
               "left, up), as imu/bias tells it", unit="m/s²", low=-10.0, high=10.0),
-    Parameter("imu.accelerometer_bias_std", 0.3, "Uncertainty of the accelerometer bias at start",
-              unit="m/s²", low=1e-6, high=10.0),
+    Parameter("imu.accelerometer_bias_std", [0.3], "Uncertainty of the accelerometer bias at "
+              "start: of all axes, or of each (forward, left, up)", unit="m/s²", lengths=(1, 3),
+              low=1e-6, high=10.0),
     Parameter("imu.gyroscope_bias", [0.0, 0.0, 0.0], "Gyroscope bias at start (forward, left, up), "
               "as imu/bias tells it", unit="rad/s", low=-1.0, high=1.0),
-    Parameter("imu.gyroscope_bias_std", 0.01, "Uncertainty of the gyroscope bias at start",
-              unit="rad/s", low=1e-8, high=1.0),
+    Parameter("imu.gyroscope_bias_std", [0.01], "Uncertainty of the gyroscope bias at start: of "
+              "all axes, or of each (forward, left, up)", unit="rad/s", lengths=(1, 3),
+              low=1e-8, high=1.0),
     Parameter("imu.accelerometer_bias_walk", 1e-3, "Random walk of the accelerometer bias",
               unit="m/s²/√s", low=0.0, high=10.0, runtime=True),
     Parameter("imu.gyroscope_bias_walk", 1e-4, "Random walk of the gyroscope bias",
@@ -193,10 +197,10 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("noise.q_accelerometer", 4e-4, "Per-sample variance of the accelerometer: the "
               "constant, and what learned modes fall back to", unit="(m/s²)²",
               low=1e-12, high=1e4, runtime=True),
-    Parameter("noise.background_accelerometer", 0.0, "Highest level that the regressor reads in "
-              "this vehicle's ordinary motion, where noise.q_accelerometer is the noise; only "
-              "levels above it count as more; 0: not known, all levels count", unit="(m/s²)²",
-              low=0.0, high=1e4, runtime=True),
+    Parameter("noise.background_accelerometer", [0.0, 0.0, 0.0], "Level that the regressor hardly "
+              "ever exceeds in this vehicle's ordinary motion (forward, left, up), where "
+              "noise.q_accelerometer is the noise: only levels above it count as more; 0: not "
+              "known, all levels count", unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
     Parameter("noise.q_accelerometer_min", 1e-8, "Lowest level that is believed",
               unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
     Parameter("noise.q_accelerometer_max", 1e3, "Estimates beyond this are refused",
@@ -204,7 +208,7 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("noise.q_gyroscope", 4e-6, "Per-sample variance of the gyroscope: the constant, and "
               "what learned modes fall back to", unit="(rad/s)²", low=1e-14, high=1e2,
               runtime=True),
-    Parameter("noise.background_gyroscope", 0.0, "The same of the gyroscope",
+    Parameter("noise.background_gyroscope", [0.0, 0.0, 0.0], "The same of the gyroscope",
               unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
     Parameter("noise.q_gyroscope_min", 1e-10, "Lowest level that is believed",
               unit="(rad/s)²", low=0.0, high=1e2, runtime=True),

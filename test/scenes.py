@@ -32,7 +32,8 @@ def make_navigator(
 ) -> Navigator:
     return Navigator(
         AlignmentSettings(
-            source, yaw, yaw_std, 1.0, 1.0, np.array(bias_a), 0.3, np.array(bias_g), 0.01),
+            source, yaw, yaw_std, 1.0, 1.0, np.array(bias_a), np.full(3, 0.3),
+            np.array(bias_g), np.full(3, 0.01)),
         FilterSettings(),
         lambda period: ProcessNoise(np.repeat([1e-6, 1e-8], 3), period),
         lambda process: ConstantNoise(Q),

@@ -11,6 +11,7 @@ from hybrid_ins import parameters
 from hybrid_ins.conversions import (
     GnssInput,
     Refused,
+    first_biases,
     floor_covariance,
     imu_yaw,
     initial_yaw,
@@ -127,6 +128,18 @@ def test_a_mount_turns_gravity_back(rpy) -> None:
     C_base_imu = np.diag([1.0, -1.0, -1.0]) @ mount_matrix(rpy)
     reading = C_base_imu.T @ [0.0, 0.0, 9.8]
     assert mount_matrix(rpy) @ reading == pytest.approx([0.0, 0.0, -9.8])
+
+
+@pytest.mark.parametrize("std", [0.2, [0.2], [0.2, 0.2, 0.2]])
+def test_biases_to_begin_with_are_turned_into_b_and_one_uncertainty_serves_all_axes(std) -> None:
+    values = parameters.check_all({
+        "imu.accelerometer_bias": [0.1, 0.2, 0.3], "imu.accelerometer_bias_std": std,
+        "imu.gyroscope_bias": [0.01, 0.02, 0.03]})
+
+    bias_a, std_a, bias_g, std_g = first_biases(values)
+
+    assert bias_a.tolist() == [0.1, -0.2, -0.3] and std_a.tolist() == [0.2, 0.2, 0.2]
+    assert bias_g.tolist() == [0.01, -0.02, -0.03] and std_g.tolist() == [0.01, 0.01, 0.01]
 
 
 def test_headings() -> None:

@@ -62,9 +62,9 @@ class AlignmentSettings:
         [m/s].
     window : float
         IMU time that levelling averages [s].
-    bias_a, bias_a_std : ndarray, shape (3,), float
+    bias_a, bias_a_std : ndarray, shape (3,)
         Accelerometer bias, b, and its uncertainty [m/s²].
-    bias_g, bias_g_std : ndarray, shape (3,), float
+    bias_g, bias_g_std : ndarray, shape (3,)
         Gyroscope bias, b, and its uncertainty [rad/s].
     """
 
@@ -74,9 +74,9 @@ class AlignmentSettings:
     course_min_speed: float
     window: float
     bias_a: Array
-    bias_a_std: float
+    bias_a_std: Array
     bias_g: Array
-    bias_g_std: float
+    bias_g_std: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +219,7 @@ class Alignment:
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
         """Biases and their covariance: as given, or those of before, which have moved since."""
         settings = self._settings
-        variance = np.repeat([settings.bias_a_std**2, settings.bias_g_std**2], 3)
+        variance = np.concatenate((settings.bias_a_std, settings.bias_g_std)) ** 2
         given = settings.bias_a, settings.bias_g, np.diag(variance)
         known = self._biases
         if known is None:

@@ -35,6 +35,7 @@ SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap, unseen
 HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried over a gap
 BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
+UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
@@ -333,11 +334,8 @@ class Navigator:
 
     def _doubted(self, fault: str) -> Array:
         """Standard deviations, (15,), of the errors that misleading readings leave behind."""
-        std, settings = np.zeros(N_ERROR), self._alignment_settings
-        if MISLEADING[fault] == B_A:
-            std[B_A] = settings.bias_a_std
-        else:
-            std[B_G] = settings.bias_g_std
+        std, block = np.zeros(N_ERROR), MISLEADING[fault]
+        std[block] = UNKNOWN_BIAS_STD_A if block == B_A else UNKNOWN_BIAS_STD_G
         return std
 
     def judge_openings(self, verdict: Verdict) -> None:

@@ -197,7 +197,7 @@ class LearnedNoise:
 
     What it reads holds motion and vibration besides noise: an upper bound, since at no frequency
     do they lie below the noise. Where recordings have told the noise of ordinary motion
-    (``fallback``) and what is read there at most (B, ``background``), a level L counts as
+    (``fallback``) and what is hardly ever exceeded there (B, ``background``), a level L counts as
     L - B²/L more than that: nothing below B, nearly all of L far above.
 
     Parameters

@@ -61,6 +61,7 @@ FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
 NOSE_SPREAD = math.radians(8.0)
 REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: of biases from start to start, as far as is known before
+ORDINARY = 0.98  # share of the time in which the regressor reads less than the background
 KNOWN_STARTS = 2.0  # recordings that this weighs as much as
 
 
@@ -243,8 +244,7 @@ def calibrate(
         values["gnss.time_offset.value"], lever_b, values["noise.q_accelerometer"] * period,
         values["noise.q_gyroscope"] * period, max(values["imu.accelerometer_bias_walk"], 1e-6),
         max(values["imu.gyroscope_bias_walk"], 1e-8),
-        FLIP @ values["imu.accelerometer_bias"], values["imu.accelerometer_bias_std"],
-        FLIP @ values["imu.gyroscope_bias"], values["imu.gyroscope_bias_std"])
+        *conversions.first_biases(values))
     fitted = fit(runs, given, own_offsets=own_offsets, search=search, useless=USELESS,
                  held=frozenset({"gnss_scale"} if trust_fixes else ()), tell=tell)
     before, after = passes(fitted, given, fitted.first), passes(fitted, given, fitted.x)
@@ -388,7 +388,8 @@ class _Report:
                       note, name, f"{name}_std")
             if np.any(known):
                 self.values[name] = [round(float(v), places + 1) for v in mean]
-                self.values[f"{name}_std"] = float(f"{min(np.max(std), prior):.2g}")
+                self.values[f"{name}_std"] = [
+                    float(f"{s:.2g}") for s in np.sqrt((FLIP @ turn) ** 2 @ std**2)]
 
     def noise(self) -> None:
         """Noise floor, bias walks, and how far the fixes scatter."""
@@ -418,17 +419,18 @@ class _Report:
                       note, parameter)
 
     def background(self, runs: Sequence[Run]) -> None:
-        """Highest levels that the regressor reads in motion whose noise is now known."""
-        highest = highest_levels(runs, self.values)
-        if highest is None:
+        """Levels that the regressor hardly exceeds in motion whose noise is now known."""
+        levels = ordinary_levels(runs, self.values)
+        if levels is None:
             return
-        for sensor, unit, level in zip(
-                ("accelerometer", "gyroscope"), ("(m/s²)²", "(rad/s)²"), highest, strict=True):
+        for sensor, unit, background in (("accelerometer", "(m/s²)²", levels[:3]),
+                                         ("gyroscope", "(rad/s)²", levels[3:])):
             name = f"noise.background_{sensor}"
-            self.values[name] = float(f"{level:.3g}")
-            self._add(f"{sensor} background", f"{level:.2g} {unit}", "", "identified",
-                      f"highest level that noise.model {self.values['noise.model']} reads here",
-                      name)
+            self.values[name] = [float(f"{level:.3g}") for level in background]
+            text = ", ".join(f"{level:.2g}" for level in background)
+            self._add(f"{sensor} background", f"[{text}] {unit}", "", "identified",
+                      f"noise.model {self.values['noise.model']} reads less for "
+                      f"{100.0 * ORDINARY:g} % of the time", name)
 
     def scatter(self) -> None:
         """How far the fixes scatter."""
@@ -472,10 +474,10 @@ def next_biases(after: Sequence[Pass]) -> tuple[tuple[Array, Array], tuple[Array
     return found[0], found[1]
 
 
-def highest_levels(runs: Sequence[Run], values: Mapping[str, Any]) -> Array | None:
-    """Highest levels (2,) of accelerometer and gyroscope that the node would read in the runs."""
+def ordinary_levels(runs: Sequence[Run], values: Mapping[str, Any]) -> Array | None:
+    """Levels (6,) below which the node would read ``ORDINARY`` of all; None if it reads none."""
     reader = NoiseReader(values, np.eye(3), _say)
-    highest = None
+    levels = []
     for run in runs:
         samples = np.zeros(len(run.t), SAMPLE_DTYPE)
         samples["t_ns"] = np.round((run.t + 1.0) * 1e9)
@@ -486,9 +488,8 @@ def highest_levels(runs: Sequence[Run], values: Mapping[str, Any]) -> Array | No
             ring.extend(samples[start:start + count])
             q = reader.read(ring, 0).q
             if q is not None:
-                levels = np.max(np.reshape(q, (2, 3)), axis=1)
-                highest = levels if highest is None else np.maximum(highest, levels)
-    return highest
+                levels.append(q)
+    return np.quantile(levels, ORDINARY, axis=0) if levels else None
 
 
 def _rival(grid: Array, profile: Array, value: float) -> float | None:

@@ -100,9 +100,9 @@ class Given:
     walk_a: float  # m/s²/√s
     walk_g: float  # rad/s/√s
     bias_a: Array  # (3,) m/s², b
-    bias_a_std: float  # m/s²
+    bias_a_std: Array  # (3,) m/s²
     bias_g: Array  # (3,) rad/s, b
-    bias_g_std: float  # rad/s
+    bias_g_std: Array  # (3,) rad/s
 
 
 SHARED = ("lever_x", "lever_y", "lever_z", "psd_a", "psd_g", "walk_a", "walk_g", "gnss_scale")
@@ -192,8 +192,8 @@ def start_state(
     P = np.zeros((N_ERROR, N_ERROR))
     P[:3, :3] = R0 * max(spread[0, 0], 0.2) + 0.05**2 * np.eye(3)
     P[3:6, 3:6] = R0 * spread[1, 1] + 0.5**2 * np.eye(3)
-    P[range(6, 15), range(6, 15)] = np.repeat(
-        np.square([TILT_STD, given.bias_a_std, given.bias_g_std]), 3)
+    P[range(6, 15), range(6, 15)] = np.concatenate(
+        (np.full(3, TILT_STD), given.bias_a_std, given.bias_g_std)) ** 2
     P[8, 8] = yaw_std**2
     position = position - matrix_from_quat(quat) @ lever_b
     state = NavState(origin + position / scale, velocity, quat, given.bias_a, given.bias_g, P)
