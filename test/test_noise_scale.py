@@ -65,6 +65,14 @@ def test_a_right_model_is_left_alone(seed: int) -> None:
     assert np.all(factors[100:] < 1.5)
 
 
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_an_outage_is_no_evidence_against_the_imu(seed: int) -> None:
+    # GIVEN a flight with a right model, and a quarter of a minute without fixes
+    _, factors = fly(draw(replace(SCENE, outages=((20.0, 15.0),)), seed))
+
+    assert np.all(factors < 3.0)
+
+
 def test_a_clock_offset_raises_the_noise_of_the_imu() -> None:
     # GIVEN fixes stamped 0.4 s wrong, which no look at the IMU can tell
     run = draw(SCENE, 1)

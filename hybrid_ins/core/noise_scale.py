@@ -47,7 +47,7 @@ MARGIN = 0.1  # decades that are not told from none
 MEMORY = 20.0  # s over which the likelihood is remembered
 TAIL = 6.0  # degrees of freedom of an innovation, [2]_
 RESEAT = 3.0  # rise of a factor
-LONGEST = 60.0  # s without a fix after which the hypotheses begin anew
+LONGEST = 3.0  # s without a fix: beyond it the mean motion does not stand for the IMU any more
 
 _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
@@ -103,6 +103,11 @@ class NoiseScale:
             was refused.
         psd : ndarray, shape (12,)
             Qc's diagonal at factor 1.
+
+        Notes
+        -----
+        After more than ``LONGEST`` without a fix the hypotheses begin anew with the running
+        filter's covariance, and their evidence stays as it was.
         """
         nav = correction.nav
         P = covariance(nav)

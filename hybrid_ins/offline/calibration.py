@@ -61,7 +61,7 @@ FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
 NOSE_SPREAD = math.radians(8.0)
 REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: of biases from start to start, as far as is known before
-ORDINARY = 0.98  # share of the time in which the regressor reads less than the background
+ORDINARY = 0.99  # share of the time in which the regressor reads less than the background
 KNOWN_STARTS = 2.0  # recordings that this weighs as much as
 
 
