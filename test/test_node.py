@@ -236,7 +236,8 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     intruder = client.node.create_publisher(Imu, "/imu/data", 10)
     yesterday = Imu()
     yesterday.header.stamp.sec, yesterday.linear_acceleration.z = 1000, 99.0
-    client.spin_until(lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0")
+    client.spin_until(
+        lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0")
     end = time.monotonic() + 60.0
     while player.poll() is None and time.monotonic() < end:
         intruder.publish(yesterday)
