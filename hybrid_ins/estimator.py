@@ -540,7 +540,7 @@ class Estimator:
             verdict = verdicts.popleft()
             if not verdict.measurement.aiding:
                 continue
-            self.navigator.judge_openings(verdict)
+            self.navigator.heed(verdict)
             if verdict.accepted:
                 self.fixes_fused += 1
                 self._fused_ns = verdict.measurement.t_ns

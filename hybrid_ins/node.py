@@ -41,7 +41,13 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -152,10 +158,11 @@ class InsNode(Node):
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile,
                    raw: bool = False) -> None:
-        def incompatible(_event: object) -> None:
+        def incompatible(event: Any) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
             self.get_logger().error(
-                f"{self.resolve_topic_name(topic)}: a publisher's QoS does not fit "
-                "(its durability or deadline?): nothing arrives from it")
+                f"{self.resolve_topic_name(topic)}: a publisher's QoS does not fit by its "
+                f"{policy}: nothing arrives from it; change it there, or ours by qos_overrides")
 
         self.create_subscription(
             kind, topic, callback, qos, raw=raw,

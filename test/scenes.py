@@ -109,7 +109,7 @@ def play(
         navigator.look()
         while navigator.verdicts:
             run.verdicts.append(navigator.verdicts.popleft())
-            navigator.judge_openings(run.verdicts[-1])
+            navigator.heed(run.verdicts[-1])
         after(t)
 
 

@@ -122,3 +122,11 @@ def test_functions_take_any_leading_axes() -> None:
     assert attitude.rpy_from_quat(q).shape == (2, 3, 3)
     assert attitude.rotvec_from_quat(q).shape == (2, 3, 3)
     assert attitude.slerp(q, q, np.full((2, 3), 0.5)).shape == (2, 3, 4)
+
+
+@given(vectors)
+def test_left_jacobian_is_the_mean_rotation_on_the_way(v: Array) -> None:
+    middles = (np.arange(1000) + 0.5) / 1000.0
+    mean = Rotation.from_rotvec(middles[:, None] * v).as_matrix().mean(axis=0)
+
+    np.testing.assert_allclose(attitude.left_jacobian(v), mean, atol=1e-6)

@@ -5,10 +5,11 @@ import pytest
 from analytic_motion import TEL_AVIV, difference
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from hybrid_ins.core import kalman
-from hybrid_ins.core.attitude import quat_from_rpy
-from hybrid_ins.core.state import N_ERROR, Array, NavState, covariance
+from hybrid_ins.core.attitude import left_jacobian, quat_from_rpy, skew
+from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, Array, NavState, covariance
 
 SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
 seeds = st.integers(0, 2**31)
@@ -44,6 +45,7 @@ def test_innovation(seed: int, m: int) -> None:
 def test_update_is_the_textbooks(seed: int, m: int) -> None:
     """Gain, correction, and P both by Joseph's form and by (P^-1 + H' R^-1 H)^-1."""
     nav, z, H, R = problem(seed, m)
+    H[:, :6] *= 1e-3  # what moves position or velocity far is another case
     before, P = nav.copy(), covariance(nav)
     gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     A = np.eye(N_ERROR) - gain @ H
@@ -59,6 +61,51 @@ def test_update_is_the_textbooks(seed: int, m: int) -> None:
     np.testing.assert_allclose(
         covariance(nav) / unit, np.linalg.inv(information), rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(difference(nav, before) / SIGMA, dx / SIGMA, rtol=1e-6, atol=1e-6)
+
+
+def test_correction_after_an_outage_is_the_likeliest_one() -> None:
+    """
+    GIVEN errors of position and velocity that grew out of one of attitude over a minute
+    WHEN a fix is far off
+    THEN state and covariance are those of a search for the likeliest error, bent as the error is
+    """
+    outage = np.eye(N_ERROR)
+    outage[DV, EPS] = 60.0 * skew([0.3, -0.2, -9.8])
+    outage[DP, EPS] = 30.0 * outage[DV, EPS]
+    outage[DP, DV] = 60.0 * np.eye(3)
+    P = outage @ np.diag(np.repeat([0.1, 0.05, 0.02, 0.001, 0.0005], 3) ** 2) @ outage.T
+    P[DP, DP] += 0.01 * np.eye(3)
+    state = NavState(
+        TEL_AVIV, np.array([12.0, 3.0, 0.0]), quat_from_rpy(0.02, -0.05, 1.0), np.zeros(3),
+        np.zeros(3), P)
+    z, H, R = np.array([-350.0, 200.0, 8.0]), np.eye(3, N_ERROR), 0.01 * np.eye(3)
+
+    def bent(error: Array) -> Array:
+        J = left_jacobian(-error[EPS])
+        return np.concatenate((J @ error[DP], J @ error[DV], error[6:]))
+
+    whiten = np.linalg.inv(np.linalg.cholesky(P))
+    straight = P @ H.T @ np.linalg.solve(H @ P @ H.T + R, z)
+    found = least_squares(
+        lambda e: np.concatenate((whiten @ e, (z - H @ bent(e)) / 0.1)), straight, jac="3-point",
+        x_scale=np.sqrt(np.diag(P)), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    turned = np.array([
+        (bent(found.x + step) - bent(found.x - step)) / 2e-6 for step in 1e-6 * np.eye(N_ERROR)]).T
+    turned[EPS, EPS] = left_jacobian(-found.x[EPS])  # seen from the new estimate
+    measured = H @ turned
+    gain = P @ measured.T @ np.linalg.inv(measured @ P @ measured.T + R)
+    expected = turned @ (P - gain @ measured @ P) @ turned.T
+
+    nav = state.to_flat()
+    before = nav.copy()
+    dx, _ = kalman.correct(nav, z, H, R)
+
+    np.testing.assert_allclose(difference(nav, before), dx, atol=1e-6)
+    sigma = np.sqrt(np.diag(expected))
+    assert np.all(np.abs(dx - bent(found.x)) < 0.02 * sigma)
+    assert np.any(np.abs(straight - bent(found.x)) > 5.0 * sigma)
+    root = np.linalg.inv(np.linalg.cholesky(expected))
+    assert np.linalg.eigvalsh(root @ covariance(nav) @ root.T) == pytest.approx(1.0, abs=0.05)
 
 
 def test_perfect_measurement_leaves_no_negative_variance() -> None:

@@ -19,7 +19,7 @@ from hybrid_ins.offline.montecarlo import (
     state_error,
 )
 from hybrid_ins.offline.sensors import ImuErrors
-from hybrid_ins.offline.trajectories import static
+from hybrid_ins.offline.trajectories import car_drive, static
 
 SHORT = Scenario("short", rate=100.0, duration=20.0, scored_from=5.0)
 SWITCHING = replace(SHORT, duration=40.0, scored_from=10.0, rough=(10.0, 10.0), dwell=(5.0, 8.0))
@@ -84,6 +84,30 @@ def test_told_the_truth_the_filter_is_consistent() -> None:
     values = [flights[0].nees.mean() for _, flights in fly_all(SWITCHING, [ORACLE], range(10))]
 
     assert 12.0 < np.mean(values) < 18.5
+
+
+@pytest.mark.parametrize(("accelerometer", "most"), [(1.0, 1.15), (0.3, 1.4)])
+def test_a_minute_without_fixes_leaves_the_filter_consistent(
+    accelerometer: float, most: float
+) -> None:
+    """
+    A car's errors grow to hundreds of metres; at the end of it and over 5 s after the return.
+
+    The better the accelerometer, the less a tilt's error is hidden in its noise.
+    """
+    plain = ImuErrors()
+    drive = Scenario(
+        "outage", car_drive, rate=100.0, duration=126.0, scored_from=119.7, outages=((60.0, 60.0),),
+        errors=replace(
+            plain, accelerometer_std=accelerometer * plain.accelerometer_std,
+            accelerometer_bias_walk=accelerometer * plain.accelerometer_bias_walk))
+    flights = [fly(draw(drive, seed), ORACLE) for seed in range(9000, 9030)]
+    nees = np.mean([flight.nees for flight in flights], axis=0) / 15.0
+    t = flights[0].t
+
+    assert np.median([np.linalg.norm(f.position_error[0]) for f in flights]) > 100.0
+    assert 0.85 < nees[t < 120.0].mean() < most
+    assert 0.85 < nees[(t > 120.2) & (t < 125.0)].mean() < most
 
 
 def test_the_learned_levels_come_close_to_the_oracle(run: Run) -> None:

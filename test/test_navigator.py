@@ -3,12 +3,21 @@
 import numpy as np
 import pytest
 from scenes import make_navigator, play, scene, stamp
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
 
+from hybrid_ins.core.health import Fault
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import STAMP_FAULTS
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
 from hybrid_ins.offline.sensors import ImuErrors
-from hybrid_ins.offline.trajectories import START_LLA, car_drive, quadrotor_flight, static
+from hybrid_ins.offline.trajectories import (
+    START_LLA,
+    Trajectory,
+    car_drive,
+    quadrotor_flight,
+    static,
+)
 
 
 def sigma(navigator) -> np.ndarray:
@@ -219,6 +228,52 @@ def test_shaking_sensor_is_not_standing() -> None:
     play(run, navigator)
 
     assert not navigator.standing
+
+
+def drop() -> Trajectory:
+    """Stand for 10 s, fall for two, be caught within another two, and hang."""
+    t = np.arange(0.0, 20.0, 0.02)
+    acceleration = np.select([t < 10.0, t < 12.0, t < 14.0], [0.0, 9.8, -9.8], 0.0)
+    acceleration = gaussian_filter1d(acceleration, 2.0)
+    down = np.cumsum(acceleration) * 0.02
+    zero = np.zeros_like(down)
+    velocity = make_interp_spline(t, np.stack((zero, zero, down), axis=1), k=5)
+    rpy = make_interp_spline(t, np.stack((zero, zero, zero + 1.2), axis=1), k=5)
+    return Trajectory(START_LLA, float(t[-1]), velocity.antiderivative(), rpy)
+
+
+@pytest.mark.parametrize("fix_rate", [5.0, 1.0])
+def test_free_fall_is_no_missing_gravity(fix_rate: float) -> None:
+    run = scene(drop(), fix_rate=fix_rate)
+    navigator = make_navigator("parameter", yaw=1.2)
+    seen: list[Fault | None] = []
+    heights: list[float] = []
+
+    def watch(t: float) -> None:
+        if navigator.filter is not None:
+            seen.append(navigator.fault)
+            truth = run.truth.lla[round(t * 100.0)]
+            heights.append(abs(navigator.filter.nav[LLA][2] - truth[2]))
+
+    play(run, navigator, after=watch)
+
+    assert run.truth.lla[-1, 2] < -30.0
+    assert not navigator.counts
+    assert seen == [None] * len(seen)
+    assert max(heights[500:]) < 0.6
+
+
+@pytest.mark.parametrize("fix_rate", [5.0, 1.0])
+def test_missing_gravity_is_no_free_fall(fix_rate: float) -> None:
+    run = scene(static(20.0, heading=1.2), fix_rate=fix_rate)
+    run.force[run.t >= 10.0] -= run.force[:500].mean(axis=0)
+    reasons: list[str] = []
+    navigator = make_navigator("parameter", yaw=1.2, on_restart=reasons.append)
+
+    play(run, navigator, stop=12.2)
+
+    assert len(reasons) == 1 and "unusable: mean acceleration is" in reasons[0]
+    assert navigator.filter is None
 
 
 def test_covariance_stays_positive_through_everything(flight, navigator) -> None:

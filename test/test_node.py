@@ -219,6 +219,70 @@ def test_control_of_an_idle_node(
     assert "Traceback" not in log.read_text()
 
 
+def test_second_publisher_is_told_and_leaves_the_state_alone(
+    processes: Processes, folder: Path, flight: Path, client: Client
+) -> None:
+    """GIVEN a flight WHEN another node publishes on imu/data, too THEN both are named."""
+    from sensor_msgs.msg import Imu
+
+    log, out, offline = (folder / name for name in (
+        "crowded.log", "crowded.mcap", "crowded_replayed.mcap"))
+    overrides = [word for value in HEADING for word in ("-p", value)]
+    assert replay.main([str(flight), str(offline), *overrides]) == 0
+    node = start_node(processes, log)
+    player = processes.start(
+        [sys.executable, "-m", "hybrid_ins.player", str(flight), "--record", str(out),
+         "--rate", str(RATE)], subprocess.PIPE, ENVIRONMENT)
+    intruder = client.node.create_publisher(Imu, "/imu/data", 10)
+    yesterday = Imu()
+    yesterday.header.stamp.sec, yesterday.linear_acceleration.z = 1000, 99.0
+    client.spin_until(
+        lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0")
+    end = time.monotonic() + 60.0
+    while player.poll() is None and time.monotonic() < end:
+        intruder.publish(yesterday)
+        client.executor.spin_once(0.02)
+    assert player.returncode == 0
+
+    assert "/imu/data has 2 publishers" in log.read_text()
+    assert "asking" in log.read_text()
+    assert "stop or remap all but one" in log.read_text()
+    counted = {v.key: v.value for d in client.diagnostics for s in d.status for v in s.values}
+    assert int(counted["imu/data: several publishers"]) == 1
+    assert int(counted["imu: stamp jumps"]) > 20
+    live, replayed = odometry(out), odometry(offline)
+    common = live.keys() & replayed.keys()
+    assert len(common) > 0.98 * len(replayed)
+    assert max(
+        np.linalg.norm(vector(live[k].pose.pose.position) - vector(replayed[k].pose.pose.position))
+        for k in common) < 0.01
+    assert processes.stop(node) == 0
+
+
+def test_publisher_whose_qos_does_not_fit_is_told(
+    processes: Processes, folder: Path, client: Client
+) -> None:
+    """GIVEN imu/data asked for reliably WHEN it comes as best effort THEN the log says so."""
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import Imu
+
+    log = folder / "unfit.log"
+    start_node(processes, log, "-p",
+               "qos_overrides./imu/data.subscription.reliability:=reliable")
+    client.node.create_publisher(
+        Imu, "/imu/data", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+    until(lambda: "QoS" in log.read_text())
+    told = next(line for line in log.read_text().splitlines() if "QoS" in line)
+    assert "ERROR" in told
+    assert "/imu/data" in told
+    assert "RELIABILITY" in told
+    assert "qos_overrides" in told
+
+    client.spin_until(lambda: any(
+        "no messages on /imu/data" in s.message for d in client.diagnostics for s in d.status))
+
+
 def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("/**:\n  ros__parameters:\n    noise:\n      mode: clairvoyant\n")

@@ -79,7 +79,7 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=60, metavar="N", help="[%(default)s]")
+    parser.add_argument("--runs", type=int, default=200, metavar="N", help="[%(default)s]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--modes", nargs="+", default=["learned"], metavar="MODE",
                         help="learned, scaled, oracle [%(default)s]")

@@ -59,6 +59,18 @@ def rotvec_from_quat(quat_xyzw: ArrayLike) -> Array:
     return q[..., :3] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
 
 
+def left_jacobian(rotvec: ArrayLike) -> Array:
+    """Matrices (..., 3, 3): the mean of all rotations on the way to ``rotvec``; [1]_ eq. 145."""
+    cross = skew(rotvec)
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    first = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    large = np.maximum(angle, 1e-2)
+    second = np.where(
+        angle < 1e-2, (1.0 - angle**2 / 20.0) / 6.0, (large - np.sin(large)) / large**3)
+    matrix: Array = np.eye(3) + first * cross + second * cross @ cross
+    return matrix
+
+
 def matrix_from_quat(quat_xyzw: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4); [1]_ eq. 115."""
     q = np.asarray(quat_xyzw, float)

@@ -21,7 +21,8 @@ LEAST_FORCE, MOST_FORCE = 0.4 * GRAVITY, 4.0 * GRAVITY  # of a vehicle's mean ov
 FROZEN = 0.5  # share of the window in which nothing changes
 AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
-UNUSABLE = ("imu: no gravity", "imu: too much gravity", "imu: frozen", "imu: degrees")
+NO_GRAVITY = "imu: no gravity"  # or a free fall
+UNUSABLE = (NO_GRAVITY, "imu: too much gravity", "imu: frozen", "imu: degrees")
 SPIKE = 12.0  # times the median of how far a sample lies off its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
 WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
@@ -36,7 +37,7 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
     if mean < LEAST_FORCE and float(np.abs(force).mean()) < LEAST_FORCE:
         remedy = ("the unit seems to be g: multiply by 9.80665" if 0.7 < mean < 1.3 else
                   "gravity seems to be removed: let the driver publish specific force")
-        return "imu: no gravity", f"mean acceleration is {mean:.2f} m/s², not 9.8: {remedy}"
+        return NO_GRAVITY, f"mean acceleration is {mean:.2f} m/s², not 9.8: {remedy}"
     if mean > MOST_FORCE:
         return "imu: too much gravity", (
             f"mean acceleration is {mean:.1f} m/s², not 9.8: check the unit (m/s² is meant)")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, Start, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.health import UNUSABLE, Fault, find_fault
+from hybrid_ins.core.health import NO_GRAVITY, UNUSABLE, Fault, find_fault
 from hybrid_ins.core.hypotheses import YawBank
 from hybrid_ins.core.ins_filter import Doubt, FilterSettings, InsFilter, NoiseChange, NoiseEstimate
 from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
@@ -37,6 +37,8 @@ HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried 
 BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+LONGEST_FALL_NS = 5_000_000_000  # without weight
+LAST_FIX_NS = 1_100_000_000  # age of the last fix that tells of a fall
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
 MISLEADING = {"imu: saturated acceleration": B_A, "imu: saturated rate": B_G,
@@ -136,6 +138,7 @@ class Navigator:
         self.fault: Fault | None = None
         self.steady_ns = self.max_gap_ns  # steps up to that are plain
         self._attempt_ns = self._look_ns = 0
+        self._agreed_ns = self._weighed_ns = 0  # last fix that fits the state; last look at weight
         self._opened: deque[int] = deque(maxlen=REOPENINGS)
         self.alignment = Alignment(self._alignment_settings, self.ring)
         if self._biases:
@@ -318,6 +321,9 @@ class Navigator:
         samples = self.ring.after(t_ns - 1_000_000_000)
         span = t_ns - samples["t_ns"][0]
         before, self.fault = self.fault, find_fault(samples)
+        falling = self._is_falling(t_ns)
+        if falling:
+            self.fault = None
         for fault in (before, self.fault):
             if fault is not None and fault[0] in MISLEADING:
                 (self.bank or running).submit(Doubt(t_ns, self._doubted(fault[0])))
@@ -326,11 +332,23 @@ class Navigator:
             self.give_up(f"the IMU is unusable: {fault[1]}")
             self.fault = fault
             return
-        if self.filter is not None and self.fault is None:
+        if self.filter is not None and self.fault is None and not falling:
             self._biases.append(Biases.of(self.filter.state, t_ns))
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
         if self.standing and self._zero_updates:
             (self.bank or running).submit(Standstill.of(samples))
+
+    def _is_falling(self, t_ns: int) -> bool:
+        """
+        Tell a free fall from an IMU without gravity, in the moment that the IMU shows neither.
+
+        To the filter both are a fall. Where the vehicle does not, the next fix is beyond the gate.
+        """
+        if self.fault is None or self.fault[0] != NO_GRAVITY:
+            self._weighed_ns = t_ns
+            return False
+        return (self.filter is not None and t_ns - self._weighed_ns < LONGEST_FALL_NS
+                and t_ns - self._agreed_ns < LAST_FIX_NS)
 
     def _doubted(self, fault: str) -> Array:
         """Standard deviations, (15,), of the errors that misleading readings leave behind."""
@@ -338,8 +356,11 @@ class Navigator:
         std[block] = UNKNOWN_BIAS_STD_A if block == B_A else UNKNOWN_BIAS_STD_G
         return std
 
-    def judge_openings(self, verdict: Verdict) -> None:
+    def heed(self, verdict: Verdict) -> None:
         """Start over when the state had to be opened again and again: its heading is wrong."""
+        if verdict.measurement.kind == "position":
+            plain = verdict.accepted and not verdict.reset
+            self._agreed_ns = verdict.measurement.t_ns if plain else 0
         if not verdict.reset or self.filter is None:
             return
         t_ns = verdict.measurement.t_ns

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import parameters
 from hybrid_ins.core.attitude import (
+    left_jacobian,
     quat_conjugate,
     quat_from_rotvec,
     quat_multiply,
@@ -388,13 +389,17 @@ def _refuse(level: str, text: str) -> None:
 
 
 def state_error(run: Run, epoch: int, state: NavState) -> Array:
-    """Return the error state, true minus estimated, shape (15,), at a scored epoch."""
+    """
+    Return the error state, true minus estimated, shape (15,), at a scored epoch.
+
+    Position and velocity as P has them, before the misalignment bent them, see `core.kalman`.
+    """
     lla = run.lla[epoch]
-    turn = quat_multiply(run.quat_xyzw[epoch], quat_conjugate(state.quat_xyzw))
+    turn = rotvec_from_quat(quat_multiply(run.quat_xyzw[epoch], quat_conjugate(state.quat_xyzw)))
+    moved = (lla - state.lla) * curvature_scale(lla), run.velocity_n[epoch] - state.velocity_n
     return np.concatenate((
-        (lla - state.lla) * curvature_scale(lla), run.velocity_n[epoch] - state.velocity_n,
-        -rotvec_from_quat(turn), run.biases[epoch, :3] - state.bias_a,
-        run.biases[epoch, 3:] - state.bias_g))
+        *np.linalg.solve(left_jacobian(turn), np.stack(moved, axis=1)).T,
+        -turn, run.biases[epoch, :3] - state.bias_a, run.biases[epoch, 3:] - state.bias_g))
 
 
 def fly_all(
