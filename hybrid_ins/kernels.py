@@ -23,7 +23,7 @@ from hybrid_ins.core import (
     output,
     propagation,
 )
-from hybrid_ins.core.state import N_ERROR, N_NAV, NavState
+from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 
 NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
 
@@ -84,10 +84,9 @@ def _compile_output() -> None:
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
     noise_bank.mean_system(nav, zero, turn, 0.1)
-    bank = np.eye(N_ERROR)[None]
     noise_bank.advance(
-        bank, np.zeros((1, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), 0.1, turn, np.ones(12),
-        np.ones((1, 3)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+        nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
+        turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
 
 
 def _some_state() -> np.ndarray:
