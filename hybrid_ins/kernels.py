@@ -22,6 +22,7 @@ from hybrid_ins.core import (
     noise_bank,
     output,
     propagation,
+    window,
 )
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 
@@ -87,6 +88,9 @@ def _compile_output() -> None:
     noise_bank.advance(
         nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
         turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+    readings = window.own_axes(np.zeros((20, 7)), turn)
+    window.find_fault(np.arange(20), readings, (1e7, 1e9))
+    window.quantisation_step(readings)
 
 
 def _some_state() -> np.ndarray:
