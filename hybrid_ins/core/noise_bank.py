@@ -15,12 +15,8 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
 from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.kalman import factorise
-from hybrid_ins.core.state import LLA, N_ERROR, PACKED_COLUMNS, PACKED_ROWS, QUAT, VELOCITY
+from hybrid_ins.core.state import LLA, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
-
-PLACES = np.zeros((N_ERROR, N_ERROR), np.int64)  # of P's elements in its packed triangle
-PLACES[PACKED_ROWS, PACKED_COLUMNS] = PLACES[PACKED_COLUMNS, PACKED_ROWS] = np.arange(
-    len(PACKED_ROWS))
 
 
 @kernel()

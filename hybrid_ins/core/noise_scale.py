@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.core.noise import Correction, Reseat
 from hybrid_ins.core.noise_bank import advance, mean_system
-from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, QUAT, VELOCITY, covariance, unpack
+from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
@@ -135,9 +135,7 @@ class NoiseScale:
         self._seated = factors
         dx = self._lead @ weights
         apart = self._lead - dx[:, None]
-        P = np.empty((N_ERROR, N_ERROR))
-        unpack(self._P @ weights, P)
-        P += (weights * apart) @ apart.T
+        P = (self._P @ weights)[PLACES] + (weights * apart) @ apart.T
         self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
         return Reseat(dx, P)
 
