@@ -22,6 +22,7 @@ from hybrid_ins.core import (
     noise_bank,
     output,
     propagation,
+    time_offset,
     window,
 )
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
@@ -88,6 +89,8 @@ def _compile_output() -> None:
     noise_bank.advance(
         nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
         turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+    s, acceleration, _ = time_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
+    time_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))
     window.quantisation_step(readings)

@@ -74,6 +74,11 @@ class NoiseScale:
         self._seated = np.ones(3)  # lowest since the state was last put where it belongs
         self._gnss = 1.0
 
+    def __copy__(self) -> NoiseScale:
+        twin = object.__new__(NoiseScale)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
     def scale(self) -> tuple[float, float]:
         """Factors on the noise variances of accelerometer and gyroscope, 0.04 to 10⁴ and 10³."""
         return self._scale

@@ -19,6 +19,14 @@ def as_numbers(samples: NDArray[np.void]) -> NDArray[np.float64]:
     return samples.view(np.float64).reshape(-1, 7)
 
 
+def steps_since(start_ns: int, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the time (N,) [ns] from stamp to stamp; of the first since ``start_ns``."""
+    steps = np.empty(len(t_ns), np.int64)
+    steps[0] = t_ns[0] - start_ns
+    np.subtract(t_ns[1:], t_ns[:-1], out=steps[1:])
+    return steps
+
+
 class ImuRing:
     """
     The last ``capacity`` IMU samples, in order: for rewinding and for the noise regressor.
