@@ -34,7 +34,7 @@ from hybrid_ins.core.noise import (
     ScaledNoise,
 )
 from hybrid_ins.core.noise_scale import NoiseScale
-from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.core.samples import SAMPLE_DTYPE, steps_since
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_NAV
 from hybrid_ins.noise_reader import NoiseReader
 from hybrid_ins.static_transforms import StaticTransforms
@@ -360,7 +360,7 @@ class Estimator:
     def _remarkable(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> list[int]:
         """Rows that do not plainly follow the one before, and the end."""
         most_f, most_w = self._limits
-        steps = np.diff(t_ns, prepend=t_ns[0] - 1)
+        steps = steps_since(int(t_ns[0]) - 1, t_ns)
         plain = (steps > 0) & (steps <= self.navigator.steady_ns)
         for values, most in ((force, most_f), (rate, most_w)):
             plain &= np.abs(values).max(axis=1) <= most
@@ -382,7 +382,7 @@ class Estimator:
             return t_ns[:0], values[:0], values[:0]
         self.odometry[:] = values[-1]
         local = np.empty_like(values)
-        dt = np.diff(t_ns, prepend=self._local_ns or t_ns[0]) * 1e-9
+        dt = steps_since(self._local_ns or int(t_ns[0]), t_ns) * 1e-9
         self._local_ns = int(t_ns[-1])
         local_frame.advance_block(self._local_state, dt, values, local)
         self.local[:] = local[-1]

@@ -22,8 +22,10 @@ from hybrid_ins.core import (
     noise_bank,
     output,
     propagation,
+    time_offset,
+    window,
 )
-from hybrid_ins.core.state import N_ERROR, N_NAV, NavState
+from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 
 NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
 
@@ -84,10 +86,14 @@ def _compile_output() -> None:
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
     noise_bank.mean_system(nav, zero, turn, 0.1)
-    bank = np.eye(N_ERROR)[None]
     noise_bank.advance(
-        bank, np.zeros((1, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), 0.1, turn, np.ones(12),
-        np.ones((1, 3)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+        nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
+        turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+    s, acceleration, _ = time_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
+    time_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
+    readings = window.own_axes(np.zeros((20, 7)), turn)
+    window.find_fault(np.arange(20), readings, (1e7, 1e9))
+    window.quantisation_step(readings)
 
 
 def _some_state() -> np.ndarray:

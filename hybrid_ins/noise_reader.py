@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.ins_filter import NoiseEstimate
-from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.window import find_fault, quantisation_step, sampling_rate
+from hybrid_ins.core.samples import ImuRing, as_numbers
+from hybrid_ins.core.window import find_fault, own_axes, quantisation_step, sampling_rate
 from hybrid_ins.errors import InputError
 from hybrid_ins.regressor import NoiseRegressor, Regressor, SpectralRegressor
 from hybrid_ins.resources import share_path
 
 Array = NDArray[np.float64]
-
-ROUNDING = 2.0**36
-"""Per m/s² or rad/s: equal readings are equal again once they are turned into b and back."""
 
 
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
@@ -96,8 +93,7 @@ class NoiseReader:
         samples = ring.latest(size)
         if len(samples) < size:
             return None, "window not full yet"
-        readings = np.hstack((samples["f"] @ self._mount, samples["w"] @ self._mount))
-        readings = np.round(readings * ROUNDING) / ROUNDING
+        readings = own_axes(as_numbers(samples), self._mount)
         fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
         if fault is not None:
             return None, fault.value

@@ -21,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER = struct.Struct("<2sHiII")  # encapsulation, options, stamp, length of frame_id
 _HEADER_SIZE = 16
+_COUNT = struct.Struct("<I")
+_PADDING = (b"", bytes(3), bytes(2), bytes(1))  # up to a multiple of 4
 _IMU_BODY_SIZE = 37 * 8
 _ODOMETRY_BODY_COUNT = 7 + 36 + 6 + 36
 _LONGEST_FRAME_ID = 1024
@@ -340,10 +342,9 @@ def _put_status(buffer: bytearray, status: Status) -> None:
 
 
 def _put_text(buffer: bytearray, text: str) -> None:
-    encoded = text.encode(errors="replace") + b"\0"
-    _put_count(buffer, len(encoded))
-    buffer += encoded
+    encoded = text.encode(errors="replace")
+    buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(len(encoded) + 1) + encoded + b"\0"
 
 
 def _put_count(buffer: bytearray, count: int) -> None:
-    buffer += bytes(-len(buffer) % 4) + count.to_bytes(4, "little")
+    buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(count)

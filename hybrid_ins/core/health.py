@@ -72,6 +72,8 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
 def _largest_spike(readings: Array, least: float) -> float:
     """Return how far the worst single reading lies off its neighbours; 0 where none is odd."""
     off = np.abs(readings[1:-1] - 0.5 * (readings[2:] + readings[:-2]))
+    if off.max() <= least:
+        return 0.0
     alone = np.abs(readings[2:] - readings[:-2]) < 0.5 * off
     usual = np.median(off, axis=0)
     return float(off[alone & (off > np.maximum(SPIKE * usual, least))].max(initial=0.0))

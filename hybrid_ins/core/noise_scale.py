@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.core.noise import Correction, Reseat
 from hybrid_ins.core.noise_bank import advance, mean_system
-from hybrid_ins.core.state import DV, N_ERROR, QUAT, VELOCITY, covariance
+from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
 _PRIOR = -sum((np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
                for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
-_FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R), axis=1)
+_FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R))
 
 
 class NoiseScale:
@@ -65,14 +65,19 @@ class NoiseScale:
 
     def __init__(self) -> None:
         self._evidence = np.zeros(len(_PRIOR))  # log-likelihood of each hypothesis, fading
-        self._P: Array | None = None  # (hypotheses, 15, 15)
-        self._lead = np.zeros((len(_PRIOR), N_ERROR))  # own minus running estimate
+        self._P: Array | None = None  # (120, hypotheses), packed
+        self._lead = np.zeros((N_ERROR, len(_PRIOR)))  # own minus running estimate
         self._t_ns = 0
         self._velocity_n = np.zeros(3)  # after the last correction
         self._C_nb = np.eye(3)
         self._scale = (1.0, 1.0)
         self._seated = np.ones(3)  # lowest since the state was last put where it belongs
         self._gnss = 1.0
+
+    def __copy__(self) -> NoiseScale:
+        twin = object.__new__(NoiseScale)
+        twin.__dict__.update(self.__dict__)
+        return twin
 
     def scale(self) -> tuple[float, float]:
         """Factors on the noise variances of accelerometer and gyroscope, 0.04 to 10⁴ and 10³."""
@@ -114,8 +119,8 @@ class NoiseScale:
         C_nb = matrix_from_quat(nav[QUAT])
         T = (correction.t_ns - self._t_ns) * 1e-9
         if self._P is None or not 0.0 <= T <= LONGEST:
-            self._P = np.tile(P, (len(_PRIOR), 1, 1))
-            self._lead = np.zeros((len(_PRIOR), N_ERROR))
+            self._P = np.tile(nav[COVARIANCE][:, None], len(_PRIOR))
+            self._lead = np.zeros((N_ERROR, len(_PRIOR)))
             T = 0.0
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
         R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
@@ -138,9 +143,9 @@ class NoiseScale:
         if risen < RESEAT:
             return None
         self._seated = factors
-        dx = weights @ self._lead
-        apart = self._lead - dx
-        P = np.einsum("i,ijk->jk", weights, self._P) + (weights[:, None] * apart).T @ apart
+        dx = self._lead @ weights
+        apart = self._lead - dx[:, None]
+        P = (self._P @ weights)[PLACES] + (weights * apart) @ apart.T
         self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
         return Reseat(dx, P)
 

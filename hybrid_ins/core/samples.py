@@ -14,6 +14,19 @@ from numpy.typing import NDArray
 SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
 
 
+def as_numbers(samples: NDArray[np.void]) -> NDArray[np.float64]:
+    """View samples as (N, 7): the stamps' bits, specific force, angular rate."""
+    return samples.view(np.float64).reshape(-1, 7)
+
+
+def steps_since(start_ns: int, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the time (N,) [ns] from stamp to stamp; of the first since ``start_ns``."""
+    steps = np.empty(len(t_ns), np.int64)
+    steps[0] = t_ns[0] - start_ns
+    np.subtract(t_ns[1:], t_ns[:-1], out=steps[1:])
+    return steps
+
+
 class ImuRing:
     """
     The last ``capacity`` IMU samples, in order: for rewinding and for the noise regressor.
@@ -43,14 +56,19 @@ class ImuRing:
     def extend(self, samples: NDArray[np.void]) -> None:
         """Append many samples, an array of ``SAMPLE_DTYPE``."""
         kept = samples[-self.capacity:]
-        start = self.count + len(samples) - len(kept)
-        self._samples[(start + np.arange(len(kept))) % self.capacity] = kept
         self.count += len(samples)
+        start = (self.count - len(kept)) % self.capacity
+        split = min(len(kept), self.capacity - start)
+        self._samples[start:start + split] = kept[:split]
+        self._samples[:len(kept) - split] = kept[split:]
 
     def latest(self, n: int) -> NDArray[np.void]:
         """Copy of the last ``n`` samples (fewer if fewer came), oldest first."""
         n = min(n, self.count, self.capacity)
-        return self._samples[(self.count - n + np.arange(n)) % self.capacity]
+        start = (self.count - n) % self.capacity
+        if start + n <= self.capacity:
+            return self._samples[start:start + n].copy()
+        return np.concatenate((self._samples[start:], self._samples[:start + n - self.capacity]))
 
     def after(self, t_ns: int) -> NDArray[np.void]:
         """Copy of the samples that are younger than ``t_ns``, oldest first."""

@@ -51,6 +51,9 @@ SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 N_FLAT = SCRATCH.stop
 
 PACKED_ROWS, PACKED_COLUMNS = np.triu_indices(N_ERROR)
+PLACES = np.zeros((N_ERROR, N_ERROR), np.int64)  # of P's elements in its packed triangle
+PLACES[PACKED_ROWS, PACKED_COLUMNS] = PLACES[PACKED_COLUMNS, PACKED_ROWS] = np.arange(
+    len(PACKED_ROWS))
 DIAGONAL = np.array([i * N_ERROR - i * (i - 1) // 2 for i in range(N_ERROR)])
 
 
@@ -65,14 +68,9 @@ def unpack(packed, full):  # type: ignore[no-untyped-def]
             k += 1
 
 
-@register_jitable
-def pack(full, packed):  # type: ignore[no-untyped-def]
+def pack(full: Array, packed: Array) -> None:
     """Write the upper triangle ``packed`` (120,) of the mean of ``full`` and its transpose."""
-    k = 0
-    for i in range(N_ERROR):
-        for j in range(i, N_ERROR):
-            packed[k] = 0.5 * (full[i, j] + full[j, i])
-            k += 1
+    packed[:] = 0.5 * (full[PACKED_ROWS, PACKED_COLUMNS] + full[PACKED_COLUMNS, PACKED_ROWS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +102,9 @@ class NavState:
     @classmethod
     def from_flat(cls, nav: Array) -> NavState:
         """Copy the state out of a flat vector."""
-        P = np.empty((N_ERROR, N_ERROR))
-        unpack(nav[COVARIANCE], P)
         return cls(
             nav[LLA].copy(), nav[VELOCITY].copy(), nav[QUAT].copy(),
-            nav[BIAS_A].copy(), nav[BIAS_G].copy(), P,
+            nav[BIAS_A].copy(), nav[BIAS_G].copy(), covariance(nav),
         )
 
     def to_flat(self) -> Array:
@@ -122,6 +118,5 @@ class NavState:
 
 def covariance(nav: Array) -> Array:
     """Return P, shape (15, 15), of a flat state."""
-    P = np.empty((N_ERROR, N_ERROR))
-    unpack(nav[COVARIANCE], P)
+    P: Array = nav[COVARIANCE][PLACES]
     return P

@@ -20,10 +20,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.attitude import matrix_from_quat
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.kalman import factorise, solve
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_bank import mean_system
 from hybrid_ins.core.state import DP, DV, N_ERROR, QUAT, VELOCITY
+from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
@@ -55,6 +57,11 @@ class ClockOffset:
         self._C_nb = np.eye(3)
         self._misfit = 1.0
 
+    def __copy__(self) -> ClockOffset:
+        twin = object.__new__(ClockOffset)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
     @property
     def sigma(self) -> float:
         """Standard deviation of `missing` [s]."""
@@ -63,31 +70,21 @@ class ClockOffset:
     def learn(self, correction: Correction) -> None:
         """Take a correction, or a measurement that was refused, into account."""
         nav = correction.nav
-        velocity_n, C_nb = nav[VELOCITY].copy(), matrix_from_quat(nav[QUAT])
+        velocity_n = nav[VELOCITY].copy()
         T = (correction.t_ns - self._t_ns) * 1e-9
-        acceleration: Array = np.zeros(3)
+        if self._s is not None:
+            self._variance += DRIFT**2 * max(T, 0.0)
         if self._s is None or not 0.0 <= T <= LONGEST:
-            s = following(velocity_n, acceleration)
-        else:
-            s = self._s
-            if T > 0.0:
-                acceleration = (velocity_n - self._velocity_n) / T
-                F = mean_system(nav, self._velocity_n, self._C_nb, T)[0]
-                once = T * (F @ s)
-                twice = T * (F @ once)
-                s = np.asarray(s + once + twice / 2.0 + T * (F @ twice) / 6.0)
-        self._variance += DRIFT**2 * max(T, 0.0) if self._s is not None else 0.0
+            self._s, T = following(velocity_n, np.zeros(3)), 0.0
+        s, acceleration_n, C_nb = carry(self._s, nav, self._velocity_n, self._C_nb, T)
         if correction.fused:
-            H, S = correction.H, correction.S
-            factor = H @ s + H[:, DP] @ velocity_n + H[:, DV] @ acceleration
-            weighted = np.linalg.solve(S, factor)
-            left = correction.z - factor * self.missing
-            nis = float(left @ np.linalg.solve(S, left))
-            self._misfit += (nis / len(left) - self._misfit) / MEMORY
-            gain = self._variance * weighted / (1.0 + self._variance * (weighted @ factor))
-            self.missing = self.missing + float(gain @ left)
-            self._variance = self._variance * (1.0 - float(gain @ factor))
-            s = s - correction.K @ factor
+            information, pull, nis = regress(
+                s, velocity_n, acceleration_n, correction.z, correction.H, correction.S,
+                correction.K, self.missing)
+            self._misfit += (nis / len(correction.z) - self._misfit) / MEMORY
+            gain = self._variance / (1.0 + self._variance * information)
+            self.missing += gain * pull
+            self._variance *= 1.0 - gain * information
         self._s, self._t_ns = s, correction.t_ns
         self._velocity_n, self._C_nb = velocity_n + correction.dx[DV], C_nb
 
@@ -110,3 +107,87 @@ def following(velocity_n: Array, acceleration_n: Array) -> Array:
     s = np.zeros(N_ERROR)
     s[DP], s[DV] = -velocity_n, -acceleration_n
     return s
+
+
+@kernel()
+def carry(s, nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
+    """
+    Move the sensitivity on with the error dynamics.
+
+    Parameters
+    ----------
+    s : ndarray, shape (15,)
+        After the last correction.
+    nav : ndarray, shape (N_FLAT,)
+        Flat state now.
+    velocity_n, C_nb : ndarray, shape (3,), (3, 3)
+        After the last correction.
+    T : float
+        Time since then [s].
+
+    Returns
+    -------
+    s, acceleration_n, C_nb : ndarray, shape (15,), (3,), (3, 3)
+        Now; the acceleration is the mean since then.
+    """
+    C_now, acceleration_n = np.empty(9), np.zeros(3)
+    rotation(nav[QUAT], C_now)
+    moved = s.copy()
+    if T > 0.0:
+        for i in range(3):
+            acceleration_n[i] = (nav[VELOCITY][i] - velocity_n[i]) / T
+        F, _ = mean_system(nav, velocity_n, C_nb, T)
+        term = s.copy()
+        for order in range(1, 4):
+            last = term.copy()
+            for i in range(N_ERROR):
+                total = 0.0
+                for k in range(N_ERROR):
+                    total += F[i, k] * last[k]
+                term[i] = total * T / order
+                moved[i] += term[i]
+    return moved, acceleration_n, C_now.reshape(3, 3)
+
+
+@kernel()
+def regress(s, velocity_n, acceleration_n, z, H, S, K, missing):  # type: ignore[no-untyped-def]
+    """
+    Hold an innovation against the sensitivity ``s``, which is corrected in place.
+
+    Parameters
+    ----------
+    s, velocity_n, acceleration_n : ndarray, shape (15,), (3,), (3,)
+        Now.
+    z, H, S, K : ndarray, shape (m,), (m, 15), (m, m), (15, m)
+        See `Correction`.
+    missing : float
+        Offset believed so far [s].
+
+    Returns
+    -------
+    information, pull, nis : float
+        With what ``missing`` leaves of the innovation, r, and its factor h on the offset:
+        h' S^-1 h, h' S^-1 r, r' S^-1 r.
+    """
+    m = len(z)
+    factor, left = np.empty(m), np.empty(m)
+    for a in range(m):
+        total = 0.0
+        for k in range(N_ERROR):
+            total += H[a, k] * s[k]
+        for i in range(3):
+            total += H[a, i] * velocity_n[i] + H[a, 3 + i] * acceleration_n[i]
+        factor[a], left[a] = total, z[a] - total * missing
+    root = S.copy()
+    factorise(root)
+    weighted_factor, weighted_left = factor.copy(), left.copy()
+    solve(root, weighted_factor)
+    solve(root, weighted_left)
+    information, pull, nis = 0.0, 0.0, 0.0
+    for a in range(m):
+        information += factor[a] * weighted_factor[a]
+        pull += factor[a] * weighted_left[a]
+        nis += left[a] * weighted_left[a]
+        for i in range(N_ERROR):
+            s[i] -= K[i, a] * factor[a]
+    return information, pull, nis

@@ -11,6 +11,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
+
 Array = NDArray[np.float64]
 
 LONGEST_GAP = 3.5
@@ -21,6 +23,11 @@ LONGEST_AT_LIMIT = 5
 LARGEST_SHARE_AT_LIMIT = 0.1
 FEWEST_VALUES_TO_SATURATE = 20
 SMALLEST_DROP = 3.0
+LARGEST_DISTINCT_SHARE = 0.75
+OFF_GRID = 0.05
+EPSILON = float(np.finfo(float).eps)
+ROUNDING = 2.0**36
+"""Per m/s² or rad/s: equal readings are equal again once they are turned into b and back."""
 
 
 class WindowFault(Enum):
@@ -34,9 +41,38 @@ class WindowFault(Enum):
     SATURATED = "a channel is saturated"
 
 
+@kernel()
+def own_axes(samples, mount):  # type: ignore[no-untyped-def]
+    """
+    Return readings (N, 6) in the axes in which the IMU gave them.
+
+    Parameters
+    ----------
+    samples : (N, 7) array
+        Stamps, which are not looked at, specific force [m/s^2] and angular rate [rad/s], b.
+    mount : (3, 3) array
+        From the IMU's axes to b.
+    """
+    readings = np.empty((samples.shape[0], 6))
+    for row in range(samples.shape[0]):
+        for sensor in (0, 3):
+            for i in range(3):
+                reading = 0.0
+                for j in range(3):
+                    reading += samples[row, 1 + sensor + j] * mount[j, i]
+                readings[row, sensor + i] = np.rint(reading * ROUNDING) / ROUNDING
+    return readings
+
+
 def sampling_rate(t_ns: NDArray[np.int64]) -> float:
     """Return the rate [Hz] of stamps (N,) [ns] by their median step; 0 where they stand still."""
-    step = float(np.median(np.diff(t_ns)))
+    return _rate(np.sort(t_ns[1:] - t_ns[:-1]))
+
+
+def _rate(steps: NDArray[np.int64]) -> float:
+    """Return the same for ordered steps."""
+    middle = len(steps) // 2
+    step = 0.5 * float(steps[middle] + steps[-1 - middle])
     return 1e9 / step if step > 0.0 else 0.0
 
 
@@ -55,28 +91,60 @@ def find_fault(
     rate_range_hz : (float, float)
         Rates that the regressor knows [Hz]; 1 % beyond is let through.
     """
-    if not np.isfinite(readings).all():
+    finite, repeats, longest, extremes, dwelling = _tally(readings)
+    if not finite:
         return WindowFault.NOT_FINITE
-    steps = np.diff(t_ns)
-    if steps.min() <= 0:
+    steps = np.sort(t_ns[1:] - t_ns[:-1])
+    if steps[0] <= 0:
         return WindowFault.OUT_OF_ORDER
-    rate = sampling_rate(t_ns)
-    if steps.max() * rate > LONGEST_GAP * 1e9:
+    rate = _rate(steps)
+    if steps[-1] * rate > LONGEST_GAP * 1e9:
         return WindowFault.GAP
     if not 0.99 * rate_range_hz[0] <= rate <= 1.01 * rate_range_hz[1]:
         return WindowFault.RATE
     # A whole sample that repeats is stale; one channel that repeats is merely quantised.
-    repeated = (readings[1:] == readings[:-1]).all(axis=1)
-    count = np.count_nonzero(repeated)
-    if count > LARGEST_REPEATED_SHARE * len(repeated) or (
-            count > LONGEST_REPEAT and _longest_run(repeated) > LONGEST_REPEAT):
+    if repeats > LARGEST_REPEATED_SHARE * len(steps) or longest > LONGEST_REPEAT:
         return WindowFault.REPEATED
-    for limit in (readings.max(axis=0), readings.min(axis=0)):
-        dwelling = (readings == limit).sum(axis=0) >= LONGEST_AT_LIMIT
-        for channel in np.flatnonzero(dwelling):
-            if _is_cut_off(np.abs(limit[channel] - readings[:, channel])):
-                return WindowFault.SATURATED
+    for side, channel in np.argwhere(dwelling >= LONGEST_AT_LIMIT):
+        if _is_cut_off(np.abs(extremes[side, channel] - readings[:, channel])):
+            return WindowFault.SATURATED
     return None
+
+
+@kernel()
+def _tally(readings):  # type: ignore[no-untyped-def]
+    """
+    Count what is odd in readings (N, C).
+
+    Returns
+    -------
+    finite : bool
+        All are.
+    repeats, longest : int
+        Samples that repeat the one before, and the longest run of them.
+    extremes, dwelling : ndarray, shape (2, C)
+        Largest and smallest reading, and how often each occurs.
+    """
+    size, channels = readings.shape
+    extremes, dwelling = np.empty((2, channels)), np.zeros((2, channels), np.int64)
+    extremes[:] = readings[0]
+    finite, repeats, run, longest = True, 0, 0, 0
+    for row in range(size):
+        same = row > 0
+        for c in range(channels):
+            value = readings[row, c]
+            finite &= np.isfinite(value)
+            same &= value == readings[row - 1, c]
+            if value > extremes[0, c]:
+                extremes[0, c], dwelling[0, c] = value, 0
+            if value < extremes[1, c]:
+                extremes[1, c], dwelling[1, c] = value, 0
+            for side in range(2):
+                dwelling[side, c] += value == extremes[side, c]
+        run = run + 1 if same else 0
+        repeats += same
+        longest = max(longest, run)
+    return finite, repeats, longest, extremes, dwelling
 
 
 def _is_cut_off(below: Array) -> bool:
@@ -109,17 +177,28 @@ def quantisation_step(readings: Array) -> Array:
     A channel is quantised where at least a quarter of its values recur and all lie on one grid.
     Quantisation noise then has the variance ``step**2 / 12``, below which no estimate is honest.
     """
-    ordered = np.sort(readings, axis=0)
-    gaps = np.diff(ordered, axis=0)
-    size = readings.shape[0]
-    # Decimal values in binary differ from their grid by rounding.
-    rounding = 8.0 * np.finfo(float).eps * np.maximum(-ordered[0], ordered[-1]) + 1e-300
-    distinct = gaps > rounding
-    recurring = distinct.sum(axis=0) + 1 <= 0.75 * size
-    if not recurring.any():
-        return np.zeros(readings.shape[1])
-    step = np.where(distinct, gaps, np.inf).min(axis=0)
-    with np.errstate(invalid="ignore"):
-        multiples = np.where(distinct, gaps, 0.0) / step
-    on_grid = np.abs(multiples - np.round(multiples)).max(axis=0) < 0.05
-    return np.where(recurring & on_grid & np.isfinite(step), step, 0.0)
+    return _resolution(np.sort(readings, axis=0))  # type: ignore[no-any-return]
+
+
+@kernel()
+def _resolution(ordered):  # type: ignore[no-untyped-def]
+    """Return the resolution (C,) of ordered readings (N, C)."""
+    size, channels = ordered.shape
+    found = np.zeros(channels)
+    for c in range(channels):
+        # Decimal values in binary differ from their grid by rounding.
+        rounding = 8.0 * EPSILON * max(-ordered[0, c], ordered[-1, c]) + 1e-300
+        distinct, step = 1, np.inf
+        for row in range(1, size):
+            gap = ordered[row, c] - ordered[row - 1, c]
+            if gap > rounding:
+                distinct += 1
+                step = min(step, gap)
+        if distinct == 1 or distinct > LARGEST_DISTINCT_SHARE * size:
+            continue
+        found[c] = step
+        for row in range(1, size):
+            gap = ordered[row, c] - ordered[row - 1, c]
+            if gap > rounding and not np.abs(gap / step - np.rint(gap / step)) < OFF_GRID:
+                found[c] = 0.0
+    return found

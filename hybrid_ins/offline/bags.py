@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from heapq import merge
@@ -382,6 +382,14 @@ class BagWriter:
         if len(rows):
             number = self._numbers.get((topic, type_name)) or self._new_number(topic, type_name)
             self._writer.write_rows(number, log_ns, rows)
+
+    def write_many(
+        self, topic: str, type_name: str, messages: Sequence[bytes], log_ns: Sequence[int]
+    ) -> None:
+        """Append many serialised messages with their log times."""
+        if messages:
+            number = self._numbers.get((topic, type_name)) or self._new_number(topic, type_name)
+            self._writer.write_many(number, log_ns, messages)
 
     def _new_number(self, topic: str, type_name: str) -> int:
         number = self._numbers[topic, type_name] = self._number(_absolute(topic), type_name)

@@ -20,7 +20,7 @@ import sys
 import zlib
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import itemgetter
@@ -29,8 +29,10 @@ from struct import Struct
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -44,6 +46,7 @@ _CHUNK_HEAD = Struct("<QQQI")  # first and last log time, uncompressed size and 
 _CHUNK_INDEX_HEAD = Struct("<QQQQI")  # first and last log time, offset, length, size of offsets
 _FOOTER_BODY = Struct("<QQI")  # start of the summary, of the summary offsets, CRC
 _STATISTICS_HEAD = Struct("<QHIIIIQQI")  # messages, schemas, channels, ..., chunks, times, size
+_RECORD_SIZE, _MESSAGE_SIZE = _RECORD.size, _MESSAGE_HEAD.size
 _U16, _U32, _U64 = Struct("<H"), Struct("<I"), Struct("<Q")
 _FOOTER_SIZE = _RECORD.size + _FOOTER_BODY.size + len(MAGIC)
 
@@ -79,7 +82,7 @@ class _Block(NamedTuple):
     last_ns: int
     times: bytes  # log times, 64 bits each
     size: int  # of a record
-    records: bytes
+    records: bytes | memoryview
 
 
 class _DamageError(Exception):
@@ -133,11 +136,13 @@ class McapReader:
 
         """
         channels = {number: c for number, c in self._channels.items() if wanted(c)}
+        flags = np.zeros(1 << 16, np.bool_)
+        flags[list(channels)] = True
         waiting: list[Record] = []
         next_starts = [chunk.start_ns for chunk in self._chunks[1:]]
         for chunk, next_start_ns in zip(self._chunks, [*next_starts, None], strict=True):
             try:
-                fresh = _messages(*self._content(chunk.offset), channels)
+                fresh = _messages(*self._content(chunk.offset), channels, flags)
                 if fresh and min(fresh, key=_LOG_TIME)[0] < chunk.start_ns:
                     raise _DamageError("a message is older than its chunk")
             except _DamageError as damage:
@@ -362,23 +367,33 @@ class McapWriter:
     def write_rows(self, channel: int, log_ns: NDArray[np.int64], rows: NDArray[np.uint8]) -> None:
         """Append many messages of one size: log times (N,) and their bytes, a row each."""
         head = np.dtype({
-            "names": ["opcode", "length", "channel", "log_ns", "publish_ns", "data"],
-            "formats": ["u1", "<u8", "<u2", "<u8", "<u8", (np.uint8, rows.shape[1])],
-            "offsets": [0, 1, 9, 15, 23, _MESSAGE_HEAD.size],
+            "names": ["opcode", "length", "channel", "sequence", "log_ns", "publish_ns", "data"],
+            "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", (np.uint8, rows.shape[1])],
+            "offsets": [0, 1, 9, 11, 15, 23, _MESSAGE_HEAD.size],
             "itemsize": _MESSAGE_HEAD.size + rows.shape[1]})
         most = max(1, _CHUNK_SIZE // head.itemsize)
         for start in range(0, len(rows), most):
             times = log_ns[start : start + most]
             if times.min() < 0:
                 raise ValueError(f"log time {times.min()} ns lies before the epoch")
-            records = np.zeros(len(times), head)
+            records = np.empty(len(times), head)
             records["opcode"], records["length"] = _MESSAGE, head.itemsize - _RECORD.size
-            records["channel"] = channel
+            records["channel"], records["sequence"] = channel, 0
             records["log_ns"] = records["publish_ns"] = times
             records["data"] = rows[start : start + most]
             self._append(_Block(
                 channel, int(times.min()), int(times.max()), times.astype("<u8").tobytes(),
-                head.itemsize, records.tobytes()))
+                head.itemsize, records.view(np.uint8).data))
+
+    def write_many(self, channel: int, log_ns: Sequence[int], messages: Sequence[bytes]) -> None:
+        """Append many messages: as `write_rows` where they are of one size, otherwise as `write`.
+        """
+        if len({*map(len, messages)}) == 1:
+            rows = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+            self.write_rows(channel, np.array(log_ns, np.int64), rows)
+        else:
+            for t_ns, data in zip(log_ns, messages, strict=True):
+                self.write(channel, t_ns, data)
 
     def _append(self, block: _Block) -> None:
         self._pending.append(block)
@@ -392,43 +407,42 @@ class McapWriter:
             return
         offset = len(self._undefined)
         times: dict[int, list[bytes]] = {}
-        offsets_of: dict[int, list[int]] = {}
+        places: dict[int, list[NDArray[np.uint64]]] = {}
         for block in self._pending:
-            times.setdefault(block.channel, []).append(block.times)
             end = offset + len(block.records)
-            offsets_of.setdefault(block.channel, []).extend(range(offset, end, block.size))
+            times.setdefault(block.channel, []).append(block.times)
+            places.setdefault(block.channel, []).append(
+                np.arange(offset, end, block.size, dtype="<u8"))
             offset = end
         content = b"".join([self._undefined, *(block.records for block in self._pending)])
         first_ns = min(block.first_ns for block in self._pending)
         last_ns = max(block.last_ns for block in self._pending)
         compression = _prefixed(b"") + _U64.pack(len(content))
-        chunk = _record(
-            _CHUNK,
-            _CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content)) + compression,
-            content,
-        )
+        head = _CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content)) + compression
+        head = _RECORD.pack(_CHUNK, len(head) + len(content)) + head
+        size = len(head) + len(content)
         indexes, offsets = bytearray(), bytearray()
-        for channel, places in offsets_of.items():
-            offsets += struct.pack("<HQ", channel, self._end + len(chunk) + len(indexes))
+        for channel in times:
+            offsets += struct.pack("<HQ", channel, self._end + size + len(indexes))
             pairs = np.stack((np.frombuffer(b"".join(times[channel]), "<u8"),
-                              np.array(places, "<u8")), axis=1)
+                              np.concatenate(places[channel])), axis=1)
             indexes += _record(_MESSAGE_INDEX, _U16.pack(channel) + _prefixed(pairs.tobytes()))
         entry = _record(
             _CHUNK_INDEX,
-            _CHUNK_INDEX_HEAD.pack(first_ns, last_ns, self._end, len(chunk), len(offsets))
+            _CHUNK_INDEX_HEAD.pack(first_ns, last_ns, self._end, size, len(offsets))
             + offsets
             + _U64.pack(len(indexes))
             + compression
             + _U64.pack(len(content)),
         )
-        self._put(chunk + indexes)
+        self._put(head, content, indexes)
 
         self.start_ns = first_ns if not self._chunk_indexes else min(self.start_ns, first_ns)
         self.end_ns = max(self.end_ns, last_ns)
-        for channel, places in offsets_of.items():
-            self.counts[channel] += len(places)
+        for channel in times:
+            self.counts[channel] += sum(map(len, places[channel]))
         self._chunk_indexes.append(entry)
-        self._end += len(chunk) + len(indexes)
+        self._end += size + len(indexes)
         self._undefined.clear()
         self._pending.clear()
         self._pending_size = 0
@@ -463,12 +477,13 @@ class McapWriter:
         self._put(ending + summary + footer + crc + MAGIC)
         self._file.close()
 
-    def _put(self, data: bytes) -> None:
-        rest = memoryview(data)
+    def _put(self, *parts: bytes | bytearray) -> None:
         try:
             self._file.seek(self._end)
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            for part in parts:
+                rest = memoryview(part)
+                while rest:
+                    rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
 
@@ -487,28 +502,69 @@ def _records(view: memoryview, position: int, end: int) -> Iterator[tuple[int, m
 
 
 def _messages(
-    buffer: memoryview | bytes, position: int, end: int, channels: dict[int, Channel]
+    buffer: memoryview | bytes, position: int, end: int, channels: dict[int, Channel],
+    wanted: NDArray[np.bool_],
 ) -> list[Record]:
     """List the messages of `channels` between two offsets, in the order of the bytes."""
-    found: list[Record] = []
-    unpack, head, get = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size, channels.get
-    while position < end:
-        if end - position < _RECORD.size:
-            raise _DamageError("a record is cut off")
-        if buffer[position] == _MESSAGE and end - position >= head:
-            _, length, number, _, log_ns, _ = unpack(buffer, position)
-            begin, position = position + head, position + _RECORD.size + length
-            if not begin <= position <= end:
-                raise _DamageError("a message has a wrong length")
-            channel = get(number)
-            if channel is not None:
-                found.append((log_ns, channel, bytes(buffer[begin:position])))
-        else:
-            _, length = _RECORD.unpack_from(buffer, position)
-            position += _RECORD.size + length
-            if position > end:
-                raise _DamageError("a record is cut off")
-    return found
+    reached, begins, ends, numbers, times = _walk(
+        np.frombuffer(buffer, np.uint8), position, end, wanted)
+    if reached != end:
+        raise _DamageError("a record is cut off or has a wrong length")
+    return [
+        (log_ns, channels[number], bytes(buffer[begin:stop]))
+        for log_ns, number, begin, stop in zip(
+            times.tolist(), numbers.tolist(), begins.tolist(), ends.tolist(), strict=True)]
+
+
+@kernel()
+def _walk(buffer, position, end, wanted):  # type: ignore[no-untyped-def]
+    """
+    Find the messages among the records between two offsets.
+
+    Parameters
+    ----------
+    buffer : ndarray of uint8
+        Records.
+    position, end : int
+        Where the first begins and the last ends.
+    wanted : ndarray of bool, shape (65536,)
+        By channel number.
+
+    Returns
+    -------
+    reached : int
+        ``end``, or where a record is damaged.
+    begins, ends, channels, log_ns : ndarray, shape (n,)
+        Of the content of each wanted message.
+    """
+    most = (end - position) // _MESSAGE_SIZE
+    begins, ends = np.empty(most, np.int64), np.empty(most, np.int64)
+    channels, log_ns = np.empty(most, np.int64), np.empty(most, np.uint64)
+    count = 0
+    while end - position >= _RECORD_SIZE:
+        length = _number(buffer, position + 1, 8)
+        following = position + _RECORD_SIZE + np.int64(length)
+        if length > end - position or following > end:
+            break
+        if buffer[position] == _MESSAGE:
+            if following - position < _MESSAGE_SIZE:
+                break
+            channel = _number(buffer, position + 9, 2)
+            if wanted[channel]:
+                begins[count], ends[count] = position + _MESSAGE_SIZE, following
+                channels[count], log_ns[count] = channel, _number(buffer, position + 15, 8)
+                count += 1
+        position = following
+    return position, begins[:count], ends[:count], channels[:count], log_ns[:count]
+
+
+@register_jitable
+def _number(buffer, position, size):  # type: ignore[no-untyped-def]
+    """Read an unsigned number of so many bytes."""
+    number = np.uint64(0)
+    for k in range(size):
+        number |= np.uint64(buffer[position + k]) << np.uint64(8 * k)
+    return number
 
 
 def _decompressed(stored: memoryview, compression: str, size: int) -> memoryview | bytes:

@@ -34,7 +34,7 @@ VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRUTH = "/truth/"
-BLOCK = 256  # odometry messages that are written at a time
+BLOCK = 256  # messages of one topic that are written at a time
 
 
 def replay(
@@ -115,10 +115,11 @@ def replay(
         flush(int(imu.stamp_ns[max(stretch.stop, 1) - 1]))
         bar.update(stretch.stop - stretch.start)
 
-    carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
-    carried[fix_topic] = "/gnss/fix"
+    named = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
+    named[fix_topic] = "/gnss/fix"
     if velocity_topic in handlers:
-        carried[velocity_topic] = "/gnss/velocity"
+        named[velocity_topic] = "/gnss/velocity"
+    carried = {topic: _Carrier(out, name, bag.topics[topic]) for topic, name in named.items()}
     start, total = 0, len(imu.log_ns)
     hidden = None if progress else True
     with tqdm(total=total, desc="replay", unit="sample", unit_scale=True, disable=hidden) as bar:
@@ -130,10 +131,12 @@ def replay(
                 handlers[topic](bag.decode(topic, log_ns, data), log_ns)
                 flush(log_ns)
             if topic in carried:
-                out.write_raw(carried[topic], bag.topics[topic], data, log_ns)
+                carried[topic].write(data, log_ns)
         run(slice(start, total))
     for writer in writers:
         writer.flush()
+    for carrier in carried.values():
+        carrier.flush()
     return estimator
 
 
@@ -166,6 +169,30 @@ class _OdometryWriter:
             self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps)
         self._waiting.clear()
         self._count = 0
+
+
+class _Carrier:
+    """Carries messages of one topic over from bag to bag, many at a time."""
+
+    def __init__(self, out: BagWriter, topic: str, type_name: str) -> None:
+        self._out = out
+        self._topic = topic
+        self._type_name = type_name
+        self._messages: list[bytes] = []
+        self._log_ns: list[int] = []
+
+    def write(self, data: bytes, log_ns: int) -> None:
+        """Take a message; it is written with what follows it closely."""
+        self._messages.append(data)
+        self._log_ns.append(log_ns)
+        if len(self._messages) == BLOCK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has been taken so far."""
+        self._out.write_many(self._topic, self._type_name, self._messages, self._log_ns)
+        self._messages.clear()
+        self._log_ns.clear()
 
 
 def _say(level: str, text: str) -> None:
