@@ -26,7 +26,9 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
     assert all(np.isfinite(figure["median"]) for figure in kernel["figures"])
     [(_, rows)] = kernel["tables"]
     errors = {row[0]: float(row[3]) for row in rows[1:]}
-    assert errors["live step"] == errors["batch step"] == errors["careful NumPy"] < 1.0
+    assert errors["live step"] == errors["batch step"] < 1.0
+    # The contender does not iterate the first corrections.
+    assert errors["careful NumPy"] == pytest.approx(errors["live step"], rel=0.02)
     assert replay["figures"][0]["median"] > 0.0
     assert "## Filter kernel" in report.read_text()
 
