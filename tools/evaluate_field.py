@@ -456,6 +456,14 @@ class Experiment:
             flown[name] = fly(flight, aid, values, offset=values["gnss.time_offset.value"])
         field_figures.path_and_levels(
             folder / "field_fig8.png", folder / "field_fig9.png", flight, aid, flown)
+        flights = [load(self.args.data, n, 1) for s in self.sessions.values() for n in s]
+        given = parameters.defaults()
+        q_a, q_g = (np.median([{**given, **values}[f"noise.q_{sensor}"]
+                               for (_, imu), values in self.values.items() if imu == 1])
+                    for sensor in ("accelerometer", "gyroscope"))
+        self.shown = field_figures.spectra(
+            folder / "field_spectra.png", flights, (float(q_a), float(q_g)))
+        self.needed = float(q_a), float(q_g)
         field_figures.distributions(folder / "field_fig10.png", {
             name: five.values(name, "prmse") for name in five.rows})
 
@@ -573,6 +581,15 @@ class Experiment:
             "*The paper's Fig. 9: levels in force on that flight.*",
             "![Distribution](figures/field_fig10.png)",
             "*The paper's Fig. 10: distribution of PRMSE over all runs at 5 Hz.*",
+            "## What the IMU shows, and what navigation needs",
+            "![Spectra](figures/field_spectra.png)",
+            "*Spectra of IMU 1 on all flights, as the variance per sample of white noise of that "
+            "density, against the noise that `ins_calibrate` found.*",
+            table(("", "calibrated noise", "quietest frequency, 5 % of windows", "its median"), [
+                (sensor, f"{needed:.2g}", f"{low:.2g}", f"{middle:.2g}")
+                for sensor, needed, (low, middle) in zip(
+                    ("accelerometer [(m/s²)²]", "gyroscope [(rad/s)²]"), self.needed, self.shown,
+                    strict=True)]),
             "## Outages of 10 s: error at their end",
             table(("method", "median [m]", "p90 [m]"), ends),
             f"## Strong noise injected every other {BLOCK:g} s",

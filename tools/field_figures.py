@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from field_flights import Fixes, Flight, Flown
 from matplotlib import pyplot as plt
 from paper_figures import _axes, _save
+from scipy import signal
 
 from hybrid_ins.offline import plots
 from hybrid_ins.offline.tracks import enu_from_lla
 
 COLOURS = (plots.BLUE, plots.ORANGE)
+SPECTRUM_WINDOW = 240  # samples
 
 
 def path_and_levels(
@@ -47,6 +49,49 @@ def path_and_levels(
             axis.set(title=title, xlabel="time [s]")
     axes[0].legend(loc="best")
     _save(figure, levels_file)
+
+
+def spectra(
+    file: Path, flights: Sequence[Flight], needed: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """
+    Draw what the IMU shows over frequency, as the variance of white noise of that density.
+
+    Parameters
+    ----------
+    file : Path
+    flights : sequence of Flight
+    needed : (float, float)
+        What navigation takes for noise: (m/s²)², (rad/s)².
+
+    Returns
+    -------
+    list of (float, float)
+        For each sensor the lowest of all frequencies' 5 % quantiles, and of their medians.
+    """
+    figure, axes = _axes(2)
+    found = []
+    for axis, sensor, q, unit in ((axes[0], "force", needed[0], "(m/s²)²"),
+                                  (axes[1], "rate", needed[1], "(rad/s)²")):
+        densities = []
+        for flight in flights:
+            rate = 1e9 / float(np.median(np.diff(flight.stamp_ns)))
+            readings = getattr(flight, sensor)
+            for start in range(0, len(readings) - SPECTRUM_WINDOW, SPECTRUM_WINDOW // 2):
+                f, density = signal.periodogram(
+                    readings[start:start + SPECTRUM_WINDOW], rate, "hann", detrend="linear", axis=0)
+                densities.extend(density.T[:, 1:] * rate / 2.0)
+        low, middle, high = np.percentile(densities, [5, 50, 95], axis=0)
+        axis.fill_between(f[1:], low, high, color=plots.BLUE, alpha=0.25, linewidth=0,
+                          label="5 to 95 % of all windows and axes")
+        axis.plot(f[1:], middle, color=plots.BLUE, label="median")
+        axis.axhline(q, color=plots.ORANGE, label="noise that navigation needs")
+        axis.set(xscale="log", yscale="log", xlabel="frequency [Hz]",
+                 title={"force": "accelerometer", "rate": "gyroscope"}[sensor] + f" [{unit}]")
+        found.append((float(low.min()), float(middle.min())))
+    axes[0].legend(loc="best")
+    _save(figure, file)
+    return found
 
 
 def distributions(file: Path, prmse: Mapping[str, np.ndarray]) -> None:
