@@ -38,6 +38,7 @@ EXTRAS = {
         "colcon-ros",
         "dask",
         "distributed",
+        "evo",
         "hypothesis",
         "mcap",
         "mypy",

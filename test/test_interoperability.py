@@ -82,7 +82,7 @@ def test_evo_agrees_with_ins_evaluate(
 ) -> None:
     evo = shutil.which("evo_ape", path=str(Path(sys.executable).parent)) or shutil.which("evo_ape")
     if evo is None:
-        pytest.skip("no evo: pip install evo")
+        pytest.skip("no evo, which has no rosdep key: pip install evo")
     result = tmp_path / "ape.zip"
     tracks = [str(estimate), "/truth/odometry", "/odometry"]
     options = ["--t_max_diff", "0.001", "--save_results", str(result)]
