@@ -509,17 +509,16 @@ def fit(
     problem.frozen = held
     x = problem.maximise(x)
     std = problem.uncertainty(x)
-    frozen = held | frozenset(
-        name for name, sigma in zip(problem.names, std, strict=True)
-        if sigma > useless.get(name.split("_")[0] if name.startswith("offset") else name, math.inf))
-    if frozen > held:
-        problem.frozen = frozen
-        keep = np.array([name in frozen for name in problem.names])
-        x = np.where(keep, first, x)
-        x = problem.maximise(x)
+    limits = np.array([
+        useless.get("offset" if name.startswith("offset") else name, math.inf)
+        for name in problem.names])
+    keep = np.array([name in held for name in problem.names])
+    while np.any((std > limits) & ~keep):  # held at its value, one may show another to be useless
+        keep |= std > limits
+        problem.frozen = frozenset(np.array(problem.names)[keep].tolist())
+        x = problem.maximise(np.where(keep, first, x))
         std = np.where(keep, std, problem.uncertainty(x))
-    problem.frozen = frozen
-    return Fit(problem.names, x, std, problem.prior, frozen, tuple(problem.yaws),
+    return Fit(problem.names, x, std, problem.prior, problem.frozen, tuple(problem.yaws),
                tuple(problem.runs), grid, profile, first)
 
 
