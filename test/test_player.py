@@ -121,7 +121,7 @@ def test_the_rate_is_held(
     with BagReader(out) as bag:
         first, *_, last = (t for _, t, _ in bag.raw())
         assert bag.count("/odometry") == 2 * RATE
-    assert first / 1e9 == pytest.approx(START_NS / 1e9 + 1.0, abs=0.2 * max(1.0, 3.0 * rate))
+    assert first / 1e9 == pytest.approx(START_NS / 1e9 + 1.0, abs=0.5 * max(1.0, rate))
     assert (last - first) / 1e9 == pytest.approx(2.0, rel=0.4)
     ticks = int(re.findall(r"'clock': (\d+)", seen_by(processes, echo))[0])
     assert ticks >= 2 * 40 * max(1.0, 1.0 / rate)
