@@ -208,7 +208,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
     Parameter("noise.q_gyroscope", 4e-6, "Per-sample variance of the gyroscope: the constant, and "
               "what learned modes fall back to", unit="(rad/s)²", low=1e-14, high=1e2,
               runtime=True),
-    Parameter("noise.background_gyroscope", [0.0, 0.0, 0.0], "The same of the gyroscope",
+    Parameter("noise.background_gyroscope", [0.0, 0.0, 0.0], "The same of the gyroscope, "
+              "beside noise.q_gyroscope",
               unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
     Parameter("noise.q_gyroscope_min", 1e-10, "Lowest level that is believed",
               unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
