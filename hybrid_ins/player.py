@@ -25,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.offline import program
+from hybrid_ins.offline import options, program
 from hybrid_ins.offline.bags import BagReader, BagWriter, is_standard
 
 if TYPE_CHECKING:
@@ -68,10 +68,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.set_defaults(ros_args=words[split:])
     add = parser.add_argument
     add("bag", type=Path, metavar="IN", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
-    add("--rate", type=_positive, default=1.0, help="bag seconds per second (default 1)")
+    add("--rate", type=options.positive, default=1.0, help="bag seconds per second (default 1)")
     add("--topics", nargs="+", metavar="T", help="publish these topics only")
-    add("--start", type=_not_negative, default=0.0, metavar="S", help="skip the first S seconds")
-    add("--duration", type=_positive, default=math.inf, metavar="S", help="play S seconds only")
+    add("--start", type=options.not_negative, default=0.0, metavar="S",
+        help="skip the first S seconds")
+    add("--duration", type=options.positive, default=math.inf, metavar="S",
+        help="play S seconds only")
     add(
         "--remap",
         nargs="+",
@@ -84,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--no-clock", action="store_true", help="do not publish /clock")
     add(
         "--wait",
-        type=_not_negative,
+        type=options.not_negative,
         default=10.0,
         metavar="S",
         help="wait at most S seconds until every topic has its subscriber (default 10)",
@@ -100,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--overwrite", action="store_true", help="replace OUT if it exists")
     add(
         "--drain",
-        type=_not_negative,
+        type=options.not_negative,
         default=1.0,
         metavar="S",
         help="after the last message go on for S seconds, for what is on its way (default 1)",
@@ -465,20 +467,6 @@ def _table(counts: dict[str, int]) -> list[str]:
 
 def _absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0 and finite")
-    return value
-
-
-def _not_negative(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number from 0")
-    return value
 
 
 def _remapping(text: str) -> tuple[str, str]:
