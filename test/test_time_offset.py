@@ -12,6 +12,7 @@ from hybrid_ins import conversions, parameters
 from hybrid_ins.conversions import FLIP
 from hybrid_ins.core.ins_filter import ClockShift
 from hybrid_ins.core.state import N_NAV
+from hybrid_ins.core.time_offset import ClockOffset
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline.bags import new_message
 from hybrid_ins.offline.montecarlo import Run, Scenario, draw
@@ -30,6 +31,19 @@ def test_offset_is_told_with_its_uncertainty(offset: float) -> None:
     ins, _ = fly(stamped_early(draw(SCENE, 1), offset))
     assert ins.clock.missing == pytest.approx(offset, abs=0.02)
     assert ins.clock.sigma < 0.01
+
+
+def test_looking_for_it_leaves_the_state_alone_to_the_last_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = stamped_early(draw(SCENE, 1), 0.05)
+    looking = fly(run, late=0.1)[0]
+    assert looking.clock.sigma < 0.02
+    monkeypatch.setattr(ClockOffset, "learn", lambda self, correction: None)
+    blind = fly(run, late=0.1)[0]
+    assert blind.clock.missing == 0.0
+
+    assert looking.nav.tobytes() == blind.nav.tobytes()
 
 
 def test_late_fixes_tell_the_same() -> None:
