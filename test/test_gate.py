@@ -75,6 +75,22 @@ def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
     assert judge(gate, 6.5, 50.0).reset
 
 
+def test_fix_that_barely_fits_after_refusals_that_agree_opens_the_state(gate: Gate) -> None:
+    """The covariance has grown until the tail of its distribution reached them: that is no fit."""
+    for t in np.arange(0.0, 2.0, 0.2):
+        assert not judge(gate, t, 5.0).accepted
+    twin = copy.copy(gate)
+
+    barely = judge(gate, 2.0, 3.0)
+    well = judge(twin, 2.0, 1.0)
+
+    assert barely.nis < barely.threshold and barely.reset
+    assert well.accepted and not well.reset
+    alone = Gate({3: 21.1}, patience=3.0)
+    judge(alone, 0.0, 5.0)
+    assert not judge(alone, 0.2, 3.0).reset
+
+
 def test_kinds_are_judged_apart(gate: Gate) -> None:
     judge(gate, 0.0, 50.0)
     still = Standstill(int(4e9), np.zeros(3), np.ones(3))

@@ -19,6 +19,7 @@ from hybrid_ins.core.measurements import Measurement
 
 Array = NDArray[np.float64]
 
+BARELY = 0.5  # of the threshold: a NIS beyond it, after refusals that agree with it, is no fit
 UNSEEN_ACCELERATION = 10.0  # m/s², the most that an INS mistakes: a tilt unknown altogether
 
 
@@ -86,7 +87,8 @@ class Gate:
     Measurements that are refused without interruption for ``patience`` seconds, and agree with
     each other, are taken for right and the state for wrong: the next one opens the state
     (`Verdict.reset`). Those that contradict each other have to wait three times as long, but not
-    for ever.
+    for ever. Where the covariance has grown meanwhile until such a measurement barely fits, the
+    state is as wrong, and opened as well.
 
     Parameters
     ----------
@@ -119,16 +121,18 @@ class Gate:
         sigma = np.sqrt(np.diag(R))
         log_det = float(np.linalg.slogdet(S)[1])
         kind, t_ns = measurement.kind, measurement.t_ns
-        if nis <= threshold:
-            self._refusals.pop(kind, None)
-            return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
         last = self._refusals.get(kind)
         first_ns = last.first_ns if last else t_ns
         agreeing_ns = last.agreeing_ns if last and _agree(last.z, z, R) else t_ns
-        jump = last.jump if last else _jumps(kind, z, R, interval)
-        if not measurement.aiding or (
-                t_ns - agreeing_ns < self._patience_ns
-                and t_ns - first_ns < 3 * self._patience_ns):
+        patience_ns = self._patience_ns
+        if nis <= threshold:
+            barely = nis > BARELY * threshold and t_ns - agreeing_ns > patience_ns // 3
+            if not (barely and measurement.aiding):
+                self._refusals.pop(kind, None)
+                return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
+        elif not measurement.aiding or (
+                t_ns - agreeing_ns < patience_ns and t_ns - first_ns < 3 * patience_ns):
+            jump = last.jump if last else _jumps(kind, z, R, interval)
             self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z, jump)
             return Verdict(
                 measurement, False, "innovation beyond the gate", age, nis, threshold, sigma,
