@@ -7,7 +7,7 @@ from scenes import EPOCH_NS, heading_std, make_navigator, play, scene, stamp
 from hybrid_ins.core.attitude import rpy_from_quat
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.state import BIAS_A, BIAS_G, QUAT
+from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT
 from hybrid_ins.offline.sensors import ImuErrors
 from hybrid_ins.offline.trajectories import (
     START_LLA,
@@ -104,6 +104,31 @@ def test_claimed_uncertainty_covers_the_error_when_it_is_decided() -> None:
         assert len(normalised) == seed + 1
 
     assert max(normalised) < 4.0 and np.sqrt(np.mean(np.square(normalised))) < 1.6
+
+
+@pytest.mark.parametrize(("sigma", "after"), [(0.08, 1.0), (0.15, 10.0), (0.25, None)])
+def test_a_heading_known_less_well_is_decided_on_later(
+    monkeypatch: pytest.MonkeyPatch, sigma: float, after: float | None
+) -> None:
+    """Clock or lever arm uncalibrated: the mixture stays wider, and one filter narrows it on."""
+    navigator = make_navigator()
+    play(scene(static(6.0)), navigator)
+    bank = navigator.bank
+    assert bank is not None
+    first_ns, decided = bank.best.t_ns, []
+    monkeypatch.setattr(bank, "heading", lambda: (0.02, sigma))
+
+    for t in np.arange(0.0, 20.0, 0.1):
+        bank.best.t_ns = first_ns + round(t * 1e9)
+        if bank.decide() is not None:
+            decided.append(t)
+
+    if after is None:
+        assert not decided
+    else:
+        assert decided[0] == pytest.approx(after, abs=0.11)
+        P = bank.best.nav[COVARIANCE][DIAGONAL]
+        assert P[8] >= sigma**2
 
 
 def test_outlier_while_undecided_hurts_nobody() -> None:

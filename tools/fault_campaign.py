@@ -39,6 +39,7 @@ RECOVERY = 10.0  # s after the fault
 WORSE = 1.2  # times the undisturbed run's error
 OTHERS = 4  # further draws of noise
 COVERED = 0.95  # share of the truth that must have an estimate by then
+INPUTS = ("/gnss/fix", "/gnss/velocity")  # that a replay may carry over
 LIVE = ("imu_nan_long", "imu_in_g", "imu_frozen", "imu_two_publishers", "imu_gap_long",
         "clock_forward", "bag_loop", "fix_shift", "fix_outage", "fix_late_reordered",
         "fix_future", "no_fixes_at_all")
@@ -138,7 +139,7 @@ def examine(path: Path, truth_path: Path, origin_ns: int, offset: float, shift: 
                 said += _verdict(message)
             elif topic == "/datum":
                 datum = message
-            elif topic != "/gnss/fix" and not all(map(math.isfinite, _numbers(message))):
+            elif topic not in INPUTS and not all(map(math.isfinite, _numbers(message))):
                 problems.append(f"NaN on {topic}")
     with BagReader(truth_path) as bag:
         truth = _odometry(bag, "/truth/odometry", [])

@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 
 CELLS = 12
 CELL_STD = math.pi / CELLS  # rad, half a cell: neighbours overlap
-DECIDED_STD = 0.1  # rad, of the mixture's heading: what is left is one filter's affair
-DECIDED_FOR_NS = 1_000_000_000  # that it has to hold
+DECIDED = ((0.1, 1_000_000_000), (0.2, 10_000_000_000))
+"""The mixture's heading is known to that [rad] for so long [ns]: one filter does the rest."""
 LEAST_WEIGHT = 1e-6  # a hypothesis below that is dropped
 MEMORY = 25.0  # innovations over which the best one's fit is averaged
 
@@ -63,7 +63,7 @@ class YawBank:
         self.filters = list(filters)
         self.log_weights = np.full(len(self.filters), -math.log(len(self.filters)))
         self._misfit = 1.0
-        self._decided_ns: int | None = None
+        self._known_ns = [0] * len(DECIDED)  # since when it is known that well; 0: it is not
 
     @property
     def best(self) -> InsFilter:
@@ -139,12 +139,15 @@ class YawBank:
         """Return the one filter that the mixture has become, wide enough for all; or None."""
         mean, sigma = self.heading()
         winner = self.best
-        if sigma > DECIDED_STD:
-            self._decided_ns = None
-            return None
-        if self._decided_ns is None:
-            self._decided_ns = winner.t_ns
-        if winner.t_ns - self._decided_ns < DECIDED_FOR_NS:
+        decided = False
+        for k, (std, lasting_ns) in enumerate(DECIDED):
+            if sigma > std:
+                self._known_ns[k] = 0
+            elif self._known_ns[k] == 0:
+                self._known_ns[k] = winner.t_ns
+            elif winner.t_ns - self._known_ns[k] >= lasting_ns:
+                decided = True
+        if not decided:
             return None
         propagation.flush(winner.nav)
         P = covariance(winner.nav)
