@@ -280,9 +280,18 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
         typed path one by one.
 
     """
-    length = _imu_name_length(messages[0])
-    start = _body_start(_HEADER_SIZE + length)
     size = len(messages[0])
+    joined = b"".join(messages)
+    if len(joined) != size * len(messages) or any(len(m) != size for m in messages):
+        raise ValueError("the Imu messages differ in length")
+    return imu_rows(np.frombuffer(joined, np.uint8).reshape(-1, size))
+
+
+def imu_rows(rows: NDArray[np.uint8]) -> NDArray[Any]:
+    """View serialised Imu messages (N, size) in the same way, and raise likewise."""
+    size = rows.shape[1]
+    length = _imu_name_length(rows[0].tobytes())
+    start = _body_start(_HEADER_SIZE + length)
     layout: list[tuple[str, Any, int]] = [
         ("encoding", "<u2", 0),
         ("seconds", "<i4", 4),
@@ -297,11 +306,8 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
         ("specific_force_covariance", ("<f8", 9), start + 224),
     ]
     names, formats, offsets = zip(*layout, strict=True)
-    joined = b"".join(messages)
-    if len(joined) != size * len(messages) or any(len(m) != size for m in messages):
-        raise ValueError("the Imu messages differ in length")
     records = np.frombuffer(
-        joined,
+        rows.data,
         np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size}),
     )
     if np.any(records["encoding"] != 0x0100) or np.any(records["length"] != length):
