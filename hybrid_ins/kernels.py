@@ -75,6 +75,7 @@ def _compile_filter() -> None:
     kalman.innovation(nav, z, H, np.eye(3))
     kalman.correct(nav, z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
+    kalman.log_determinant(np.eye(3))
 
 
 def _compile_output() -> None:

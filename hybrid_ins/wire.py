@@ -342,9 +342,9 @@ def _put_status(buffer: bytearray, status: Status) -> None:
     for text in (status.name, status.text, ""):  # without hardware_id
         _put_text(buffer, text)
     _put_count(buffer, len(status.values))
-    for key, value in status.values:
-        _put_text(buffer, key)
-        _put_text(buffer, value)
+    for pair in status.values:
+        for text in pair:
+            _put_text(buffer, text)
 
 
 def _put_text(buffer: bytearray, text: str) -> None:
