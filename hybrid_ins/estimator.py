@@ -373,9 +373,9 @@ class Estimator:
         steps = steps_since(int(t_ns[0]) - 1, t_ns)
         plain = (steps > 0) & (steps <= self.navigator.steady_ns)
         for values, most in ((force, most_f), (rate, most_w)):
-            plain &= np.abs(values).max(axis=1) <= most
+            plain &= (np.abs(values) <= most).all(axis=1)
         plain &= force.any(axis=1)
-        return [*np.flatnonzero(~plain).tolist(), len(t_ns)]
+        return [*(~plain).nonzero()[0].tolist(), len(t_ns)]
 
     def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Stretch:
         assert self._map is not None and self.navigator.filter is not None

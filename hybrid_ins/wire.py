@@ -13,6 +13,7 @@ OMG, *DDS Interoperability Wire Protocol* 2.5, section 10: encapsulation and CDR
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -342,9 +343,17 @@ def _put_status(buffer: bytearray, status: Status) -> None:
     for text in (status.name, status.text, ""):  # without hardware_id
         _put_text(buffer, text)
     _put_count(buffer, len(status.values))
-    for pair in status.values:
-        for text in pair:
-            _put_text(buffer, text)
+    for key, value in status.values:
+        buffer += _PADDING[len(buffer) % 4] + _key(key)
+        _put_text(buffer, value)
+
+
+@lru_cache(maxsize=256)
+def _key(text: str) -> bytes:
+    """Serialise one of the few texts that come again and again, padded to a multiple of 4."""
+    buffer = bytearray()
+    _put_text(buffer, text)
+    return bytes(buffer + _PADDING[len(buffer) % 4])
 
 
 def _put_text(buffer: bytearray, text: str) -> None:
