@@ -86,6 +86,7 @@ class Estimator:
         self.odometry = np.zeros(output.N_ODOMETRY)
         self.local = np.zeros(output.N_ODOMETRY)
         self._log = log
+        self._ahead: tuple[NDArray[np.int64], Array, Array] | None = None
         self._map: MapFrame | None = None
         self._local_state = local_frame.start()
         self._local_ns = 0  # of the last sample in odom; 0: the filter has just started
@@ -148,7 +149,16 @@ class Estimator:
     def _make_reader(self) -> NoiseReader | None:
         if self.values["noise.mode"] != "learned":
             return None
-        return NoiseReader(self.values, self._mount, self._log)
+        reader = NoiseReader(self.values, self._mount, self._log)
+        if self._ahead is not None:
+            reader.foresee(*self._ahead)
+        return reader
+
+    def foresee(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
+        """Tell what `imu_block` will be given, where it is known; see `NoiseReader.foresee`."""
+        self._ahead = t_ns, force, rate
+        if self._reader is not None:
+            self._reader.foresee(*self._ahead)
 
     def _make_process(self, period: float) -> ProcessNoise:
         walk_a = self.values["imu.accelerometer_bias_walk"]
@@ -363,9 +373,9 @@ class Estimator:
         steps = steps_since(int(t_ns[0]) - 1, t_ns)
         plain = (steps > 0) & (steps <= self.navigator.steady_ns)
         for values, most in ((force, most_f), (rate, most_w)):
-            plain &= np.abs(values).max(axis=1) <= most
+            plain &= (np.abs(values) <= most).all(axis=1)
         plain &= force.any(axis=1)
-        return [*np.flatnonzero(~plain).tolist(), len(t_ns)]
+        return [*(~plain).nonzero()[0].tolist(), len(t_ns)]
 
     def _run(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> Stretch:
         assert self._map is not None and self.navigator.filter is not None

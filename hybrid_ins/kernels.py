@@ -16,15 +16,18 @@ import numpy as np
 
 from hybrid_ins.core import (
     compilation,
+    health,
     kalman,
     local_frame,
     measurements,
     noise_bank,
     output,
     propagation,
+    standstill,
     time_offset,
     window,
 )
+from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 
 NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
@@ -72,6 +75,7 @@ def _compile_filter() -> None:
     kalman.innovation(nav, z, H, np.eye(3))
     kalman.correct(nav, z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
+    kalman.log_determinant(np.eye(3))
 
 
 def _compile_output() -> None:
@@ -91,6 +95,9 @@ def _compile_output() -> None:
         turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
     s, acceleration, _ = time_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
     time_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
+    samples = np.zeros(20, SAMPLE_DTYPE)
+    health.find_fault(samples)
+    standstill.is_standing(samples)
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))
     window.quantisation_step(readings)

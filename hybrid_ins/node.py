@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -36,7 +37,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -89,6 +90,7 @@ TRANSFORM_RATE = 50.0  # Hz, on /tf
 FIXED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CROWD = 8  # waiting messages of which more than one goes out with a sample
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
 
@@ -116,16 +118,14 @@ class InsNode(Node):
         self._last_imu = time.monotonic()
         self._odometry_due = Cadence(values["odometry_rate"])
 
-        overriding = QoSOverridingOptions.with_default_policies()
+        self._heard: dict[str, Callable[[bytes], None]] = {}
+        self._heard_poses: list[tuple[Callable[[bytes], None], OdometryEncoder]] = []
         self._publishers_by_topic = {
             topic: self.create_publisher(
                 MESSAGES[type_name], topic, LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
-                qos_overriding_options=overriding)
+                event_callbacks=PublisherEventCallbacks(matched=self._find_listeners),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
             for topic, type_name in conversions.OUTPUTS.items()}
-        self._poses = (
-            (self._publishers_by_topic["odometry"], self._encoder),
-            (self._publishers_by_topic["odometry/local"], self._local_encoder))
-        self._heard_poses: list[tuple[Callable[[bytes], None], OdometryEncoder]] = []
         self._transforms: Any = None
         if TFMessage is None:
             if values["publish_tf"]:
@@ -148,12 +148,16 @@ class InsNode(Node):
         self.create_timer(1.0, self._on_second, clock=rclpy.clock.Clock())
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
+        self._find_listeners()
         self._flush()
 
     def prepare(self) -> None:
         """Make everything quick from the first message on; those that come meanwhile wait."""
         kernels.prepare(self.get_logger().info)
         warm_up(lambda name: MESSAGES[name]())
+        # What there is now stays: the collector need not look at it again and again.
+        gc.collect()
+        gc.freeze()
         self.get_logger().info("ready: waiting for " + self._estimator.navigator.waiting_for)
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile,
@@ -182,8 +186,7 @@ class InsNode(Node):
             self._tell_pose(estimator.navigator.last_ns)
         estimator.tick()
         if estimator.outbox:
-            self._flush()
-            self._find_listeners()
+            self._flush(1 + len(estimator.outbox) // CROWD)
 
     def _received_ns(self) -> int | None:
         return self.get_clock().now().nanoseconds if self._by_receipt else None
@@ -207,6 +210,7 @@ class InsNode(Node):
 
     def _on_second(self) -> None:
         """Look at the topics, and keep diagnostics alive when no IMU sample drives them."""
+        self._find_listeners()
         for name in ("imu/data", "gnss/fix", "gnss/velocity"):
             topic = self.resolve_topic_name(name)
             if topic not in self._crowded and self.count_publishers(topic) > 1:
@@ -237,17 +241,25 @@ class InsNode(Node):
             self._estimator.fill_transforms(self._transforms.transforms)
             self._publish_transforms(self._transforms)
 
-    def _flush(self) -> None:
+    def _flush(self, most: int = sys.maxsize) -> None:
+        """Publish what waits, or the first of it that somebody listens to."""
         outbox = self._estimator.outbox
-        while outbox:
+        while outbox and most:
             topic, message = outbox.popleft()
-            self._publishers_by_topic[topic].publish(message)
+            publish = self._heard.get(topic)
+            if publish is not None:
+                publish(message)
+                most -= 1
 
-    def _find_listeners(self) -> None:
-        """Odometry at IMU rate is worth its time only where somebody listens."""
+    def _find_listeners(self, _event: object = None) -> None:
+        """Publishing is worth its time only where somebody listens, or will: datum is latched."""
+        self._heard = {
+            topic: publisher.publish for topic, publisher in self._publishers_by_topic.items()
+            if topic == "datum" or publisher.get_subscription_count()}
         self._heard_poses = [
-            (publisher.publish, encoder) for publisher, encoder in self._poses
-            if publisher.get_subscription_count()]
+            (self._heard[topic], encoder) for topic, encoder in (
+                ("odometry", self._encoder), ("odometry/local", self._local_encoder))
+            if topic in self._heard]
 
     def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
         self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.ins_filter import NoiseEstimate
 from hybrid_ins.core.samples import ImuRing, as_numbers
-from hybrid_ins.core.window import find_fault, own_axes, quantisation_step, sampling_rate
+from hybrid_ins.core.window import find_fault, own_axes, quantisation_step, rounded, sampling_rate
 from hybrid_ins.errors import InputError
 from hybrid_ins.regressor import NoiseRegressor, Regressor, SpectralRegressor
 from hybrid_ins.resources import share_path
 
 Array = NDArray[np.float64]
+
+FORESEEN = 15  # windows of a recording that are read along with one
 
 
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
@@ -80,6 +82,22 @@ class NoiseReader:
             (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
             for sensor in ("accelerometer", "gyroscope")]
         self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
+        self._period_ns = int(values["noise.refresh_period"] * 1e9)
+        self._ahead: tuple[NDArray[np.int64], Array] | None = None
+        self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
+
+    def foresee(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
+        """
+        Tell the readings of a recording in advance: the regressor is then asked once for many.
+
+        Parameters
+        ----------
+        t_ns : ndarray, shape (N,)
+            Stamps [ns].
+        force, rate : ndarray, shape (N, 3)
+            Readings [m/s², rad/s] in the IMU's own axes.
+        """
+        self._ahead = t_ns, rounded(np.hstack((force, rate)))
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
         """Return the levels at ``t_ns`` [ns], or an estimate that says None."""
@@ -98,7 +116,7 @@ class NoiseReader:
         if fault is not None:
             return None, fault.value
         try:
-            q = self.regressor.estimate(readings.T, sampling_rate(samples["t_ns"]))
+            q = self._ask(samples["t_ns"], readings)
         except Exception:  # A model that answered at start may fail later; the filter goes on.
             return None, "the model failed"
         if not np.all(np.isfinite(q) & (q >= 0.0)):
@@ -108,3 +126,32 @@ class NoiseReader:
         if np.any(q > self._high):
             return None, "noise beyond noise.q_*_max"
         return np.maximum(q, self._low), ""
+
+    def _ask(self, t_ns: NDArray[np.int64], readings: Array) -> Array:
+        """Return the regressor's answer (6,) to a window: stamps (N,) and readings (N, 6)."""
+        end_ns = int(t_ns[-1])
+        window, q = self._answers.get(end_ns, (None, np.empty(0)))
+        if window is not None and np.array_equal(window, readings):
+            return q
+        if max(self._answers, default=0) > end_ns:
+            self._ahead = None  # things went another way than foreseen
+        windows = {end_ns: readings, **self._following(end_ns)}
+        answers = self.regressor.estimate(
+            np.concatenate([window.T for window in windows.values()]), sampling_rate(t_ns))
+        if len(windows) > 1:
+            self._answers = {end: (window, answer) for (end, window), answer in zip(
+                windows.items(), answers.reshape(len(windows), -1), strict=True)}
+        return answers[:6]
+
+    def _following(self, end_ns: int) -> dict[int, Array]:
+        """Return the windows after the one that ends at a stamp, by their ends, if all goes on."""
+        found: dict[int, Array] = {}
+        if self._ahead is not None:
+            t_ns, readings = self._ahead
+            for _ in range(FORESEEN):
+                end = 1 + int(np.searchsorted(t_ns, end_ns + self._period_ns))
+                if not self.regressor.window <= end <= len(t_ns):
+                    break
+                end_ns = int(t_ns[end - 1])
+                found[end_ns] = readings[end - self.regressor.window:end]
+        return found

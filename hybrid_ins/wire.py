@@ -13,6 +13,7 @@ OMG, *DDS Interoperability Wire Protocol* 2.5, section 10: encapsulation and CDR
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,9 +281,18 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
         typed path one by one.
 
     """
-    length = _imu_name_length(messages[0])
-    start = _body_start(_HEADER_SIZE + length)
     size = len(messages[0])
+    joined = b"".join(messages)
+    if len(joined) != size * len(messages) or any(len(m) != size for m in messages):
+        raise ValueError("the Imu messages differ in length")
+    return imu_rows(np.frombuffer(joined, np.uint8).reshape(-1, size))
+
+
+def imu_rows(rows: NDArray[np.uint8]) -> NDArray[Any]:
+    """View serialised Imu messages (N, size) in the same way, and raise likewise."""
+    size = rows.shape[1]
+    length = _imu_name_length(rows[0].tobytes())
+    start = _body_start(_HEADER_SIZE + length)
     layout: list[tuple[str, Any, int]] = [
         ("encoding", "<u2", 0),
         ("seconds", "<i4", 4),
@@ -297,11 +307,8 @@ def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
         ("specific_force_covariance", ("<f8", 9), start + 224),
     ]
     names, formats, offsets = zip(*layout, strict=True)
-    joined = b"".join(messages)
-    if len(joined) != size * len(messages) or any(len(m) != size for m in messages):
-        raise ValueError("the Imu messages differ in length")
     records = np.frombuffer(
-        joined,
+        rows.data,
         np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size}),
     )
     if np.any(records["encoding"] != 0x0100) or np.any(records["length"] != length):
@@ -337,8 +344,16 @@ def _put_status(buffer: bytearray, status: Status) -> None:
         _put_text(buffer, text)
     _put_count(buffer, len(status.values))
     for key, value in status.values:
-        _put_text(buffer, key)
+        buffer += _PADDING[len(buffer) % 4] + _key(key)
         _put_text(buffer, value)
+
+
+@lru_cache(maxsize=256)
+def _key(text: str) -> bytes:
+    """Serialise one of the few texts that come again and again, padded to a multiple of 4."""
+    buffer = bytearray()
+    _put_text(buffer, text)
+    return bytes(buffer + _PADDING[len(buffer) % 4])
 
 
 def _put_text(buffer: bytearray, text: str) -> None:

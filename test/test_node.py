@@ -7,8 +7,10 @@ import os
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -111,6 +113,22 @@ def test_live_odometry_is_that_of_the_replay(
         assert np.linalg.norm(away) < 0.01
         assert np.linalg.norm(rotvec_from_quat(turn)) < math.radians(0.1)
         assert np.allclose(a.pose.covariance, b.pose.covariance, rtol=0.05, atol=1e-6)
+
+
+def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
+    """So that the samples between them need not wait for all."""
+    from hybrid_ins.node import InsNode
+
+    said: list[bytes] = []
+    outbox = deque([("imu/bias", b"1"), ("q/gyroscope", b"2"), ("imu/bias", b"3")])
+    node: Any = SimpleNamespace(
+        _estimator=SimpleNamespace(outbox=outbox), _heard={"imu/bias": said.append})
+
+    InsNode._flush(node, 1)
+    assert said == [b"1"]
+    InsNode._flush(node)
+    assert said == [b"1", b"3"]
+    assert not outbox
 
 
 def test_every_topic_is_published_with_its_frames(recorded: tuple[Path, str, int]) -> None:

@@ -81,6 +81,57 @@ def ring_of(values: Array, mount: Array = NO_TURN, rate: float = RATE) -> ImuRin
     return ring
 
 
+# --- A recording that is known ahead ---------------------------------------------------------
+
+
+class Counted(SpectralRegressor):
+    """The spectral regressor, which notes how many channels it was given at a time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.channels: list[int] = []
+
+    def estimate(self, window: Array, rate_hz: float) -> Array:
+        self.channels.append(len(window))
+        return super().estimate(window, rate_hz)
+
+
+def levels_of(values: Array, ahead: Array | None) -> tuple[list[Array | None], list[int]]:
+    """Levels after every fifth of a second of readings, and what the regressor was given."""
+    made, ring = reader(MOUNT), ring_of(values, MOUNT)
+    made.regressor = counted = Counted()
+    samples = ring.latest(len(values))
+    if ahead is not None:
+        made.foresee(samples["t_ns"], ahead[:, :3], ahead[:, 3:])
+    levels = []
+    for end in range(220, len(values) + 1, RATE // 5):
+        ring = ImuRing()
+        ring.extend(samples[:end])
+        levels.append(made.read(ring, int(samples["t_ns"][end - 1])).q)
+    return levels, counted.channels
+
+
+def test_windows_that_are_known_ahead_are_read_together() -> None:
+    values = readings(2000)
+
+    alone, one_by_one = levels_of(values, None)
+    together, many = levels_of(values, values)
+
+    assert set(one_by_one) == {6}
+    assert sum(many) == sum(one_by_one)
+    assert len(many) < 0.2 * len(one_by_one)
+    assert np.array(together) == pytest.approx(np.array(alone), rel=1e-9)
+
+
+def test_what_comes_counts_and_not_what_was_foreseen() -> None:
+    values = readings(2000)
+    other = readings(2000, 3.0 * STD, seed=1)
+
+    misled, alone = (np.array(levels_of(values, ahead)[0]) for ahead in (other, None))
+
+    assert misled == pytest.approx(alone, rel=1e-9)
+
+
 # --- Levels --------------------------------------------------------------------------------------
 
 

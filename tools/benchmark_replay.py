@@ -24,7 +24,9 @@ PARTS = {  # what a function's module belongs to
     "replay": "replay", "estimator": "estimator", "navigator": "estimator",
     "propagation": "kernel", "output": "kernel", "local_frame": "kernel", "kalman": "kernel",
     "measurements": "kernel", "ins_filter": "filter", "gate": "filter", "samples": "filter",
+    "state": "filter", "attitude": "filter", "time_offset": "clock offset",
     "health": "IMU health", "standstill": "IMU health", "noise": "noise", "noise_scale": "noise",
+    "noise_bank": "noise",
     "noise_reader": "regressor", "regressor": "regressor", "window": "regressor",
     "spectral": "regressor", "onnxruntime_inference_collection": "regressor"}
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.kalman import log_determinant
 from hybrid_ins.core.measurements import Measurement
 
 Array = NDArray[np.float64]
@@ -118,8 +119,8 @@ class Gate:
         ``interval`` is the time since the last correction [s].
         """
         threshold = self._thresholds[len(R)]
-        sigma = np.sqrt(np.diag(R))
-        log_det = float(np.linalg.slogdet(S)[1])
+        sigma = np.sqrt(R.diagonal())
+        log_det = log_determinant(S)
         kind, t_ns = measurement.kind, measurement.t_ns
         last = self._refusals.get(kind)
         first_ns = last.first_ns if last else t_ns

@@ -267,6 +267,17 @@ def factorise(S):  # type: ignore[no-untyped-def]
             S[i, j] = np.sqrt(total) if i == j else total / S[j, j]
 
 
+@kernel()
+def log_determinant(S):  # type: ignore[no-untyped-def]
+    """Return the logarithm of the determinant of a positive definite matrix."""
+    root = S.copy()
+    factorise(root)
+    total = 0.0
+    for i in range(S.shape[0]):
+        total += 2.0 * np.log(root[i, i])
+    return total
+
+
 @register_jitable
 def solve(root, x):  # type: ignore[no-untyped-def]
     """Overwrite ``x`` (m,) by the solution of S y = x, given what `factorise` made of S."""

@@ -218,6 +218,11 @@ class LearnedNoise:
         self._q = self._fallback
         self._estimated_ns: int | None = None
 
+    def __copy__(self) -> LearnedNoise:
+        twin = object.__new__(LearnedNoise)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
     @property
     def source(self) -> str:
         """See `NoiseModel.source`."""
@@ -342,7 +347,8 @@ class ScaledNoise:
 
     def levels(self) -> Array:
         """See `NoiseModel.levels`."""
-        levels: Array = self.inner.levels() * np.repeat(self.scale.scale(), 3)
+        a, g = self.scale.scale()
+        levels: Array = self.inner.levels() * np.array((a, a, a, g, g, g))
         return levels
 
     def refresh(self, t_ns: int, q: Array | None) -> None:

@@ -83,24 +83,26 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
     transition, noise = _transition_and_noise(F, T, C, psd)
     P, lead = np.zeros_like(P_all), np.zeros_like(lead_all)
     half = np.empty((N_ERROR, count))
-    for i in range(N_ERROR):  # P <- A P A', a row of A P at a time
+    for i in range(N_ERROR):  # P <- A P A', a row of A P at a time, three columns of A at a time
         half[:] = 0.0
-        for k in range(N_ERROR):
-            step = transition[i, k]
-            if step != 0.0:
+        for k in range(0, N_ERROR, 3):
+            u, v, w = transition[i, k], transition[i, k + 1], transition[i, k + 2]
+            if u == 0.0 and v == 0.0 and w == 0.0:
+                continue
+            for h in range(count):
+                lead[i, h] += u * lead_all[k, h] + v * lead_all[k + 1, h] + w * lead_all[k + 2, h]
+            for j in range(N_ERROR):
+                at, at1, at2 = PLACES[k, j], PLACES[k + 1, j], PLACES[k + 2, j]
                 for h in range(count):
-                    lead[i, h] += step * lead_all[k, h]
-                for j in range(N_ERROR):
-                    place = PLACES[k, j]
-                    for h in range(count):
-                        half[j, h] += step * P_all[place, h]
+                    half[j, h] += u * P_all[at, h] + v * P_all[at1, h] + w * P_all[at2, h]
         for j in range(i + 1):
             place = PLACES[i, j]
-            for k in range(N_ERROR):
-                step = transition[j, k]
-                if step != 0.0:
-                    for h in range(count):
-                        P[place, h] += step * half[k, h]
+            for k in range(0, N_ERROR, 3):
+                u, v, w = transition[j, k], transition[j, k + 1], transition[j, k + 2]
+                if u == 0.0 and v == 0.0 and w == 0.0:
+                    continue
+                for h in range(count):
+                    P[place, h] += u * half[k, h] + v * half[k + 1, h] + w * half[k + 2, h]
             for h in range(count):
                 P[place, h] += (
                     factors[0, h] * noise[0, i, j] + factors[1, h] * noise[1, i, j]

@@ -53,7 +53,8 @@ _A, _G, _R = (grid.ravel() for grid in np.meshgrid(
     DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
 _PRIOR = -sum((np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
                for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
-_FACTORS = np.stack((10.0**_A, 10.0**_G, 10.0**_R))
+_DECADES = np.stack((_A, _G, _R))
+_FACTORS = 10.0**_DECADES
 
 
 class NoiseScale:
@@ -128,14 +129,14 @@ class NoiseScale:
             self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
             correction.dx, TAIL)
         evidence = self._evidence * np.exp(-T / MEMORY) + gained
-        self._evidence = evidence - np.max(evidence)
+        self._evidence = evidence - evidence.max()
         self._t_ns = correction.t_ns
         self._velocity_n = nav[VELOCITY] + correction.dx[DV]
         self._C_nb = C_nb
         posterior = self._evidence + _PRIOR
-        weights = np.exp(posterior - np.max(posterior))
-        weights /= np.sum(weights)
-        a, g, r = (_factor(float(weights @ decades)) for decades in (_A, _G, _R))
+        weights = np.exp(posterior - posterior.max())
+        weights /= weights.sum()
+        a, g, r = map(_factor, (_DECADES @ weights).tolist())
         self._scale, self._gnss = (a, g), r
         factors = np.array([a, g, r])
         risen = np.max(factors / self._seated)

@@ -16,12 +16,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.samples import as_numbers
+
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
 STANDING_RATE_STD = 0.02  # rad/s
 SLOW_FORCE_STD = 0.05  # m/s², of the means, beyond what the samples' noise explains
 SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
 MEANS = 8  # per window
+_STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
+_SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 
 def is_standing(samples: NDArray[np.void]) -> bool:
@@ -29,12 +34,30 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     size = len(samples) // MEANS
     if size < 2:
         return False
-    for channel, std, slow_std in (
-        ("f", STANDING_FORCE_STD, SLOW_FORCE_STD), ("w", STANDING_RATE_STD, SLOW_RATE_STD)
-    ):
-        readings = samples[channel][-MEANS * size:]
-        noise = readings.std(axis=0)
-        means = readings.reshape(MEANS, size, 3).mean(axis=1).std(axis=0)
-        if np.any(noise > std) or np.any(means > np.hypot(slow_std, 2.0 * noise / np.sqrt(size))):
-            return False
-    return bool(np.all(np.abs(samples["w"].mean(axis=0)) < LARGEST_MEAN_RATE))
+    numbers = as_numbers(samples)[:, 1:]
+    noise, slow = _spread(np.ascontiguousarray(numbers[-MEANS * size:]), size)
+    if np.any(noise > _STD) or np.any(
+            slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
+        return False
+    return bool(np.all(np.abs(numbers[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
+
+
+@kernel()
+def _spread(readings, size):  # type: ignore[no-untyped-def]
+    """Return the standard deviations (6,) of readings (N, 6), and of means over ``size`` each."""
+    count, parts = readings.shape[0], readings.shape[0] // size
+    noise, slow = np.zeros(6), np.zeros(6)
+    means = np.zeros((parts, 6))
+    for k in range(count):
+        for c in range(6):
+            means[k // size, c] += readings[k, c] / size
+    for c in range(6):
+        mean = 0.0
+        for part in range(parts):
+            mean += means[part, c] / parts
+        for k in range(count):
+            noise[c] += (readings[k, c] - mean) ** 2 / count
+        for part in range(parts):
+            slow[c] += (means[part, c] - mean) ** 2 / parts
+    return np.sqrt(noise), np.sqrt(slow)
+

@@ -64,6 +64,11 @@ def own_axes(samples, mount):  # type: ignore[no-untyped-def]
     return readings
 
 
+def rounded(readings: Array) -> Array:
+    """Return readings as `own_axes` does, of those that never left the IMU's axes."""
+    return np.rint(readings * ROUNDING) / ROUNDING
+
+
 def sampling_rate(t_ns: NDArray[np.int64]) -> float:
     """Return the rate [Hz] of stamps (N,) [ns] by their median step; 0 where they stand still."""
     return _rate(np.sort(t_ns[1:] - t_ns[:-1]))

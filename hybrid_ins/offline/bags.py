@@ -33,7 +33,7 @@ from hybrid_ins.conversions import imu_fields
 from hybrid_ins.errors import InputError
 from hybrid_ins.offline import mcap_file
 from hybrid_ins.offline.mcap_file import Channel, McapReader, McapWriter, Record
-from hybrid_ins.wire import ImuDecoder, imu_records
+from hybrid_ins.wire import ImuDecoder, imu_records, imu_rows
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -234,12 +234,20 @@ class BagReader:
             There is no such topic, or a message is damaged.
 
         """
-        records = list(self._records([self.require(topic, IMU, option)]))
-        log_ns = np.array([record[0] for record in records], np.int64)
+        topic = self.require(topic, IMU, option)
+        found = None
+        if isinstance(self._source, McapReader):
+            found = self._source.rows(lambda c: c.topic == topic and _is_readable(c))
         try:
-            table = imu_records([record[2] for record in records])
+            if found is not None:
+                log_ns, table = found[0], imu_rows(found[1])
+            else:
+                records = list(self._records([topic]))
+                log_ns = np.array([record[0] for record in records], np.int64)
+                table = imu_records([record[2] for record in records])
         except (ValueError, IndexError):
-            return self._imu_one_by_one(records, log_ns)
+            records = list(self._records([topic]))
+            return self._imu_one_by_one(records)
         return ImuTable(
             table["seconds"].astype(np.int64) * 1_000_000_000 + table["nanoseconds"],
             log_ns,
@@ -253,8 +261,9 @@ class BagReader:
                 table["name"])),
         )
 
-    def _imu_one_by_one(self, records: list[Record], log_ns: NDArray[np.int64]) -> ImuTable:
+    def _imu_one_by_one(self, records: list[Record]) -> ImuTable:
         """Read Imu messages whose layout varies: changing frame_id, byte order, damage."""
+        log_ns = np.array([record[0] for record in records], np.int64)
         decoder = ImuDecoder()
         stamps = np.empty(len(records), np.int64)
         vectors = np.empty((2, len(records), 3))

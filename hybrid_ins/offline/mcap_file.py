@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 from struct import Struct
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba.extending import register_jitable
@@ -141,22 +141,64 @@ class McapReader:
         waiting: list[Record] = []
         next_starts = [chunk.start_ns for chunk in self._chunks[1:]]
         for chunk, next_start_ns in zip(self._chunks, [*next_starts, None], strict=True):
-            try:
-                fresh = _messages(*self._content(chunk.offset), channels, flags)
-                if fresh and min(fresh, key=_LOG_TIME)[0] < chunk.start_ns:
-                    raise _DamageError("a message is older than its chunk")
-            except _DamageError as damage:
-                raise InputError(
-                    f"{self.path}: damaged at byte {chunk.offset}: {damage};"
-                    " fetch the bag again from where it was recorded"
-                ) from None
-            waiting += fresh
+            buffer, *found = self._found(chunk, flags)
+            content = memoryview(buffer)
+            waiting += [
+                (log_ns, channels[number], bytes(content[begin:end]))
+                for begin, end, number, log_ns in zip(
+                    *(column.tolist() for column in found), strict=True)]
             waiting.sort(key=_LOG_TIME)
             ready = len(waiting)
             if next_start_ns is not None:
                 ready = bisect_left(waiting, next_start_ns, key=_LOG_TIME)
             yield from waiting[:ready]
             del waiting[:ready]
+
+    def rows(
+        self, wanted: Callable[[Channel], bool]
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]] | None:
+        """
+        Return log times (N,) and bytes (N, size) of messages of one size, ordered as `records`.
+
+        None where there is no message, or where their sizes differ; raises as `records` does.
+        """
+        flags = np.zeros(1 << 16, np.bool_)
+        flags[[number for number, c in self._channels.items() if wanted(c)]] = True
+        parts: list[NDArray[np.uint8]] = []
+        times: list[NDArray[np.int64]] = []
+        for chunk in self._chunks:
+            buffer, begins, ends, _, log_ns = self._found(chunk, flags)
+            if len(begins):
+                if parts and parts[0].shape[1] != ends[0] - begins[0]:
+                    return None
+                if np.any(ends - begins != ends[0] - begins[0]):
+                    return None
+                parts.append(_gathered(buffer, begins, ends[0] - begins[0]))
+                times.append(log_ns.astype(np.int64))
+        if not parts:
+            return None
+        rows, log_times = np.concatenate(parts), np.concatenate(times)
+        if np.any(log_times[1:] < log_times[:-1]):
+            order = np.argsort(log_times, kind="stable")
+            rows, log_times = rows[order], log_times[order]
+        return log_times, rows
+
+    def _found(self, chunk: _Chunk, flags: NDArray[np.bool_]) -> tuple[Any, ...]:
+        """Return a chunk's content, and what `_walk` finds there."""
+        try:
+            content, begin, end = self._content(chunk.offset)
+            buffer = np.frombuffer(content, np.uint8)
+            reached, begins, ends, numbers, log_ns = _walk(buffer, begin, end, flags)
+            if reached != end:
+                raise _DamageError("a record is cut off or has a wrong length")
+            if len(log_ns) and log_ns.min() < chunk.start_ns:
+                raise _DamageError("a message is older than its chunk")
+        except _DamageError as damage:
+            raise InputError(
+                f"{self.path}: damaged at byte {chunk.offset}: {damage};"
+                " fetch the bag again from where it was recorded"
+            ) from None
+        return buffer, begins, ends, numbers, log_ns
 
     def _read_summary(self) -> None:
         """Learn channels, counts and chunks from the index at the end of the file."""
@@ -366,6 +408,8 @@ class McapWriter:
 
     def write_rows(self, channel: int, log_ns: NDArray[np.int64], rows: NDArray[np.uint8]) -> None:
         """Append many messages of one size: log times (N,) and their bytes, a row each."""
+        if log_ns.min() < 0:
+            raise ValueError(f"log time {log_ns.min()} ns lies before the epoch")
         head = np.dtype({
             "names": ["opcode", "length", "channel", "sequence", "log_ns", "publish_ns", "data"],
             "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", (np.uint8, rows.shape[1])],
@@ -374,8 +418,6 @@ class McapWriter:
         most = max(1, _CHUNK_SIZE // head.itemsize)
         for start in range(0, len(rows), most):
             times = log_ns[start : start + most]
-            if times.min() < 0:
-                raise ValueError(f"log time {times.min()} ns lies before the epoch")
             records = np.empty(len(times), head)
             records["opcode"], records["length"] = _MESSAGE, head.itemsize - _RECORD.size
             records["channel"], records["sequence"] = channel, 0
@@ -501,21 +543,6 @@ def _records(view: memoryview, position: int, end: int) -> Iterator[tuple[int, m
         position += length
 
 
-def _messages(
-    buffer: memoryview | bytes, position: int, end: int, channels: dict[int, Channel],
-    wanted: NDArray[np.bool_],
-) -> list[Record]:
-    """List the messages of `channels` between two offsets, in the order of the bytes."""
-    reached, begins, ends, numbers, times = _walk(
-        np.frombuffer(buffer, np.uint8), position, end, wanted)
-    if reached != end:
-        raise _DamageError("a record is cut off or has a wrong length")
-    return [
-        (log_ns, channels[number], bytes(buffer[begin:stop]))
-        for log_ns, number, begin, stop in zip(
-            times.tolist(), numbers.tolist(), begins.tolist(), ends.tolist(), strict=True)]
-
-
 @kernel()
 def _walk(buffer, position, end, wanted):  # type: ignore[no-untyped-def]
     """
@@ -556,6 +583,16 @@ def _walk(buffer, position, end, wanted):  # type: ignore[no-untyped-def]
                 count += 1
         position = following
     return position, begins[:count], ends[:count], channels[:count], log_ns[:count]
+
+
+@kernel()
+def _gathered(buffer, begins, size):  # type: ignore[no-untyped-def]
+    """Return the bytes (n, size) that begin there."""
+    rows = np.empty((len(begins), size), np.uint8)
+    for k in range(len(begins)):
+        for i in range(size):
+            rows[k, i] = buffer[begins[k] + i]
+    return rows
 
 
 @register_jitable

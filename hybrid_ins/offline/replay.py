@@ -80,6 +80,8 @@ def replay(
     fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
     kernels.prepare(partial(log or _say, "info"))
     estimator = Estimator(values, log or _say)
+    there = imu.has_reading
+    estimator.foresee(stamps_ns[there], imu.specific_force[there], imu.angular_rate[there])
     writers = [_OdometryWriter(out, values, topic, values[frame]) for topic, frame in
                (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))]
     handlers: dict[str, Callable[[Message, int], None]] = {fix_topic: estimator.fix}
