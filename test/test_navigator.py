@@ -284,3 +284,22 @@ def test_covariance_stays_positive_through_everything(flight, navigator) -> None
 
     assert np.linalg.eigvalsh(covariance(navigator.filter.nav)).min() > 0.0
     assert np.all(np.isfinite(navigator.filter.nav))
+
+
+def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_admits() -> None:
+    # GIVEN 4 s of vibration beyond the accelerometer's range, noise of which nobody tells
+    run = scene(quadrotor_flight(24.0, 3, heading=0.5), seed=3)
+    shaken = (run.t >= 12.0) & (run.t < 16.0)
+    force = run.force[shaken] + np.random.default_rng(0).normal(0.0, 8.0, (int(shaken.sum()), 3))
+    run.force[shaken] = np.clip(force, -16.0, 16.0)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    largest = []
+
+    play(run, navigator, stop=12.0)
+    play(run, navigator, start=12.0, stop=18.0,
+         after=lambda t: largest.append(run.errors(navigator, t)[0]))
+
+    # THEN fixes go on to be fused, and hold the state
+    assert max(largest) < 1.5
+    refused = [v for v in run.verdicts if not v.accepted]
+    assert len(refused) < 10

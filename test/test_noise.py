@@ -17,7 +17,9 @@ from hybrid_ins.core.noise import (
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
+    ScaledNoise,
 )
+from hybrid_ins.core.noise_scale import NoiseScale
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, N_FLAT, NavState
 
@@ -251,6 +253,21 @@ def test_a_shallow_copy_is_a_snapshot(noise: NoiseModel) -> None:
 
     assert snapshot.levels() == pytest.approx(before)
     assert snapshot.source == source
+
+
+def test_factors_on_the_fallback_say_nothing_of_what_is_learned_afterwards() -> None:
+    forgot = []
+    scale = NoiseScale()
+    scale.forget = lambda evidence: forgot.append(evidence)  # type: ignore[method-assign]
+    noise = ScaledNoise(LearnedNoise(FALLBACK), process(), scale)
+    noise.refresh(0, Q)
+    forgot.clear()
+
+    noise.refresh(10**9, None)
+    assert noise.source == "fallback" and not forgot
+    noise.refresh(2 * 10**9, Q)
+
+    assert noise.source == "learned" and forgot
 
 
 def test_an_estimate_reaches_the_covariance_at_its_stamp_also_when_it_comes_late() -> None:

@@ -23,7 +23,7 @@ from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
-from hybrid_ins.core.state import B_A, B_G, DV, N_ERROR, VELOCITY, covariance
+from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,7 @@ TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap, unseen
 HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not carried over a gap
 BIASES_KEPT = 6  # looks: what is remembered is older than a fault's discovery
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
+MISLED_SPEED, MISLED_TURN = 1.5, 0.1  # m/s, rad: between two looks at such readings
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
 LONGEST_FALL_NS = 5_000_000_000  # without weight
 LAST_FIX_NS = 1_100_000_000  # age of the last fix that tells of a fall
@@ -353,7 +354,10 @@ class Navigator:
     def _doubted(self, fault: str) -> Array:
         """Standard deviations, (15,), of the errors that misleading readings leave behind."""
         std, block = np.zeros(N_ERROR), MISLEADING[fault]
-        std[block] = UNKNOWN_BIAS_STD_A if block == B_A else UNKNOWN_BIAS_STD_G
+        if block == B_A:
+            std[B_A], std[DV] = UNKNOWN_BIAS_STD_A, MISLED_SPEED
+        else:
+            std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, MISLED_TURN
         return std
 
     def heed(self, verdict: Verdict) -> None:

@@ -352,8 +352,11 @@ class ScaledNoise:
         return levels
 
     def refresh(self, t_ns: int, q: Array | None) -> None:
-        """See `NoiseModel.refresh`."""
+        """See `NoiseModel.refresh`; factors on levels from another source say nothing of these."""
+        before = self.source
         self.inner.refresh(t_ns, q)
+        if self.source != before == "fallback":
+            self.scale.forget(evidence=True)
 
     def learn(self, correction: Correction) -> Reseat | None:
         """See `NoiseModel.learn`."""
