@@ -23,6 +23,7 @@ from hybrid_ins.resources import share_path
 
 Array = NDArray[np.float64]
 
+ABSURD = 1e6  # m/s², rad/s
 FORESEEN = 15  # windows of a recording that are read along with one
 
 
@@ -97,7 +98,9 @@ class NoiseReader:
         force, rate : ndarray, shape (N, 3)
             Readings [m/s², rad/s] in the IMU's own axes.
         """
-        self._ahead = t_ns, rounded(np.hstack((force, rate)))
+        readings = np.hstack((force, rate))
+        readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: the window is another then
+        self._ahead = t_ns, rounded(readings)
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
         """Return the levels at ``t_ns`` [ns], or an estimate that says None."""

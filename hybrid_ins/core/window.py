@@ -66,8 +66,7 @@ def own_axes(samples, mount):  # type: ignore[no-untyped-def]
 
 def rounded(readings: Array) -> Array:
     """Return readings as `own_axes` does, of those that never left the IMU's axes."""
-    with np.errstate(over="ignore"):  # of a recording; a live sample that large was refused before
-        return np.rint(readings * ROUNDING) / ROUNDING
+    return np.rint(readings * ROUNDING) / ROUNDING
 
 
 def sampling_rate(t_ns: NDArray[np.int64]) -> float:
