@@ -18,6 +18,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -253,9 +254,10 @@ class Player:
         next_tick_ns = timeline.first_ns
         publish = {topic: publisher.publish for topic, publisher in self._publishers.items()}
         seconds = (last_ns - timeline.first_ns) / 1e9
+        first = list(islice(messages, 1))  # the first one takes long: what reads bags is loaded
         timeline.start()
         with tqdm(total=round(seconds, 1), desc="playing", unit="s", disable=None) as bar:
-            for topic, log_ns, data in messages:
+            for topic, log_ns, data in chain(first, messages):
                 while next_tick_ns <= log_ns:
                     timeline.wait_until(next_tick_ns)
                     self._publish_clock(next_tick_ns)
