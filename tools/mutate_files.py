@@ -15,6 +15,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections import Counter
@@ -25,6 +26,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
+from processes import isolated_ros
 from tqdm import tqdm
 
 from hybrid_ins import parameters
@@ -33,6 +35,7 @@ from hybrid_ins.offline.bags import BagReader, BagWriter, new_message
 from hybrid_ins.resources import share_path
 
 PATIENCE = 60.0  # s
+NODE_RUNS = 5.0  # s until it is asked to stop
 ODD_WORDS = ("nan", ".nan", "1e999", "-1", "[", "]", "{", "}", "&a", "*a", "<<: *a",
              "!!python/name:os", "null", "~", "'", '"', "\t", ": :", "- -", "0x10",
              "1_000", "yes", "# ", "\0", "é", "!!binary aGk=", "2001-01-01", "9" * 400,
@@ -200,6 +203,21 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         return calibration.main([bag, "--params-file", str(path), "--search", "0.2",
                                  "--longest", "10"])
 
+    def play(path: Path) -> int:
+        from hybrid_ins import player
+
+        return player.main([str(path), "--rate", "1000", "--wait", "0", "--no-clock"])
+
+    def start_node(path: Path) -> int:
+        from hybrid_ins import node
+
+        enough = threading.Timer(NODE_RUNS, os.kill, (os.getpid(), signal.SIGINT))
+        enough.daemon = True
+        enough.start()
+        given = (["--params-file", str(path)] if path.suffix == ".yaml"
+                 else ["-p", f"noise.model:={path}"])
+        return node.main(["--ros-args", *given])
+
     def convert(path: Path) -> int:
         return quadrotor.main([str(path), out, "--overwrite"])
 
@@ -217,7 +235,10 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         ("ins_replay --params-file", files.yaml, text, replay_with("yaml"), 0.2),
         ("ins_calibrate --params-file", files.yaml, text, calibrate_with, 0.02),
         *(("ins_replay noise.model", model, BYTES, replay_with("model"), 0.1)
-          for model in files.models)]
+          for model in files.models),
+        ("ins_play BAG", files.bag, BYTES, play, 0.05),
+        ("ins_node --params-file", files.yaml, text, start_node, 0.1),
+        ("ins_node noise.model", files.models[0], BYTES, start_node, 0.02)]
     layout = share_path("config/datasets/quadrotor.yaml")
     if files.flight is not None:
         kinds.append(("ins_convert --map", layout, text, convert_map, 0.05))
@@ -368,6 +389,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="flight of the quadrotor dataset, for ins_convert")
     args = parser.parse_args(argv)
     program.hide_progress()
+    os.environ.update(isolated_ros())
     outcomes = []
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.redirect_stdout(None):
