@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.kalman import log_determinant
 from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.snapshot import Snapshot
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ class _Refusals:
     jump: bool  # the first came out of the blue
 
 
-class Gate:
+class Gate(Snapshot):
     """
     Chi-square test of the innovation, with a limit on how long it may say no.
 
@@ -105,8 +106,8 @@ class Gate:
         self._refusals: dict[str, _Refusals] = {}
 
     def __copy__(self) -> Gate:
-        twin = object.__new__(Gate)
-        twin.__dict__.update(self.__dict__, _refusals=dict(self._refusals))
+        twin = super().__copy__()
+        twin._refusals = dict(self._refusals)
         return twin
 
     def judge(

@@ -20,6 +20,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.snapshot import Snapshot
 from hybrid_ins.core.state import DV, EPS
 
 Array = NDArray[np.float64]
@@ -191,7 +192,7 @@ class ConstantNoise:
         """See `NoiseModel.forget`."""
 
 
-class LearnedNoise:
+class LearnedNoise(Snapshot):
     """
     Levels that a regressor reads off the IMU, and a constant while it cannot tell.
 
@@ -217,11 +218,6 @@ class LearnedNoise:
         self._background = np.zeros(6) if background is None else np.array(background, float)
         self._q = self._fallback
         self._estimated_ns: int | None = None
-
-    def __copy__(self) -> LearnedNoise:
-        twin = object.__new__(LearnedNoise)
-        twin.__dict__.update(self.__dict__)
-        return twin
 
     @property
     def source(self) -> str:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.attitude import matrix_from_quat
 from hybrid_ins.core.noise import Correction, Reseat
 from hybrid_ins.core.noise_bank import advance, mean_system
+from hybrid_ins.core.snapshot import Snapshot
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ _DECADES = np.stack((_A, _G, _R))
 _FACTORS = 10.0**_DECADES
 
 
-class NoiseScale:
+class NoiseScale(Snapshot):
     """
     Factors on the process noise, from the likelihood of the innovations.
 
@@ -74,11 +75,6 @@ class NoiseScale:
         self._scale = (1.0, 1.0)
         self._seated = np.ones(3)  # lowest since the state was last put where it belongs
         self._gnss = 1.0
-
-    def __copy__(self) -> NoiseScale:
-        twin = object.__new__(NoiseScale)
-        twin.__dict__.update(self.__dict__)
-        return twin
 
     def scale(self) -> tuple[float, float]:
         """Factors on the noise variances of accelerometer and gyroscope, 0.04 to 10⁴ and 10³."""

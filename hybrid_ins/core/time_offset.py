@@ -24,6 +24,7 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.kalman import factorise, solve
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_bank import mean_system
+from hybrid_ins.core.snapshot import Snapshot
 from hybrid_ins.core.state import DP, DV, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
@@ -36,7 +37,7 @@ LONGEST = 60.0  # s without a fix after which the sensitivity begins anew
 MEMORY = 40.0  # corrections over which the misfit is averaged
 
 
-class ClockOffset:
+class ClockOffset(Snapshot):
     """
     Estimates what is missing from the offset that was added to the fixes' stamps.
 
@@ -56,11 +57,6 @@ class ClockOffset:
         self._velocity_n = np.zeros(3)
         self._C_nb = np.eye(3)
         self._misfit = 1.0
-
-    def __copy__(self) -> ClockOffset:
-        twin = object.__new__(ClockOffset)
-        twin.__dict__.update(self.__dict__)
-        return twin
 
     @property
     def sigma(self) -> float:
