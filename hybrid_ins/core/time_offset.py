@@ -71,7 +71,7 @@ class ClockOffset(Snapshot):
         if self._s is not None:
             self._variance += DRIFT**2 * max(T, 0.0)
         if self._s is None or not 0.0 <= T <= LONGEST:
-            self._s, T = following(velocity_n, np.zeros(3)), 0.0
+            self._s, T = following(velocity_n), 0.0
         s, acceleration_n, C_nb = carry(self._s, nav, self._velocity_n, self._C_nb, T)
         if correction.fused:
             information, pull, nis = regress(
@@ -94,14 +94,14 @@ class ClockOffset(Snapshot):
 
     def reseat(self, velocity_n: Array) -> None:
         """Take note that the state was put near the fixes."""
-        self._s = following(velocity_n, np.zeros(3))
+        self._s = following(velocity_n)
         self._velocity_n = velocity_n.copy()
 
 
-def following(velocity_n: Array, acceleration_n: Array) -> Array:
+def following(velocity_n: Array) -> Array:
     """Sensitivity, shape (15,), of a state that was read off the fixes."""
     s = np.zeros(N_ERROR)
-    s[DP], s[DV] = -velocity_n, -acceleration_n
+    s[DP] = -velocity_n
     return s
 
 
