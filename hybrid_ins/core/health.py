@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.attitude import matrix_from_quat, quat_from_rotvec
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.samples import as_numbers
+from hybrid_ins.core.samples import readings_of
 
 Array = NDArray[np.float64]
 Fault = tuple[str, str]  # name and words
@@ -35,7 +35,7 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
     """Return the gravest fault that about a second of samples (``SAMPLE_DTYPE``) shows."""
     if len(samples) < 10:
         return None
-    readings = np.ascontiguousarray(as_numbers(samples)[:, 1:])
+    readings = readings_of(samples)
     means, size, top, at_limit, off, frozen, turned = _survey(samples["t_ns"], readings)
     mean = float(np.linalg.norm(means[:3]))
     if mean < LEAST_FORCE and float(size[:3].mean()) < LEAST_FORCE:

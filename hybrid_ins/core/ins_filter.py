@@ -23,7 +23,7 @@ from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.kalman import correct, inject, innovation
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.noise import Correction, NoiseModel, ProcessNoise
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, as_numbers, steps_since
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
 from hybrid_ins.core.state import (
     COVARIANCE,
     DP,
@@ -280,7 +280,7 @@ class InsFilter:
         stamps = samples["t_ns"]
         steps = steps_since(self.t_ns, stamps)
         dt = steps * 1e-9
-        readings = np.ascontiguousarray(as_numbers(samples)[:, 1:])
+        readings = readings_of(samples)
         start = 0
         for k in np.flatnonzero(steps > self.long_step_ns).tolist():
             propagation.run(self.nav, dt[start:k], readings[start:k], self._interval,

@@ -19,6 +19,11 @@ def as_numbers(samples: NDArray[np.void]) -> NDArray[np.float64]:
     return samples.view(np.float64).reshape(-1, 7)
 
 
+def readings_of(samples: NDArray[np.void]) -> NDArray[np.float64]:
+    """Copy specific force and angular rate out of samples, (N, 6)."""
+    return np.ascontiguousarray(as_numbers(samples)[:, 1:])
+
+
 def steps_since(start_ns: int, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the time (N,) [ns] from stamp to stamp; of the first since ``start_ns``."""
     steps = np.empty(len(t_ns), np.int64)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.samples import as_numbers
+from hybrid_ins.core.samples import readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
 STANDING_RATE_STD = 0.02  # rad/s
@@ -34,12 +34,12 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     size = len(samples) // MEANS
     if size < 2:
         return False
-    numbers = as_numbers(samples)[:, 1:]
-    noise, slow = _spread(np.ascontiguousarray(numbers[-MEANS * size:]), size)
+    readings = readings_of(samples)
+    noise, slow = _spread(readings[-MEANS * size:], size)
     if np.any(noise > _STD) or np.any(
             slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
-    return bool(np.all(np.abs(numbers[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
+    return bool(np.all(np.abs(readings[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
 
 
 @kernel()
