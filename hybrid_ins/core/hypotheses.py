@@ -42,9 +42,9 @@ def headings() -> Array:
     return 2.0 * math.pi * np.arange(CELLS) / CELLS
 
 
-class YawBank:
+class Bank:
     """
-    Filters that differ in their first heading.
+    The same filter under several hypotheses.
 
     Parameters
     ----------
@@ -63,12 +63,55 @@ class YawBank:
         self.filters = list(filters)
         self.log_weights = np.full(len(self.filters), -math.log(len(self.filters)))
         self._misfit = 1.0
-        self._known_ns = [0] * len(DECIDED)  # since when it is known that well; 0: it is not
 
     @property
     def best(self) -> InsFilter:
         """The likeliest hypothesis."""
         return self.filters[int(np.argmax(self.log_weights))]
+
+    @property
+    def weights(self) -> Array:
+        """Of the hypotheses; their sum is 1."""
+        weights: Array = np.exp(self.log_weights)
+        weights /= weights.sum()
+        return weights
+
+    def submit(self, event: Event) -> None:
+        """See `InsFilter.submit`."""
+        for hypothesis in self.filters:
+            hypothesis.submit(event)
+
+    def _weigh(self, decided: list[Verdict]) -> None:
+        """Take what became of one measurement under each hypothesis into the weights."""
+        if not all(math.isfinite(v.nis) for v in decided):
+            return
+        # Beyond the gate a measurement says no more than that: outliers hit all alike.
+        nis = np.array([min(v.nis, v.threshold) for v in decided])
+        dof = len(decided[0].sigma)
+        log_det = np.array([v.log_det for v in decided])
+        best = int(np.argmax(self.log_weights))
+        # Where even the best fits badly the noise is wrong, and differences mean less.
+        self._misfit += (nis[best] / dof - self._misfit) / MEMORY
+        self.log_weights -= 0.5 * (nis / max(1.0, self._misfit) + log_det)
+        self.log_weights -= self.log_weights.max()
+        self.log_weights -= math.log(np.exp(self.log_weights).sum())
+
+    def _unlikely(self) -> list[int]:
+        """Places of the hypotheses that are not worth their while any more, the last first."""
+        unlikely: list[int] = np.flatnonzero(self.log_weights < math.log(LEAST_WEIGHT)).tolist()
+        return unlikely[::-1]
+
+    def _drop(self, k: int) -> None:
+        del self.filters[k]
+        self.log_weights = np.delete(self.log_weights, k)
+
+
+class YawBank(Bank):
+    """Filters that differ in their first heading."""
+
+    def __init__(self, filters: Sequence[InsFilter]) -> None:
+        super().__init__(filters)
+        self._known_ns = [0] * len(DECIDED)  # since when it is known that well; 0: it is not
 
     @property
     def waiting_for(self) -> str:
@@ -83,43 +126,21 @@ class YawBank:
             for hypothesis in self.filters:
                 hypothesis.process_imu_block(samples)
 
-    def submit(self, event: Event) -> None:
-        """See `InsFilter.submit`."""
-        for hypothesis in self.filters:
-            hypothesis.submit(event)
-
     def weigh(self) -> list[Verdict]:
         """Take what was decided since into the weights; return the likeliest's verdicts."""
         best = self.best
         verdicts = list(best.verdicts)
         for k in range(len(verdicts)):
-            decided = [hypothesis.verdicts[k] for hypothesis in self.filters]
-            if math.isfinite(decided[0].nis):
-                self._weigh(decided)
+            self._weigh([hypothesis.verdicts[k] for hypothesis in self.filters])
+        for k in self._unlikely():
+            self._drop(k)
         for hypothesis in self.filters:
             hypothesis.verdicts.clear()
         return verdicts
 
-    def _weigh(self, decided: list[Verdict]) -> None:
-        # Beyond the gate a measurement says no more than that: outliers hit all alike.
-        nis = np.array([min(v.nis, v.threshold) for v in decided])
-        dof = len(decided[0].sigma)
-        log_det = np.array([v.log_det for v in decided])
-        best = int(np.argmax(self.log_weights))
-        # Where even the best fits badly the noise is wrong, and differences mean less.
-        self._misfit += (nis[best] / dof - self._misfit) / MEMORY
-        self.log_weights -= 0.5 * (nis / max(1.0, self._misfit) + log_det)
-        self.log_weights -= self.log_weights.max()
-        self.log_weights -= math.log(np.exp(self.log_weights).sum())
-        kept = self.log_weights > math.log(LEAST_WEIGHT)
-        if not kept.all():
-            self.filters = [f for f, keep in zip(self.filters, kept, strict=True) if keep]
-            self.log_weights = self.log_weights[kept]
-
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading spread about the best [rad]: mean offset and σ."""
-        weights = np.exp(self.log_weights)
-        weights /= weights.sum()
+        weights = self.weights
         offsets, variances = self._about_best()
         mean = float(weights @ offsets)
         spread = float(weights @ (variances + (offsets - mean) ** 2))
