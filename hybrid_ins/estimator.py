@@ -21,7 +21,7 @@ from hybrid_ins.conversions import FLIP, GnssInput, MapFrame, Message, NewMessag
 from hybrid_ins.core import chi_square, local_frame, output
 from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, NoiseChange
+from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, InsFilter, NoiseChange
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
 from hybrid_ins.core.noise import (
@@ -49,6 +49,8 @@ DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 CLOCK_NS = 1_000_000_000  # between two corrections of the clock offset
 CLOCK_KNOWN, CLOCK_SETTLED = 0.1, 0.015  # s, standard deviations
 CLOCK_WRONG = 0.03  # s, of an offset that the user should know of
+CLOCK_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
+DISAGREEMENT = 3.0  # factor on the IMU's noise that the user should know of
 WAITING = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
 Stretch = tuple[NDArray[np.int64], Array, Array]
 
@@ -93,6 +95,8 @@ class Estimator:
         self._transforms = StaticTransforms()
         self._clock_moved = 0.0  # s, by estimation
         self._clock_settled: float | None = None  # s, offset once it was known well
+        self._clock_known = False  # to a few hundredths of a second, by a search
+        self._searched_ns = 0
         self._clock_ns = 0
         self._offsets: dict[tuple[str, int], float] = {}  # of measurements not yet decided
         self._frames = {"imu/data": "", "gnss/fix": ""}  # that messages come in
@@ -233,7 +237,8 @@ class Estimator:
         """Take checked values of run-time parameters without losing the state."""
         self.values.update(changes)
         if "gnss.time_offset.value" in changes:
-            self._clock_moved, self._clock_settled = 0.0, None
+            self._clock_moved, self._clock_settled, self._clock_known = 0.0, None, False
+            self.navigator.search = None
         self._place_sensors()
         for running in self.navigator.filters:
             running.process = self._make_process(running.process.period)
@@ -447,16 +452,50 @@ class Estimator:
         if running is None or running.t_ns < self._clock_ns:
             return
         self._clock_ns = running.t_ns + CLOCK_NS
+        if not self.values["gnss.time_offset.estimate"]:
+            self.navigator.search, self._clock_known = None, False
+        elif not self._clock_known and self.navigator.search is None:
+            self.navigator.search_clock()
+        elif self._clock_known:
+            self._correct_clock(running)
+        fault = self._clock_fault()
+        if fault:
+            self.remark("gnss/fix", Refused("gnss: clock offset", fault))
+            self._clock_settled = None
+        if ((fault or _imu_disagrees(running.noise))
+                and running.t_ns - self._searched_ns > CLOCK_AGAIN_NS):
+            self._clock_known = False
+
+    def _correct_clock(self, running: InsFilter) -> None:
+        """Add to the fixes' stamps what a running filter has found missing."""
         missing, sigma = running.clock.missing, running.clock.sigma
-        if self.values["gnss.time_offset.estimate"]:
-            if sigma < CLOCK_KNOWN and abs(missing) > max(0.3 * sigma, 1e-3):
-                self._clock_moved += missing
-                running.submit(ClockShift(running.t_ns, missing))
-                self._place_sensors()
-            if sigma < CLOCK_SETTLED and self._clock_settled is None:
-                self._clock_settled = self._gnss.time_offset
-        if self._clock_fault():
-            self.remark("gnss/fix", Refused("gnss: clock offset", self._clock_fault()))
+        if sigma < CLOCK_KNOWN and abs(missing) > max(0.3 * sigma, 1e-3):
+            self._clock_moved += missing
+            running.submit(ClockShift(running.t_ns, missing))
+            self._place_sensors()
+        if sigma < CLOCK_SETTLED and self._clock_settled is None:
+            self._clock_settled = self._gnss.time_offset
+
+    def _settle_clock(self) -> None:
+        """Go on with the search for the fixes' clock."""
+        search = self.navigator.search
+        by = None if search is None else self.navigator.settle_clock()
+        if by is None:
+            return
+        assert search is not None
+        self._clock_moved += by
+        self._place_sensors()
+        self._clock_known, self._clock_ns = not search.at_edge, 0
+        self._searched_ns = self.navigator.last_ns
+        missing, sigma = self._clock_found()
+        self._log("info", f"clock offset found: {self._gnss.time_offset + missing:+.3f} ± "
+                  f"{sigma:.3f} s")
+
+    def _clock_found(self) -> tuple[float, float]:
+        """Return what is missing from the clock offset in force, and its uncertainty [s]."""
+        running, search = self.navigator.filter, self.navigator.search
+        assert running is not None
+        return (running.clock.missing, running.clock.sigma) if search is None else search.found()
 
     def _clock_fault(self) -> str:
         """Say what is suspicious about the fixes' clock; empty where nothing is."""
@@ -499,6 +538,7 @@ class Estimator:
         self._local_ns = 0
         self._tick_ns = 1
         self._report_ns = self._diagnostics_ns = self._refresh_ns = 0
+        self._clock_ns = self._searched_ns = 0
 
     # What goes wrong.
 
@@ -576,6 +616,7 @@ class Estimator:
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
             self._look()
+            self._settle_clock()
             self._report(t_ns)
         self._tick_ns = self._report_ns
         if self._reader is not None:
@@ -661,7 +702,7 @@ class Estimator:
         levels = running.noise.levels() if running else np.full(6, np.nan)
         text = f"source: {source}"
         factors = _factors(running.noise) if running else {}
-        if max(factors.get("factor_accelerometer", 1.0), factors.get("factor_gyroscope", 1.0)) > 3:
+        if running is not None and _imu_disagrees(running.noise):
             text += ("; the IMU disagrees with GNSS by more than its noise: check clock offset, "
                      "mount, lever arm")
         if factors.get("factor_fixes", 1.0) > 3.0:
@@ -685,17 +726,23 @@ class Estimator:
             "estimated": str(self.values["gnss.time_offset.estimate"]).lower()}
         if running is None:
             return conversions.status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
-        missing, sigma = running.clock.missing, running.clock.sigma
+        missing, sigma = self._clock_found()
         values |= {"time_offset_found": offset + missing, "sigma": sigma}
         fault = self._clock_fault()
+        searching = ", the search goes on" if self.navigator.search is not None else ""
         text = fault or (f"fixes: {offset:+.3f} s in force, by the innovations "
-                         f"{offset + missing:+.3f} ± {sigma:.3f} s")
+                         f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}")
         return conversions.status("clock", int(bool(fault)), text, values)
 
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""
         refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.counts.items()))
         return f"{self.fixes_fused} fixes fused" + (f"; {refused}" if refused else "")
+
+
+def _imu_disagrees(noise: NoiseModel) -> bool:
+    """Tell whether the fixes ask for much more noise of the IMU than it shows."""
+    return isinstance(noise, ScaledNoise) and max(noise.scale.scale()) > DISAGREEMENT
 
 
 def _factors(noise: NoiseModel) -> dict[str, float]:

@@ -165,8 +165,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
               "refused; younger ones are fused where they belong", unit="s", low=0.0, high=5.0),
     Parameter("gnss.time_offset.value", 0.0, "Added to the stamps of fixes to bring them to the "
               "IMU's clock", unit="s", low=-10.0, high=10.0, runtime=True),
-    Parameter("gnss.time_offset.estimate", False, "Correct the clock offset while running, by the "
-              "innovations; otherwise a wrong one is only told", runtime=True),
+    Parameter("gnss.time_offset.estimate", False, "Find the clock offset while running and "
+              "correct it; otherwise a wrong one is only told", runtime=True),
 
     Parameter("alignment.heading_source", "auto", "Where the first heading comes from",
               choices=("auto", "motion", "parameter", "imu", "course")),

@@ -76,7 +76,8 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
     np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
 
 
-def through_estimator(run: Run, **values: object) -> Estimator:
+def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
+    """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
     estimator = Estimator(
         parameters.check_all({"alignment.heading_source": "parameter", "alignment.yaw_std": 0.5,
                               "alignment.yaw": np.pi / 2, **values}), lambda level, text: None)
@@ -85,7 +86,7 @@ def through_estimator(run: Run, **values: object) -> Estimator:
     fix.position_covariance_type = 2
     stamps, start = run.samples["t_ns"], 0
     for f in run.fixes:
-        stop = int(np.searchsorted(stamps, f.t_ns, side="right"))
+        stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
         estimator.imu_block(
             stamps[start:stop], run.samples["f"][start:stop] @ FLIP,
             run.samples["w"][start:stop] @ FLIP)

@@ -62,10 +62,13 @@ class FilterSettings:
         The covariance is propagated once this much time is pending [s]; 0: at every sample.
     max_delay : float
         Oldest measurement that is still fused, by rewinding [s].
+    clock_std : float
+        How far the fixes' clock may be off at the start [s].
     """
 
     covariance_interval: float = 0.01
     max_delay: float = 1.0
+    clock_std: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +107,8 @@ class Doubt:
     kind: ClassVar[str] = "doubt"
 
 
-Event = Measurement | NoiseEstimate | NoiseChange | ClockShift | Doubt
+Change = NoiseEstimate | NoiseChange | ClockShift | Doubt
+Event = Measurement | Change
 
 
 @dataclass(slots=True)
@@ -172,7 +176,7 @@ class InsFilter:
         self.noise = noise
         self.process = process
         self.gate = gate
-        self.clock = ClockOffset()
+        self.clock = ClockOffset(settings.clock_std)
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * process.period, SHORTEST_GAP) * 1e9)
@@ -239,10 +243,17 @@ class InsFilter:
             self._apply(event)
         elif self.t_ns - event.t_ns <= self._horizon_ns and self._rewind(event):
             pass
-        elif isinstance(event, NoiseEstimate | NoiseChange | ClockShift | Doubt):
+        elif isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
             self.verdicts.append(Verdict.refused(event, "too old", self.age(event)))
+
+    def withdraw(self) -> list[Measurement]:
+        """Take back and return the measurements that wait for their samples."""
+        waiting = [event for event in self._pending if not isinstance(event, Change)]
+        self._pending = [event for event in self._pending if isinstance(event, Change)]
+        self._schedule()
+        return waiting
 
     def age(self, event: Event) -> float:
         """Return how far ``event`` lies behind the last IMU sample [s]."""
@@ -410,7 +421,7 @@ class InsFilter:
             verdict = self.verdicts.pop()
             if verdict.measurement is late:
                 own = verdict
-        if not isinstance(late, NoiseEstimate | NoiseChange | ClockShift | Doubt):
+        if not isinstance(late, Change):
             self.verdicts.append(replace(own, age=self.age(late)))
         return True
 

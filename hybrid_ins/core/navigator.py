@@ -15,15 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, Start, yaw_of
+from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.health import NO_GRAVITY, UNUSABLE, Fault, find_fault
 from hybrid_ins.core.hypotheses import YawBank
-from hybrid_ins.core.ins_filter import Doubt, FilterSettings, InsFilter, NoiseChange, NoiseEstimate
+from hybrid_ins.core.ins_filter import (
+    Change,
+    Doubt,
+    FilterSettings,
+    InsFilter,
+    NoiseChange,
+    NoiseEstimate,
+)
 from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
-from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
+from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, NavState, covariance
 
 Array = NDArray[np.float64]
 
@@ -80,6 +88,8 @@ class Navigator:
         None while aligning.
     bank : YawBank or None
         The hypotheses while only the heading is open.
+    search : ClockSearch or None
+        Those on the fixes' clock, beside the filter, from `search_clock` on until it is known.
     counts : Counter
         Remarkable events, by name.
     refusal : str
@@ -135,6 +145,7 @@ class Navigator:
         """Give up the state, but not the samples, and align anew."""
         self.filter: InsFilter | None = None
         self.bank: YawBank | None = None
+        self.search: ClockSearch | None = None
         self.standing = False
         self.fault: Fault | None = None
         self.steady_ns = self.max_gap_ns  # steps up to that are plain
@@ -169,7 +180,8 @@ class Navigator:
         """All filters that run: one, or one for each hypothesis, or none."""
         if self.bank is not None:
             return self.bank.filters
-        return [] if self.filter is None else [self.filter]
+        searching = [] if self.search is None else self.search.filters
+        return searching if self.filter is None else [self.filter, *searching]
 
     def imu(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
@@ -298,6 +310,8 @@ class Navigator:
             return
         if self.filter is not None:
             self.filter.submit(measurement)
+            if self.search is not None:
+                self.search.measure(measurement)
         elif self.bank is not None:
             self.bank.submit(measurement)
         else:
@@ -327,7 +341,7 @@ class Navigator:
             self.fault = None
         for fault in (before, self.fault):
             if fault is not None and fault[0] in MISLEADING:
-                (self.bank or running).submit(Doubt(t_ns, self._doubted(fault[0])))
+                self._submit(Doubt(t_ns, self._doubted(fault[0])))
         if self.fault is not None and self.fault[0] in UNUSABLE:
             fault = self.fault
             self.give_up(f"the IMU is unusable: {fault[1]}")
@@ -337,7 +351,7 @@ class Navigator:
             self._biases.append(Biases.of(self.filter.state, t_ns))
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
         if self.standing and self._zero_updates:
-            (self.bank or running).submit(Standstill.of(samples))
+            self._submit(Standstill.of(samples))
 
     def _is_falling(self, t_ns: int) -> bool:
         """
@@ -377,9 +391,45 @@ class Navigator:
 
     def change_noise(self, event: NoiseEstimate | NoiseChange) -> None:
         """Take a regressor's estimate or another noise model."""
-        target = self.filter or self.bank
-        if target is not None:
-            target.submit(event)
+        self._submit(event)
+
+    def _submit(self, event: Change | Standstill) -> None:
+        for target in (self.bank, self.filter, self.search):
+            if target is not None:
+                target.submit(event)
+
+    def search_clock(self) -> None:
+        """Begin to look for the fixes' clock all around what it is taken for."""
+        running = self.filter
+        assert running is not None
+        process = running.process
+
+        def begin(state: NavState, sample: Array, settings: FilterSettings) -> InsFilter:
+            return InsFilter(state, running.t_ns, sample, self._make_noise(process), process,
+                             self._make_gate(), self.ring, settings)
+
+        self.search = ClockSearch(running, self._settings, begin)
+
+    def settle_clock(self) -> float | None:
+        """
+        Go on with the search, which the filter that it has found replaces the running one.
+
+        Returns what is to be added to the fixes' stamps from now on [s], once it is known. What
+        waited for its samples by the old clock is refused.
+        """
+        assert self.search is not None and self.filter is not None
+        self.search.advance(self.ring, self.last_ns)
+        found = self.search.decide()
+        if found is None:
+            return None
+        by, winner = found
+        winner.process_imu_block(self.ring.after(winner.t_ns))
+        winner.withdraw()
+        self.verdicts.extend(Verdict.refused(measurement, "clock offset found")
+                             for measurement in self.filter.withdraw())
+        self.search = None
+        self._run(winner)
+        return by
 
 
 def _may_stand(running: InsFilter) -> bool:

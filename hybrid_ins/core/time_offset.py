@@ -30,9 +30,8 @@ from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
-START_STD = 0.5  # s
 DRIFT = 1e-3  # s per sqrt(s), of one clock against the other
-LINEAR = 1.0  # of a shift: what is left uncertain, since the motion is no straight line
+LINEAR = 0.5  # of a shift: what is left uncertain, since the motion is no straight line
 LONGEST = 60.0  # s without a fix after which the sensitivity begins anew
 MEMORY = 40.0  # corrections over which the misfit is averaged
 
@@ -43,15 +42,20 @@ class ClockOffset(Snapshot):
 
     Nothing is changed in place: a shallow copy is a snapshot.
 
+    Parameters
+    ----------
+    std : float
+        How far it may be off at the start [s].
+
     Attributes
     ----------
     missing : float
         [s]; positive: a larger offset should be added.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, std: float) -> None:
         self.missing = 0.0
-        self._variance = START_STD**2
+        self._variance = std**2
         self._s: Array | None = None
         self._t_ns = 0
         self._velocity_n = np.zeros(3)
@@ -83,6 +87,11 @@ class ClockOffset(Snapshot):
             self._variance *= 1.0 - gain * information
         self._s, self._t_ns = s, correction.t_ns
         self._velocity_n, self._C_nb = velocity_n + correction.dx[DV], C_nb
+
+    def believe(self, missing: float, sigma: float) -> None:
+        """Take over what others have found, too [s]."""
+        self.missing = missing
+        self._variance = sigma**2 / max(self._misfit, 1.0)
 
     def shift(self, by: float) -> Array:
         """From now on ``by`` [s] more is added; returns what the state is off by that, (15,)."""
