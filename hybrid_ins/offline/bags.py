@@ -379,32 +379,30 @@ class BagWriter:
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_ns: int) -> None:
         """Append a serialised (CDR) message of a standard type; otherwise like `write`."""
-        number = self._numbers.get((topic, type_name))
-        if number is None:
-            number = self._new_number(topic, type_name)
-        self._writer.write(number, log_ns, data)
+        self._writer.write(self._number(topic, type_name), log_ns, data)
 
     def write_rows(
         self, topic: str, type_name: str, rows: NDArray[np.uint8], log_ns: NDArray[np.int64]
     ) -> None:
         """Append many serialised messages of one size: bytes (N, size), log times (N,)."""
         if len(rows):
-            number = self._numbers.get((topic, type_name)) or self._new_number(topic, type_name)
-            self._writer.write_rows(number, log_ns, rows)
+            self._writer.write_rows(self._number(topic, type_name), log_ns, rows)
 
     def write_many(
         self, topic: str, type_name: str, messages: Sequence[bytes], log_ns: Sequence[int]
     ) -> None:
         """Append many serialised messages with their log times."""
         if messages:
-            number = self._numbers.get((topic, type_name)) or self._new_number(topic, type_name)
-            self._writer.write_many(number, log_ns, messages)
-
-    def _new_number(self, topic: str, type_name: str) -> int:
-        number = self._numbers[topic, type_name] = self._number(_absolute(topic), type_name)
-        return number
+            self._writer.write_many(self._number(topic, type_name), log_ns, messages)
 
     def _number(self, topic: str, type_name: str) -> int:
+        """Return a topic's channel, made if it is new."""
+        number = self._numbers.get((topic, type_name))
+        if number is None:
+            number = self._numbers[topic, type_name] = self._channel(_absolute(topic), type_name)
+        return number
+
+    def _channel(self, topic: str, type_name: str) -> int:
         for (known_topic, known_type), number in self._numbers.items():
             if _absolute(known_topic) == topic:
                 if known_type != type_name:
