@@ -21,6 +21,7 @@ from hybrid_ins.conversions import FLIP, GnssInput, MapFrame, Message, NewMessag
 from hybrid_ins.core import chi_square, local_frame, output
 from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.hypotheses import Decision
 from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, InsFilter, NoiseChange
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
@@ -95,7 +96,6 @@ class Estimator:
         self._transforms = StaticTransforms()
         self._clock_moved = 0.0  # s, by estimation
         self._clock_settled: float | None = None  # s, offset once it was known well
-        self._clock_known = False  # to a few hundredths of a second, by a search
         self._searched_ns = 0
         self._clock_ns = 0
         self._offsets: dict[tuple[str, int], float] = {}  # of measurements not yet decided
@@ -111,7 +111,8 @@ class Estimator:
                 *conversions.first_biases(values)),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
             self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"],
-            values["imu.zero_updates"], self._start_over)
+            values["imu.zero_updates"], self._start_over, self._add_to_stamps)
+        self.navigator.open_clock(values["gnss.time_offset.estimate"])
         self.counts: Counter[str] = self.navigator.counts
         self._reader = self._make_reader()
         frame = (values["base_frame"],)
@@ -237,8 +238,9 @@ class Estimator:
         """Take checked values of run-time parameters without losing the state."""
         self.values.update(changes)
         if "gnss.time_offset.value" in changes:
-            self._clock_moved, self._clock_settled, self._clock_known = 0.0, None, False
-            self.navigator.search = None
+            self._clock_moved, self._clock_settled = 0.0, None
+        if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
+            self.navigator.open_clock(self.values["gnss.time_offset.estimate"])
         self._place_sensors()
         for running in self.navigator.filters:
             running.process = self._make_process(running.process.period)
@@ -452,19 +454,16 @@ class Estimator:
         if running is None or running.t_ns < self._clock_ns:
             return
         self._clock_ns = running.t_ns + CLOCK_NS
-        if not self.values["gnss.time_offset.estimate"]:
-            self.navigator.search, self._clock_known = None, False
-        elif not self._clock_known and self.navigator.search is None:
-            self.navigator.search_clock()
-        elif self._clock_known:
+        correcting = self.values["gnss.time_offset.estimate"] and not self.navigator.clock_open
+        if correcting:
             self._correct_clock(running)
         fault = self._clock_fault()
         if fault:
             self.remark("gnss/fix", Refused("gnss: clock offset", fault))
             self._clock_settled = None
-        if ((fault or _imu_disagrees(running.noise))
+        if (correcting and (fault or _imu_disagrees(running.noise))
                 and running.t_ns - self._searched_ns > CLOCK_AGAIN_NS):
-            self._clock_known = False
+            self.navigator.open_clock(True)
 
     def _correct_clock(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""
@@ -476,26 +475,23 @@ class Estimator:
         if sigma < CLOCK_SETTLED and self._clock_settled is None:
             self._clock_settled = self._gnss.time_offset
 
-    def _settle_clock(self) -> None:
-        """Go on with the search for the fixes' clock."""
-        search = self.navigator.search
-        by = None if search is None else self.navigator.settle_clock()
-        if by is None:
-            return
-        assert search is not None
-        self._clock_moved += by
+    def _add_to_stamps(self, decision: Decision) -> None:
+        """Add so much more to the fixes' stamps as the navigator has found."""
+        self._tell_verdicts()
+        self._offsets.clear()
+        self._clock_moved += decision.offset
         self._place_sensors()
-        self._clock_known, self._clock_ns = not search.at_edge, 0
-        self._searched_ns = self.navigator.last_ns
-        missing, sigma = self._clock_found()
-        self._log("info", f"clock offset found: {self._gnss.time_offset + missing:+.3f} ± "
-                  f"{sigma:.3f} s")
+        self._searched_ns, self._clock_ns = self.navigator.last_ns, 0
+        clock = decision.filter.clock
+        self._log("info", f"clock offset found: {self._gnss.time_offset + clock.missing:+.3f} ± "
+                  f"{clock.sigma:.3f} s")
 
-    def _clock_found(self) -> tuple[float, float]:
+    def _clock_found(self) -> tuple[float, float] | None:
         """Return what is missing from the clock offset in force, and its uncertainty [s]."""
-        running, search = self.navigator.filter, self.navigator.search
-        assert running is not None
-        return (running.clock.missing, running.clock.sigma) if search is None else search.found()
+        running, bank = self.navigator.filter, self.navigator.bank
+        if bank is not None and bank.clock_open:
+            return bank.clock()
+        return None if running is None else (running.clock.missing, running.clock.sigma)
 
     def _clock_fault(self) -> str:
         """Say what is suspicious about the fixes' clock; empty where nothing is."""
@@ -616,7 +612,7 @@ class Estimator:
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
             self._look()
-            self._settle_clock()
+            self.navigator.find_clock()
             self._report(t_ns)
         self._tick_ns = self._report_ns
         if self._reader is not None:
@@ -719,17 +715,16 @@ class Estimator:
                 ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True)}})
 
     def _clock_status(self) -> Status:
-        running = self.navigator.filter
-        offset = self._gnss.time_offset
+        found, offset = self._clock_found(), self._gnss.time_offset
         values: dict[str, object] = {
             "time_offset": offset,
             "estimated": str(self.values["gnss.time_offset.estimate"]).lower()}
-        if running is None:
+        if found is None:
             return conversions.status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
-        missing, sigma = self._clock_found()
+        missing, sigma = found
         values |= {"time_offset_found": offset + missing, "sigma": sigma}
         fault = self._clock_fault()
-        searching = ", the search goes on" if self.navigator.search is not None else ""
+        searching = ", the search goes on" if self.navigator.clock_open else ""
         text = fault or (f"fixes: {offset:+.3f} s in force, by the innovations "
                          f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}")
         return conversions.status("clock", int(bool(fault)), text, values)

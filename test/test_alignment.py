@@ -116,7 +116,7 @@ def test_a_heading_known_less_well_is_decided_on_later(
     bank = navigator.bank
     assert bank is not None
     first_ns, decided = bank.best.t_ns, []
-    monkeypatch.setattr(bank, "heading", lambda: (0.02, sigma))
+    monkeypatch.setattr(bank, "heading", lambda: (0.5, sigma))
 
     for t in np.arange(0.0, 20.0, 0.1):
         bank.best.t_ns = first_ns + round(t * 1e9)
@@ -128,7 +128,7 @@ def test_a_heading_known_less_well_is_decided_on_later(
     else:
         assert decided[0] == pytest.approx(after, abs=0.11)
         P = bank.best.nav[COVARIANCE][DIAGONAL]
-        assert P[8] >= sigma**2
+        assert P[8] == pytest.approx(sigma**2 + 0.5**2)
 
 
 def test_outlier_while_undecided_hurts_nobody() -> None:

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, Start, yaw_of
-from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.health import NO_GRAVITY, UNUSABLE, Fault, find_fault
-from hybrid_ins.core.hypotheses import YawBank
+from hybrid_ins.core.hypotheses import Bank, Begin, Decision
 from hybrid_ins.core.ins_filter import (
     Change,
     Doubt,
@@ -31,7 +30,18 @@ from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
-from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, NavState, covariance
+from hybrid_ins.core.state import (
+    B_A,
+    B_G,
+    DV,
+    EPS,
+    LAST_F,
+    LAST_W,
+    N_ERROR,
+    VELOCITY,
+    NavState,
+    covariance,
+)
 
 Array = NDArray[np.float64]
 
@@ -81,15 +91,19 @@ class Navigator:
         Tell the filter when the vehicle stands.
     on_restart : callable
         Called with the reason each time the state was given up.
+    on_clock : callable
+        Called with the decision on the fixes' clock once there is one, see ``clock_open``: after
+        the last verdict by the old clock, before the first by the new one.
 
     Attributes
     ----------
     filter : InsFilter or None
         None while aligning.
-    bank : YawBank or None
-        The hypotheses while only the heading is open.
-    search : ClockSearch or None
-        Those on the fixes' clock, beside the filter, from `search_clock` on until it is known.
+    bank : Bank or None
+        The hypotheses while the heading is open and there is no filter, or the fixes' clock beside
+        one.
+    clock_open : bool
+        The fixes' clock is to be found: from `open_clock` on until it is.
     counts : Counter
         Remarkable events, by name.
     refusal : str
@@ -112,6 +126,7 @@ class Navigator:
         max_gap: float,
         zero_updates: bool = True,
         on_restart: Callable[[str], None] = lambda reason: None,
+        on_clock: Callable[[Decision], None] = lambda decision: None,
     ) -> None:
         self.ring = ImuRing()
         self.counts: Counter[str] = Counter()
@@ -125,6 +140,8 @@ class Navigator:
         self.max_gap_ns = int(max_gap * 1e9)
         self._zero_updates = zero_updates
         self._on_restart = on_restart
+        self._on_clock = on_clock
+        self.clock_open = False
         self.reset()
 
     def reset(self) -> None:
@@ -144,8 +161,7 @@ class Navigator:
     def realign(self) -> None:
         """Give up the state, but not the samples, and align anew."""
         self.filter: InsFilter | None = None
-        self.bank: YawBank | None = None
-        self.search: ClockSearch | None = None
+        self.bank: Bank | None = None
         self.standing = False
         self.fault: Fault | None = None
         self.steady_ns = self.max_gap_ns  # steps up to that are plain
@@ -173,15 +189,13 @@ class Navigator:
     @property
     def best(self) -> InsFilter | None:
         """The filter, or the likeliest while the heading is open: its position is good already."""
-        return self.bank.best if self.bank is not None else self.filter
+        return self.bank.best if self.filter is None and self.bank is not None else self.filter
 
     @property
     def filters(self) -> list[InsFilter]:
-        """All filters that run: one, or one for each hypothesis, or none."""
-        if self.bank is not None:
-            return self.bank.filters
-        searching = [] if self.search is None else self.search.filters
-        return searching if self.filter is None else [self.filter, *searching]
+        """All filters that run: one, or one for each hypothesis, or all of them, or none."""
+        running = [] if self.filter is None else [self.filter]
+        return running if self.bank is None else [*running, *self.bank.filters]
 
     def imu(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
@@ -266,26 +280,79 @@ class Navigator:
             start = self.alignment.attempt()
             if start is None:
                 return
-            filters = self._filters(start)
-            if len(filters) == 1:
-                self._run(filters[0])
+            stamps = self.ring.latest(256)["t_ns"]
+            process = self._make_process(float(np.median(np.diff(stamps))) * 1e-9)
+            begin = self._beginning(start.t_ns, start.sample, process)
+            if len(start.states) == 1:
+                self._run(begin(start.states[0], self._settings))
             else:
-                self.bank = YawBank(filters)
+                self.bank = Bank(start.states, begin, self._settings)
             return
-        self.bank.advance(self.ring)
-        self.verdicts.extend(self.bank.weigh())
+        self.verdicts.extend(self.bank.advance(self.ring, t_ns))
         self.look()
-        winner = self.bank.decide() if self.bank is not None else None
-        if winner is not None:
-            self._run(winner)
+        if self.bank is None:
+            return
+        if self.clock_open and not self.bank.clock_open and not self.standing:
+            waiting = self.bank.filters[0].withdraw()
+            self.bank = self._by_many_clocks(self.bank.filters)
+            for measurement in waiting:
+                self._take(measurement)
+        self._decide()
 
-    def _filters(self, start: Start) -> list[InsFilter]:
-        stamps = self.ring.latest(256)["t_ns"]
-        process = self._make_process(float(np.median(np.diff(stamps))) * 1e-9)
-        return [
-            InsFilter(state, start.t_ns, start.sample, self._make_noise(process), process,
-                      self._make_gate(), self.ring, self._settings)
-            for state in start.states]
+    def _by_many_clocks(self, filters: Sequence[InsFilter]) -> Bank:
+        """Return what has an open clock around filters of one time and one clock."""
+        nav, process = filters[0].nav, filters[0].process
+        sample = np.concatenate((nav[LAST_F], nav[LAST_W]))
+        begin = self._beginning(filters[0].t_ns, sample, process)
+        return Bank([known.state for known in filters], begin, self._settings, clock=True)
+
+    def open_clock(self, unknown: bool) -> None:
+        """Take the fixes' clock for unknown, or for known; it may be another than before."""
+        self.clock_open = unknown
+        if self.filter is not None:
+            self.bank = None
+        elif self.bank is not None and self.bank.clock_open:
+            self.realign()
+
+    def find_clock(self) -> None:
+        """Go on with the search for the fixes' clock beside the filter; due some times a second."""
+        if self.filter is None:
+            return
+        if self.bank is None and self.clock_open:
+            self.bank = self._by_many_clocks([self.filter])
+        elif self.bank is not None:
+            self.bank.advance(self.ring, self.last_ns)
+            self._decide()
+
+    def _beginning(self, t_ns: int, sample: Array, process: ProcessNoise) -> Begin:
+        """Return what starts a filter at an IMU sample."""
+        def begin(state: NavState, settings: FilterSettings) -> InsFilter:
+            return InsFilter(state, t_ns, sample, self._make_noise(process), process,
+                             self._make_gate(), self.ring, settings)
+
+        return begin
+
+    def _decide(self) -> None:
+        """Let the hypotheses become one filter, if they have."""
+        bank = self.bank
+        decision = None if bank is None else bank.decide()
+        if bank is None or decision is None:
+            return
+        winner = decision.filter
+        missed = self.ring.after(winner.t_ns)
+        if len(missed):
+            winner.process_imu_block(missed)
+        if self.filter is not None:  # It has told of each fix already, but for those that wait.
+            winner.withdraw()
+            winner.verdicts.clear()
+            self.verdicts.extend(Verdict.refused(measurement, "clock offset found")
+                                 for measurement in self.filter.withdraw())
+        if bank.clock_open:
+            self.clock_open = decision.at_edge
+            self._seen.clear()
+            self._on_clock(decision)
+        self.verdicts.extend(winner.verdicts)
+        self._run(winner)
 
     def _run(self, winner: InsFilter) -> None:
         self.bank = None
@@ -308,15 +375,19 @@ class Navigator:
         if self._stands_still(measurement):
             self.verdicts.append(Verdict.refused(measurement, "same position while moving"))
             return
-        if self.filter is not None:
-            self.filter.submit(measurement)
-            if self.search is not None:
-                self.search.measure(measurement)
-        elif self.bank is not None:
-            self.bank.submit(measurement)
-        else:
+        self._take(measurement)
+
+    def _take(self, measurement: Measurement) -> None:
+        if not self._give(measurement):
             self.alignment.observe(measurement)
             self.verdicts.append(Verdict.refused(measurement, "aligning"))
+
+    def _give(self, measurement: Measurement) -> bool:
+        """Give a measurement to all that run; False if there is none, or none so old."""
+        if self.filter is not None:
+            self.filter.submit(measurement)
+        taken = self.bank is not None and self.bank.measure(measurement)
+        return taken or self.filter is not None
 
     def _stands_still(self, measurement: Measurement) -> bool:
         """Tell whether a fix is the last one again, to the last digit, while the filter moves."""
@@ -351,7 +422,7 @@ class Navigator:
             self._biases.append(Biases.of(self.filter.state, t_ns))
         self.standing = span > 0.8e9 and is_standing(samples) and _may_stand(running)
         if self.standing and self._zero_updates:
-            self._submit(Standstill.of(samples))
+            self._give(Standstill.of(samples))
 
     def _is_falling(self, t_ns: int) -> bool:
         """
@@ -393,43 +464,10 @@ class Navigator:
         """Take a regressor's estimate or another noise model."""
         self._submit(event)
 
-    def _submit(self, event: Change | Standstill) -> None:
-        for target in (self.bank, self.filter, self.search):
+    def _submit(self, event: Change) -> None:
+        for target in (self.bank, self.filter):
             if target is not None:
                 target.submit(event)
-
-    def search_clock(self) -> None:
-        """Begin to look for the fixes' clock all around what it is taken for."""
-        running = self.filter
-        assert running is not None
-        process = running.process
-
-        def begin(state: NavState, sample: Array, settings: FilterSettings) -> InsFilter:
-            return InsFilter(state, running.t_ns, sample, self._make_noise(process), process,
-                             self._make_gate(), self.ring, settings)
-
-        self.search = ClockSearch(running, self._settings, begin)
-
-    def settle_clock(self) -> float | None:
-        """
-        Go on with the search, which the filter that it has found replaces the running one.
-
-        Returns what is to be added to the fixes' stamps from now on [s], once it is known. What
-        waited for its samples by the old clock is refused.
-        """
-        assert self.search is not None and self.filter is not None
-        self.search.advance(self.ring, self.last_ns)
-        found = self.search.decide()
-        if found is None:
-            return None
-        by, winner = found
-        winner.process_imu_block(self.ring.after(winner.t_ns))
-        winner.withdraw()
-        self.verdicts.extend(Verdict.refused(measurement, "clock offset found")
-                             for measurement in self.filter.withdraw())
-        self.search = None
-        self._run(winner)
-        return by
 
 
 def _may_stand(running: InsFilter) -> bool:

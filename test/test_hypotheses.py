@@ -6,16 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 from test_time_offset import SCENE, stamped_early, through_estimator
 
-from hybrid_ins.core import clock_search
-from hybrid_ins.core.clock_search import MISLED_SPEED, MISLED_TURN, STEPS, opened
+from hybrid_ins.core import hypotheses
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.hypotheses import CELLS, MISLED_SPEED, MISLED_TURN, STEPS, opened
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline.montecarlo import Run, draw
 
 SECOND = 1_000_000_000
+STORE = get_typestore(Stores.ROS2_JAZZY)
+AUTO = {"alignment.heading_source": "auto"}
 
 
 def until(run: Run, seconds: float) -> Run:
@@ -40,15 +43,45 @@ def offset(estimator: Estimator) -> float:
     return estimator._gnss.time_offset
 
 
+def found(estimator: Estimator) -> tuple[float, float]:
+    told = estimator._clock_found()
+    assert told is not None
+    return told
+
+
+def told_and_waiting(estimator: Estimator) -> list[int]:
+    """Stamps [ns], as the receiver gave them, of all verdicts and of what is not decided yet."""
+    verdicts = [STORE.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticStatus")
+                for topic, data in estimator.outbox if topic == "gnss/verdict"]
+    stamps = [int(value.value) for v in verdicts for value in v.values if value.key == "stamp"]
+    waiting = estimator.navigator.filter.withdraw()  # type: ignore[union-attr]
+    return sorted([*stamps, *(m.t_ns - round(1e9 * offset(estimator)) for m in waiting)])
+
+
 @pytest.mark.parametrize(("true", "late"), [(-0.5, 0.0), (-0.23, 0.3), (0.0, 0.0), (0.35, 0.0)])
 def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None:
     estimator = estimating(until(stamped_early(draw(SCENE, 4), true), 22.0), late)
 
-    assert estimator.navigator.search is None
+    assert estimator.navigator.bank is None
     assert offset(estimator) == pytest.approx(true, abs=0.02)
-    missing, sigma = estimator._clock_found()
+    missing, sigma = found(estimator)
     assert sigma < 0.02
     assert abs(offset(estimator) + missing - true) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(("seed", "value", "true"), [(0, 0.0, -0.35), (1, 0.0, 0.3), (2, 0.5, 0.1),
+                                                   (3, 0.0, 0.12), (5, -0.3, -0.2)])
+def test_heading_and_clock_are_found_together(seed: int, value: float, true: float) -> None:
+    # GIVEN a flight of which neither is known
+    run = until(stamped_early(draw(SCENE, seed), true), 20.0)
+    estimator = estimating(run, **AUTO, **{"gnss.time_offset.value": value})
+    # THEN both are found, and each fix is told of once
+    running = estimator.navigator.filter
+    assert running is not None and estimator.navigator.bank is None
+    assert offset(estimator) == pytest.approx(true, abs=0.03)
+    assert np.sqrt(running.nav[COVARIANCE][DIAGONAL][8]) < 0.1
+    told = told_and_waiting(estimator)
+    np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
 
 
 def test_the_search_goes_on_beyond_its_edge() -> None:
@@ -64,7 +97,7 @@ def test_the_filter_that_takes_over_is_where_it_says() -> None:
         run = draw(SCENE, seed)
         estimator = estimating(until(stamped_early(run, -0.3), 25.0))
         running = estimator.navigator.filter
-        assert running is not None and estimator.navigator.search is None
+        assert running is not None and estimator.navigator.bank is None
         # WHEN its position is held against the truth at the next epoch that is scored
         k = int(np.searchsorted(run.samples["t_ns"][run.scored], running.t_ns))
         now = run.samples["t_ns"][run.scored[k]]
@@ -87,9 +120,8 @@ def test_each_fix_is_told_of_once(value: float, true: float) -> None:
 
     assert offset(estimator) == pytest.approx(true, abs=0.02)
     assert (estimator.counts["gnss: clock offset found"] > 0) == (value > true)
-    told = sum(topic == "gnss/verdict" for topic, _ in estimator.outbox)
-    waiting = estimator.navigator.filter.withdraw()  # type: ignore[union-attr]
-    assert told + len(waiting) == len(run.fixes)
+    told = told_and_waiting(estimator)
+    np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
 
 
 @pytest.mark.parametrize(("by", "opened"), [(0.2, 1), (-0.06, 0)])
@@ -106,17 +138,16 @@ def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) 
 def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.search
+    search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.bank
     assert search is not None and len(search.filters) > 1
     assert search.decide() is None
-    found = search.found()
-    monkeypatch.setattr(clock_search, "DECIDED_STD", 1.0)
-    monkeypatch.setattr(clock_search, "DECIDED_NS", 0)
+    missing, sigma = search.clock()
+    monkeypatch.setattr(hypotheses, "CLOCK_KNOWN", (1.0, 0))
     decision = search.decide()
     assert decision is not None
-    by, winner = decision
-    assert by + winner.clock.missing == pytest.approx(found[0])
-    assert winner.clock.sigma == pytest.approx(found[1])
+    winner = decision.filter
+    assert decision.offset + winner.clock.missing == pytest.approx(missing)
+    assert winner.clock.sigma == pytest.approx(sigma)
 
 
 def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
@@ -126,15 +157,13 @@ def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
     estimator = estimating(replace(run, samples=run.samples[(t < 19.0) | (t > 21.0)]))
     # THEN the filter that starts after that knows the clock from its beginning
     assert estimator.counts["restart: no IMU samples"] == 1
-    assert estimator.navigator.search is None
-    missing, sigma = estimator._clock_found()
+    assert estimator.navigator.bank is None
+    missing, sigma = found(estimator)
     assert sigma < 0.06
     assert offset(estimator) + missing == pytest.approx(0.2, abs=0.03)
 
 
-def test_while_nothing_moves_nothing_is_said() -> None:
-    # GIVEN a vehicle that stands
-    run = draw(SCENE, 1)
+def standing(run: Run) -> Run:
     rng = np.random.default_rng(1)
     samples = run.samples.copy()
     samples["f"] = [0.0, 0.0, -9.8] + 0.02 * rng.standard_normal(samples["f"].shape)
@@ -142,28 +171,56 @@ def test_while_nothing_moves_nothing_is_said() -> None:
     noise = 0.1 * rng.standard_normal((len(run.fixes), 3))
     fixes = tuple(replace(f, lla=run.fixes[0].lla + dn / curvature_scale(f.lla))
                   for f, dn in zip(run.fixes, noise, strict=True))
-    # WHEN its clock is looked for
-    estimator = estimating(replace(run, samples=samples, fixes=fixes))
-    # THEN it stays open
+    return replace(run, samples=samples, fixes=fixes)
+
+
+def test_while_nothing_moves_nothing_is_said() -> None:
+    estimator = estimating(standing(draw(SCENE, 1)))
+
     assert offset(estimator) == 0.0
-    assert estimator._clock_found()[1] > 0.2
-    assert estimator.navigator.search is not None
-    assert len(estimator.navigator.search.filters) == 2 * STEPS + 1
-    # AND diagnostics say so
+    assert found(estimator)[1] > 0.2
+    assert estimator.navigator.bank is not None
+    assert len(estimator.navigator.bank.filters) == 2 * STEPS + 1
     assert "the search goes on" in estimator.diagnostics(estimator.navigator.last_ns)[-1].text
+
+
+def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
+    run = standing(draw(SCENE, 1))
+    estimator = estimating(until(run, 10.0), **AUTO)
+    bank = estimator.navigator.bank
+    assert bank is not None and len(bank.filters) <= CELLS
+
+    # WHEN the vehicle flies off
+    moving = draw(SCENE, 1)
+    t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9
+    samples = np.where(t < 10.0, run.samples, moving.samples)
+    estimator = estimating(until(replace(run, samples=samples), 12.0), **AUTO)
+    # THEN there are
+    bank = estimator.navigator.bank
+    assert bank is not None and len(bank.filters) > CELLS
+    assert "clock offset" in estimator.navigator.waiting_for
 
 
 def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:
     run = until(stamped_early(draw(SCENE, 4), 0.1), 5.0)
-    assert through_estimator(run).navigator.search is None
+    assert through_estimator(run).navigator.bank is None
 
     estimator = estimating(run)
-    assert estimator.navigator.search is not None
+    assert estimator.navigator.bank is not None
     estimator.change({"gnss.time_offset.estimate": False})
-    estimator._clock_ns = 0
-    estimator._follow_clock()
-    assert estimator.navigator.search is None
+    assert estimator.navigator.bank is None
     assert estimator.navigator.filters == [estimator.navigator.filter]
+
+
+def test_another_value_while_both_are_open_begins_anew() -> None:
+    # GIVEN a search around a value that is then changed
+    run = stamped_early(draw(SCENE, 4), 0.1)
+    estimator = estimating(until(run, 6.0), **AUTO)
+    bank = estimator.navigator.bank
+    assert bank is not None and bank.clock_open
+    estimator.change({"gnss.time_offset.value": -0.2})
+
+    assert estimator.navigator.bank is None
 
 
 def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
