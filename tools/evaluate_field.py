@@ -59,8 +59,8 @@ OTHERS: dict[str, dict[str, Any]] = {
 NO_SCALE, PLAIN, PAPER, *_ = OTHERS
 ORACLE = "HB-AEKF, told the injected levels"
 CALIBRATED, ANY_HEADING = ", the rest calibrated", ", nor the heading known"
-ONLINE = tuple(f"online {rate} Hz{rest}" for rate in (5, 1)
-               for rest in ("", CALIBRATED, ANY_HEADING))
+ONLINE = (*(f"online 5 Hz{rest}" for rest in ("", CALIBRATED, ANY_HEADING)),
+          *(f"online 1 Hz{rest}" for rest in ("", CALIBRATED)))
 HARDER = ("heading 30°", "heading unknown", "published 5 Hz", "published 1 Hz", *ONLINE)
 PAPER_TABLE = {  # PMAE and PRMSE [m] of the paper's flight
     PAPER: (1.7, 1.2), "MB-EKF-AQ1 (ξ = 1)": (2.3, 1.6), "MB-EKF-AQ2 (ξ = 3)": (2.0, 1.4),
