@@ -348,10 +348,10 @@ class ScaledNoise:
         return levels
 
     def refresh(self, t_ns: int, q: Array | None) -> None:
-        """See `NoiseModel.refresh`; factors on levels from another source say nothing of these."""
+        """See `NoiseModel.refresh`; what a fallback had to be raised by says nothing of levels."""
         before = self.source
         self.inner.refresh(t_ns, q)
-        if self.source != before == "fallback":
+        if self.source != before == "fallback" and max(self.scale.scale()) > 1.0:
             self.scale.forget(evidence=True)
 
     def learn(self, correction: Correction) -> Reseat | None:
