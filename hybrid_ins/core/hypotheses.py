@@ -43,6 +43,7 @@ from hybrid_ins.core.state import (
     NavState,
     covariance,
     pack,
+    widened,
 )
 
 Array = NDArray[np.float64]
@@ -73,11 +74,10 @@ def opened(state: NavState, offset: float) -> NavState:
     """Return what is left of a state if the fixes that led to it were ``offset`` [s] younger."""
     std = np.zeros(N_ERROR)
     std[DV], std[EPS] = MISLED_SPEED, MISLED_TURN
-    P = state.P + np.diag(np.maximum(std**2 - np.diag(state.P), 0.0))
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
-    return replace(state, lla=lla, P=moved @ P @ moved.T)
+    return replace(state, lla=lla, P=moved @ widened(state.P, std) @ moved.T)
 
 
 class Decision(NamedTuple):

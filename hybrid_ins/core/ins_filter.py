@@ -39,6 +39,7 @@ from hybrid_ins.core.state import (
     NavState,
     covariance,
     pack,
+    widened,
 )
 from hybrid_ins.core.time_offset import ClockOffset
 
@@ -342,8 +343,7 @@ class InsFilter:
         elif isinstance(event, ClockShift):
             inject(self.nav, self.clock.shift(event.by))
         elif isinstance(event, Doubt):
-            P = covariance(self.nav)
-            pack(P + np.diag(np.maximum(event.std**2 - np.diag(P), 0.0)), self.nav[COVARIANCE])
+            pack(widened(covariance(self.nav), event.std), self.nav[COVARIANCE])
             self.noise.forget(evidence=False)
         else:
             self._fuse(event)

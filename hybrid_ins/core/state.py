@@ -116,6 +116,11 @@ class NavState:
         return nav
 
 
+def widened(P: Array, std: Array) -> Array:
+    """Return P, shape (n, n), with errors at least as large as ``std``, shape (n,)."""
+    return np.asarray(P + np.diag(np.maximum(std**2 - np.diag(P), 0.0)))
+
+
 def covariance(nav: Array) -> Array:
     """Return P, shape (15, 15), of a flat state."""
     P: Array = nav[COVARIANCE][PLACES]
