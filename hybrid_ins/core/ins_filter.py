@@ -201,6 +201,11 @@ class InsFilter:
         return NavState.from_flat(nav)
 
     @property
+    def sample(self) -> Array:
+        """The IMU sample at ``t_ns``, shape (6,): specific force [m/s²], angular rate [rad/s]."""
+        return np.concatenate((self.nav[LAST_F], self.nav[LAST_W]))
+
+    @property
     def next_event_ns(self) -> int:
         """Stamp of the first measurement that waits for its samples; far ahead if none does."""
         return self._pending[0].t_ns if self._pending else NEVER_NS
@@ -307,7 +312,7 @@ class InsFilter:
     def _bridge(self, dt: float, reading: Array) -> None:
         """Step over missing samples; what may have happened there widens the covariance."""
         nav = self.nav
-        last = np.concatenate((nav[LAST_F], nav[LAST_W]))
+        last = self.sample
         jump = np.abs(reading - last)
         rate = float(np.linalg.norm(reading[3:]))
         parts = 1 + int(dt * max(rate, float(np.linalg.norm(last[3:]))) / LARGEST_TURN)

@@ -35,8 +35,6 @@ from hybrid_ins.core.state import (
     B_G,
     DV,
     EPS,
-    LAST_F,
-    LAST_W,
     N_ERROR,
     VELOCITY,
     NavState,
@@ -297,13 +295,12 @@ class Navigator:
             self.bank = self._by_many_clocks(self.bank.filters)
             for measurement in waiting:
                 self._take(measurement)
-        self._decide()
+        self._decide(self.bank)
 
     def _by_many_clocks(self, filters: Sequence[InsFilter]) -> Bank:
         """Return what has an open clock around filters of one time and one clock."""
-        nav, process = filters[0].nav, filters[0].process
-        sample = np.concatenate((nav[LAST_F], nav[LAST_W]))
-        begin = self._beginning(filters[0].t_ns, sample, process)
+        first = filters[0]
+        begin = self._beginning(first.t_ns, first.sample, first.process)
         return Bank([known.state for known in filters], begin, self._settings, clock=True)
 
     def open_clock(self, unknown: bool) -> None:
@@ -322,7 +319,7 @@ class Navigator:
             self.bank = self._by_many_clocks([self.filter])
         elif self.bank is not None:
             self.bank.advance(self.ring, self.last_ns)
-            self._decide()
+            self._decide(self.bank)
 
     def _beginning(self, t_ns: int, sample: Array, process: ProcessNoise) -> Begin:
         """Return what starts a filter at an IMU sample."""
@@ -332,11 +329,10 @@ class Navigator:
 
         return begin
 
-    def _decide(self) -> None:
+    def _decide(self, bank: Bank) -> None:
         """Let the hypotheses become one filter, if they have."""
-        bank = self.bank
-        decision = None if bank is None else bank.decide()
-        if bank is None or decision is None:
+        decision = bank.decide()
+        if decision is None:
             return
         winner = decision.filter
         missed = self.ring.after(winner.t_ns)
