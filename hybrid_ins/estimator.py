@@ -48,10 +48,10 @@ REPORT_NS = 100_000_000  # biases, variances and the filtered fix
 DIAGNOSTICS_NS = 1_000_000_000
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 CLOCK_NS = 1_000_000_000  # between two corrections of the clock offset
-CLOCK_KNOWN, CLOCK_SETTLED = 0.1, 0.015  # s, standard deviations
+CLOCK_USABLE, CLOCK_SETTLED = 0.1, 0.015  # s, standard deviations
 CLOCK_WRONG = 0.03  # s, of an offset that the user should know of
 CLOCK_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
-DISAGREEMENT = 3.0  # factor on the IMU's noise that the user should know of
+DISAGREEMENT = 3.0  # factor on the noise of IMU or fixes that the user should know of
 WAITING = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
 Stretch = tuple[NDArray[np.int64], Array, Array]
 
@@ -468,7 +468,7 @@ class Estimator:
     def _correct_clock(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""
         missing, sigma = running.clock.missing, running.clock.sigma
-        if sigma < CLOCK_KNOWN and abs(missing) > max(0.3 * sigma, 1e-3):
+        if sigma < CLOCK_USABLE and abs(missing) > max(0.3 * sigma, 1e-3):
             self._clock_moved += missing
             running.submit(ClockShift(running.t_ns, missing))
             self._place_sensors()
@@ -701,12 +701,12 @@ class Estimator:
         if running is not None and _imu_disagrees(running.noise):
             text += ("; the IMU disagrees with GNSS by more than its noise: check clock offset, "
                      "mount, lever arm")
-        if factors.get("factor_fixes", 1.0) > 3.0:
+        if factors.get("factor_fixes", 1.0) > DISAGREEMENT:
             text += ("; fixes scatter by more than they claim: check the receiver, "
                      "gnss.position_std_min")
         if reader is not None and reader.fault and running is not None:
             text += f"; last estimate refused: {reader.fault}"
-        level = int(source == "fallback" or max(factors.values(), default=1.0) > 3.0)
+        level = int(source == "fallback" or max(factors.values(), default=1.0) > DISAGREEMENT)
         return conversions.status("process noise", level, text, {
             "source": source, "mode": self.values["noise.mode"], **factors,
             **({f"refused: {why}": n for why, n in sorted(reader.refusals.items())}

@@ -11,7 +11,7 @@ from test_time_offset import SCENE, stamped_early, through_estimator
 
 from hybrid_ins.core import hypotheses
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.hypotheses import CELLS, MISLED_SPEED, MISLED_TURN, STEPS, opened
+from hybrid_ins.core.hypotheses import ASTRAY_SPEED, ASTRAY_TURN, CELLS, STEPS, opened
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.estimator import Estimator
 from hybrid_ins.offline.montecarlo import Run, draw
@@ -232,8 +232,8 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
     moved = (there.lla - state.lla) * curvature_scale(state.lla)
     np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
     std = np.sqrt(np.diag(there.P))
-    np.testing.assert_allclose(std[DV], MISLED_SPEED)
-    np.testing.assert_allclose(std[EPS], MISLED_TURN)
-    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * MISLED_SPEED))
+    np.testing.assert_allclose(std[DV], ASTRAY_SPEED)
+    np.testing.assert_allclose(std[EPS], ASTRAY_TURN)
+    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * ASTRAY_SPEED))
     # A velocity that was too low has put the state too little back.
-    np.testing.assert_allclose(there.P[DP, DV], -0.5 * MISLED_SPEED**2 * np.eye(3))
+    np.testing.assert_allclose(there.P[DP, DV], -0.5 * ASTRAY_SPEED**2 * np.eye(3))

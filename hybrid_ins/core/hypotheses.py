@@ -59,7 +59,7 @@ CLOCKS_NS = tuple(STEP_NS * k for k in range(-STEPS, STEPS + 1))  # added to the
 REACH_NS = CLOCKS_NS[-1]
 CLOCK_STD = 0.05  # s, half a cell
 CLOCK_KNOWN = (0.05, 2_000_000_000)  # s, ns
-MISLED_SPEED, MISLED_TURN = 3.0, 0.1  # m/s, rad, that a wrong clock leads a state astray by
+ASTRAY_SPEED, ASTRAY_TURN = 3.0, 0.1  # m/s, rad, that a wrong clock leads a state astray by
 
 LEAST_WEIGHT = 1e-6  # a hypothesis below that is dropped
 MEMORY = 25.0  # innovations over which the best one's fit is averaged
@@ -73,7 +73,7 @@ def headings() -> Array:
 def opened(state: NavState, offset: float) -> NavState:
     """Return what is left of a state if the fixes that led to it were ``offset`` [s] younger."""
     std = np.zeros(N_ERROR)
-    std[DV], std[EPS] = MISLED_SPEED, MISLED_TURN
+    std[DV], std[EPS] = ASTRAY_SPEED, ASTRAY_TURN
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
