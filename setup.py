@@ -30,7 +30,7 @@ EXTRAS = {
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     ],
     "plot": ["matplotlib>=3.6"],
-    "benchmark": ["filterpy", "gtsam"],  # peers that tools/benchmark.py measures beside this
+    "benchmark": ["filterpy", "gtsam"],  # peers that tools/benchmark/run.py measures beside this
     "fleet": ["dask", "distributed"],  # bags on a cluster
     "test": [
         "colcon-core",
@@ -54,13 +54,13 @@ EXTRAS = {
 }
 
 PROGRAMS = {
-    "ins_node": "node",
-    "ins_play": "player",
-    "ins_convert": "offline.quadrotor",
-    "ins_simulate": "offline.simulation",
-    "ins_replay": "offline.replay",
-    "ins_calibrate": "offline.calibration",
-    "ins_evaluate": "offline.evaluation",
+    "ins_node": "ros.node",
+    "ins_play": "ros.player",
+    "ins_convert": "cli.convert",
+    "ins_simulate": "cli.simulate",
+    "ins_replay": "cli.replay",
+    "ins_calibrate": "cli.calibrate",
+    "ins_evaluate": "cli.evaluate",
 }
 
 

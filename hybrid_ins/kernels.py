@@ -15,20 +15,19 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hybrid_ins.core import (
+    clock_offset,
     compilation,
-    health,
+    imu_health,
     kalman,
-    local_frame,
     measurements,
-    noise_bank,
-    output,
+    noise_multiple_model_step,
     propagation,
     standstill,
-    time_offset,
-    window,
 )
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
+from hybrid_ins.noise_regressor import window
+from hybrid_ins.ros import odom_frame, output
 
 NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
 
@@ -81,22 +80,22 @@ def _compile_filter() -> None:
 def _compile_output() -> None:
     nav, zero, turn = _some_state(), np.zeros(3), np.eye(3)
     odometry, local = np.zeros(output.N_ODOMETRY), np.zeros(output.N_ODOMETRY)
-    state = local_frame.start()
+    state = odom_frame.start()
     output.odometry_values(nav, zero, turn, zero, zero, odometry)
-    local_frame.advance(state, 0.01, odometry, local)
+    odom_frame.advance(state, 0.01, odometry, local)
     output.odometry_block(nav[None, :N_NAV].copy(), zero, turn, zero, zero, odometry[None])
-    local_frame.advance_block(state, np.zeros(1), odometry[None], local[None])
+    odom_frame.advance_block(state, np.zeros(1), odometry[None], local[None])
     output.fix_values(nav, zero, np.zeros(output.N_FIX))
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
-    noise_bank.mean_system(nav, zero, turn, 0.1)
-    noise_bank.advance(
+    noise_multiple_model_step.mean_system(nav, zero, turn, 0.1)
+    noise_multiple_model_step.advance(
         nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
         turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
-    s, acceleration, _ = time_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
-    time_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
+    s, acceleration, _ = clock_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
+    clock_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
-    health.find_fault(samples)
+    imu_health.find_fault(samples)
     standstill.is_standing(samples)
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))

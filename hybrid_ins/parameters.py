@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from hybrid_ins import plain_yaml
+from hybrid_ins import parameter_file
 from hybrid_ins.errors import InputError
 
 Value = bool | int | float | str | list[float]
@@ -279,7 +279,7 @@ def parse_value(name: str, text: str) -> object:
     """Return a value given on a command line, or raise `InputError`."""
     find(name)
     try:
-        return plain_yaml.parse(text)
+        return parameter_file.parse(text)
     except (yaml.YAMLError, ValueError):
         raise InputError(f"parameter {name}: {text!r} is no value") from None
 
@@ -305,7 +305,7 @@ def load_file(path: str | Path) -> Values:
         No such file, too large, not YAML, not that form, or a value that `check_all` refuses.
     """
     path = Path(path)
-    content = plain_yaml.read(path, "a parameter file")
+    content = parameter_file.read(path, "a parameter file")
     return check_all(flatten(_ros_parameters(path, content), path))
 
 

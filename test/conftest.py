@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from processes import Processes, isolated_ros
+from support.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
+from tools.processes import Processes, isolated_ros
 
 # The same examples every time, however busy the machine is.
 settings.register_profile("repeatable", derandomize=True, deadline=None)

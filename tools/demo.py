@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from processes import Processes, isolated_ros, program
-
 from hybrid_ins.core.compilation import is_compiled
 from hybrid_ins.resources import share_path
+from tools.processes import Processes, isolated_ros, program
 
 LOG_LINES = 12  # of the node, shown when it fails
 PATIENCE = 60.0  # s, for the node to come up

@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
 
-from hybrid_ins.core import error_model, state  # noqa: E402
+from hybrid_ins.core import error_model, state
 
 TARGET = ROOT / "hybrid_ins" / "core" / "covariance_step.py"
 

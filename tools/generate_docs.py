@@ -41,7 +41,7 @@ PREAMBLE = """\
 # Parameters
 
 Every parameter of `ins_node`, and of `ins_replay`, which reads the same file. This page and
-[config/default.yaml](../config/default.yaml) are written by `python tools/generate_docs.py`.
+[config/default.yaml](../config/default.yaml) are written by `python -m tools.generate_docs`.
 
     ros2 run hybrid_ins ins_node --ros-args --params-file my_robot.yaml
     ros2 param describe /ins_node gnss.patience
@@ -130,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for path, text in stale.items():
         name = path.relative_to(ROOT)
         if args.check:
-            print(f"{name} is out of date: run python tools/generate_docs.py", file=sys.stderr)
+            print(f"{name} is out of date: run python -m tools.generate_docs", file=sys.stderr)
         else:
             path.write_text(text, encoding="utf-8")
             print(name)

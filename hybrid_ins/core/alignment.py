@@ -20,17 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.attitude import (
+from hybrid_ins.core.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.imu_health import UNUSABLE, find_fault
+from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.multiple_model import CELL_STD, headings
+from hybrid_ins.core.rotations import (
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
     quat_from_rpy,
     rpy_from_quat,
 )
-from hybrid_ins.core.earth import curvature_scale, earth_rate_n
-from hybrid_ins.core.health import UNUSABLE, find_fault
-from hybrid_ins.core.hypotheses import CELL_STD, headings
-from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing
 from hybrid_ins.core.state import B_G, DP, DV, EPS, N_ERROR, NavState

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.attitude import matrix_from_quat
+from hybrid_ins.core.clock_offset import ClockOffset
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.kalman import correct, inject, innovation
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.noise import Correction, NoiseModel, ProcessNoise
+from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
 from hybrid_ins.core.state import (
     COVARIANCE,
@@ -41,7 +42,6 @@ from hybrid_ins.core.state import (
     pack,
     widened,
 )
-from hybrid_ins.core.time_offset import ClockOffset
 
 Array = NDArray[np.float64]
 NO_ROWS = np.empty((0, N_NAV))
@@ -100,7 +100,7 @@ class ClockShift:
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class CovarianceInflation:
     """From its stamp on the errors may be as large as ``std``, whatever was believed before."""
 
     t_ns: int
@@ -108,12 +108,12 @@ class Doubt:
     kind: ClassVar[str] = "doubt"
 
 
-Change = NoiseEstimate | NoiseChange | ClockShift | Doubt
+Change = NoiseEstimate | NoiseChange | ClockShift | CovarianceInflation
 Event = Measurement | Change
 
 
 @dataclass(slots=True)
-class _RewindPoint:
+class Checkpoint:
     """All that changes in a filter, after its first ``n_done`` events."""
 
     t_ns: int
@@ -188,7 +188,7 @@ class InsFilter:
         self._pending: list[Event] = []
         self._done: list[Event] = []  # those after the oldest rewind point
         self._n_done = 0  # all there ever were
-        self._points: list[_RewindPoint] = []
+        self._points: list[Checkpoint] = []
         self.nav[PSD] = process.psd(noise.levels())
         self._remember()
         self._schedule()
@@ -347,7 +347,7 @@ class InsFilter:
             self.noise.refresh(event.t_ns, event.q)
         elif isinstance(event, ClockShift):
             inject(self.nav, self.clock.shift(event.by))
-        elif isinstance(event, Doubt):
+        elif isinstance(event, CovarianceInflation):
             pack(widened(covariance(self.nav), event.std), self.nav[COVARIANCE])
             self.noise.forget(evidence=False)
         else:
@@ -391,7 +391,7 @@ class InsFilter:
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""
-        self._points.append(_RewindPoint(
+        self._points.append(Checkpoint(
             self.t_ns, self._n_done, self.nav[:N_NAV].copy(), copy.copy(self.noise),
             copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns,
         ))

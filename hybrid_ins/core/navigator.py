@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.health import NO_GRAVITY, UNUSABLE, Fault, find_fault
-from hybrid_ins.core.hypotheses import Bank, Begin, Decision
+from hybrid_ins.core.imu_health import NO_GRAVITY, UNUSABLE, Fault, find_fault
 from hybrid_ins.core.ins_filter import (
     Change,
-    Doubt,
+    CovarianceInflation,
     FilterSettings,
     InsFilter,
     NoiseChange,
     NoiseEstimate,
 )
 from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
+from hybrid_ins.core.multiple_model import Begin, Decision, MultipleModelBank
 from hybrid_ins.core.noise import NoiseModel, ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
@@ -97,7 +97,7 @@ class Navigator:
     ----------
     filter : InsFilter or None
         None while aligning.
-    bank : Bank or None
+    bank : MultipleModelBank or None
         The hypotheses while the heading is open and there is no filter, or the fixes' clock beside
         one.
     clock_open : bool
@@ -159,7 +159,7 @@ class Navigator:
     def realign(self) -> None:
         """Give up the state, but not the samples, and align anew."""
         self.filter: InsFilter | None = None
-        self.bank: Bank | None = None
+        self.bank: MultipleModelBank | None = None
         self.standing = False
         self.fault: Fault | None = None
         self.steady_ns = self.max_gap_ns  # steps up to that are plain
@@ -284,7 +284,7 @@ class Navigator:
             if len(start.states) == 1:
                 self._run(begin(start.states[0], self._settings))
             else:
-                self.bank = Bank(start.states, begin, self._settings)
+                self.bank = MultipleModelBank(start.states, begin, self._settings)
             return
         self.verdicts.extend(self.bank.advance(self.ring, t_ns))
         self.look()
@@ -297,11 +297,11 @@ class Navigator:
                 self._take(measurement)
         self._decide(self.bank)
 
-    def _by_many_clocks(self, filters: Sequence[InsFilter]) -> Bank:
+    def _by_many_clocks(self, filters: Sequence[InsFilter]) -> MultipleModelBank:
         """Return what has an open clock around filters of one time and one clock."""
         first = filters[0]
         begin = self._beginning(first.t_ns, first.sample, first.process)
-        return Bank([known.state for known in filters], begin, self._settings, clock=True)
+        return MultipleModelBank([known.state for known in filters], begin, self._settings, clock=True)
 
     def open_clock(self, unknown: bool) -> None:
         """Take the fixes' clock for unknown, or for known; it may be another than before."""
@@ -329,7 +329,7 @@ class Navigator:
 
         return begin
 
-    def _decide(self, bank: Bank) -> None:
+    def _decide(self, bank: MultipleModelBank) -> None:
         """Let the hypotheses become one filter, if they have."""
         decision = bank.decide()
         if decision is None:
@@ -408,7 +408,7 @@ class Navigator:
             self.fault = None
         for fault in (before, self.fault):
             if fault is not None and fault[0] in MISLEADING:
-                self._submit(Doubt(t_ns, self._doubted(fault[0])))
+                self._submit(CovarianceInflation(t_ns, self._doubted(fault[0])))
         if self.fault is not None and self.fault[0] in UNUSABLE:
             fault = self.fault
             self.give_up(f"the IMU is unusable: {fault[1]}")

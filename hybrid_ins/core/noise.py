@@ -68,7 +68,7 @@ class Correction:
 
 
 @dataclass(frozen=True, slots=True)
-class Reseat:
+class StateCorrection:
     """Where the state belongs by another noise than the one that it was run with."""
 
     dx: Array  # (15,) to be added to the state
@@ -86,7 +86,7 @@ class Scale(Protocol):
         """Return the factor on the covariance of fixes."""
         ...
 
-    def learn(self, correction: Correction, psd: Array) -> Reseat | None:
+    def learn(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """Take a correction into account, given Qc's diagonal (12,) at factor 1."""
         ...
 
@@ -116,7 +116,7 @@ class NoiseModel(Protocol):
         """Take a regressor's levels at a stamp, shape (6,), or None when it could not tell."""
         ...
 
-    def learn(self, correction: Correction) -> Reseat | None:
+    def learn(self, correction: Correction) -> StateCorrection | None:
         """Take a correction into account; may say where the state belongs instead."""
         ...
 
@@ -354,7 +354,7 @@ class ScaledNoise:
         if self.source != before == "fallback" and max(self.scale.scale()) > 1.0:
             self.scale.forget(evidence=True)
 
-    def learn(self, correction: Correction) -> Reseat | None:
+    def learn(self, correction: Correction) -> StateCorrection | None:
         """See `NoiseModel.learn`."""
         self.inner.learn(correction)
         return self.scale.learn(correction, self._process.psd(self.inner.levels()))

@@ -1,0 +1,1 @@
+"""Calibration of an IMU and a GNSS receiver from recordings."""

@@ -1,0 +1,276 @@
+"""
+Many bags through one program: in parallel, resumed after an interruption, one table at the end.
+
+A bag that cannot be used is reported and does not stop the rest. What is finished leaves a record
+beside its output, with a fingerprint of everything that the result depends on: the same command
+again does only what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from hybrid_ins.cli import program
+from hybrid_ins.errors import InputError
+
+SUFFIXES = (".mcap", ".db3", ".bag")
+METADATA = "metadata.yaml"
+
+Row = dict[str, Any]  # what the table shows of a bag, by column
+
+
+@dataclass(frozen=True)
+class Job:
+    """A bag to work on, and where the record of its result is kept, if it is."""
+
+    name: str
+    source: Path
+    record: Path | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a bag: its row, or why there is none."""
+
+    name: str
+    row: Row
+    failure: str = ""
+    kept: bool = False  # from an earlier run
+
+
+def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the options of work on many bags; return their group."""
+    group = parser.add_argument_group("many bags")
+    group.add_argument("--jobs", metavar="N", type=_positive, default=os.cpu_count(),
+                       help="bags at a time [one for each of the %(default)s processors]")
+    group.add_argument("--dask", metavar="ADDRESS",
+                       help="work on a Dask cluster, e.g. tcp://10.0.0.1:8786, whose workers see "
+                       "the same files, instead of on this machine")
+    return group
+
+
+def is_bag(path: Path) -> bool:
+    """Tell whether a path looks like one recording: a file, or a rosbag2 directory."""
+    if not path.is_dir():
+        return True
+    return (path / METADATA).is_file() or any(
+        file.suffix in SUFFIXES for file in path.glob(f"{path.resolve().name}_*"))
+
+
+def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
+    """
+    List the bags that are given, or lie in or below a given folder; records go to `out`.
+
+    Raises
+    ------
+    InputError
+        There is none, or two would have the same name.
+    """
+    sources: dict[str, Path] = {}
+    for path in paths:
+        for bag, name in _bags_below(path, out and out.resolve()):
+            if name in sources and sources[name].resolve() != bag.resolve():
+                raise InputError(f"{sources[name]} and {bag} would both become {name}: rename one")
+            sources[name] = bag
+    if not sources:
+        raise InputError(f"{', '.join(map(str, paths))}: no bags found there")
+    return [Job(name, bag, out and out / f"{name}.json") for name, bag in sorted(sources.items())]
+
+
+def _bags_below(path: Path, out: Path | None) -> Iterator[tuple[Path, str]]:
+    if is_bag(path):
+        yield path, path.name.removesuffix(path.suffix if path.suffix in SUFFIXES else "")
+        return
+    for folder, folders, files in os.walk(path):
+        here = Path(folder)
+        # Not what an earlier run wrote, nor the parts of a bag.
+        folders[:] = sorted(f for f in folders if (here / f).resolve() != out)
+        inner = [f for f in folders if is_bag(here / f)]
+        folders[:] = [f for f in folders if f not in inner]
+        for name in [*inner, *sorted(files)]:
+            bag = here / name
+            if name in inner or (bag.suffix in SUFFIXES and not name.startswith(".")):
+                yield bag, str(bag.relative_to(path)).removesuffix(
+                    "" if name in inner else bag.suffix)
+
+
+def fingerprint(source: Path, settings: Mapping[str, Any]) -> str:
+    """Return a digest of a bag's name, size and age and of all that the work depends on."""
+    known = {**settings, "version": _package_version()}
+    digest = hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode())
+    for file in sorted(source.rglob("*")) if source.is_dir() else [source]:
+        about = file.stat()
+        digest.update(f"{file.resolve()} {about.st_size} {about.st_mtime_ns}".encode())
+    return digest.hexdigest()
+
+
+def run(
+    args: argparse.Namespace,
+    jobs: Sequence[Job],
+    work: Callable[[Job], Row],
+    settings: Mapping[str, Any],
+    redo: bool = False,
+) -> int:
+    """
+    Do `work` on every job that is not finished, print the table of all, and say what failed.
+
+    Parameters
+    ----------
+    args
+        With the options of `add_options`.
+    jobs
+        Bags.
+    work
+        Returns a row of the table; raises `InputError` on a bag that cannot be used. It runs in
+        another process: a module's function, or a `functools.partial` of one.
+    settings
+        All that the result depends on besides the bag.
+    redo
+        Take nothing from earlier runs.
+
+    Raises
+    ------
+    InputError
+        Some bags failed; all others are done.
+    """
+    outcomes: list[Outcome] = []
+    with tqdm(total=len(jobs), desc="bags", unit="bag", disable=None) as bar:
+        for outcome in _outcomes(args, jobs, partial(_attempt, work, settings, redo)):
+            outcomes.append(outcome)
+            bar.update()
+            if outcome.failure:
+                tqdm.write(f"{outcome.name}: {outcome.failure}", file=sys.stderr)
+    outcomes.sort(key=lambda outcome: outcome.name)
+    print(table(outcomes))
+    failed = [outcome for outcome in outcomes if outcome.failure]
+    kept = sum(outcome.kept for outcome in outcomes)
+    if kept:
+        print(f"{kept} of {len(outcomes)} bags were finished before")
+    if failed:
+        names = ", ".join(outcome.name for outcome in failed[:5])
+        more = f" and {len(failed) - 5} more" if len(failed) > 5 else ""
+        raise InputError(f"{len(failed)} of {len(outcomes)} bags failed: {names}{more}")
+    return 0
+
+
+def _package_version() -> str:
+    """Return the installed package's version; empty for one that runs from its sources alone."""
+    try:
+        return metadata.version("hybrid_ins")
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def table(outcomes: Iterable[Outcome]) -> str:
+    """Return a line for each bag, numbers in columns."""
+    outcomes = list(outcomes)
+    columns = list(dict.fromkeys(column for outcome in outcomes for column in outcome.row))
+    rows = [["bag", *columns]]
+    for outcome in outcomes:
+        if outcome.failure:
+            rows.append([outcome.name, f"failed: {outcome.failure}"])
+        else:
+            rows.append([outcome.name, *(_cell(outcome.row.get(c)) for c in columns)])
+    widths = [max(len(row[k]) for row in rows if len(row) == len(rows[0]))
+              for k in range(len(rows[0]))]
+    widths[0] = max(len(row[0]) for row in rows)
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(
+            cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=False))]).rstrip()
+        for row in rows)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _attempt(
+    work: Callable[[Job], Row], settings: Mapping[str, Any], redo: bool, job: Job
+) -> Outcome:
+    """Do one job, or take it from its record; whatever goes wrong is an outcome, too."""
+    program.hide_progress()
+    try:
+        mark = fingerprint(job.source, settings)
+        record = {} if redo or job.record is None else _read_record(job.record)
+        if record.get("fingerprint") == mark:
+            return Outcome(job.name, record["row"], kept=True)
+        row = work(job)
+        if job.record is not None:
+            job.record.parent.mkdir(parents=True, exist_ok=True)
+            unfinished = job.record.with_name(f".{job.record.name}")
+            unfinished.write_text(json.dumps({"fingerprint": mark, "row": row}, indent=1))
+            unfinished.replace(job.record)
+    except InputError as error:
+        return Outcome(job.name, {}, str(error))
+    except OSError as error:
+        return Outcome(job.name, {}, f"{error.filename or job.source}: {error.strerror or error}")
+    except Exception as error:  # a defect must not cost the other bags
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return Outcome(job.name, {}, f"{type(error).__name__}: {error} "
+                       f"({Path(place.filename).name}:{place.lineno})")
+    return Outcome(job.name, row)
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) and isinstance(record.get("row"), dict) else {}
+
+
+def _outcomes(
+    args: argparse.Namespace, jobs: Sequence[Job], attempt: Callable[[Job], Outcome]
+) -> Iterator[Outcome]:
+    """Yield outcomes as they come."""
+    try:
+        import joblib
+    except ImportError:
+        raise InputError("many bags at once need joblib: pip install joblib") from None
+    with _cluster(args.dask):
+        parallel = joblib.Parallel(
+            n_jobs=-1 if args.dask else min(args.jobs, len(jobs)), batch_size=1,
+            return_as="generator_unordered")
+        yield from parallel(joblib.delayed(attempt)(job) for job in jobs)
+
+
+@contextmanager
+def _cluster(address: str | None) -> Iterator[None]:
+    """Within the block, joblib works on the Dask cluster at an address, if one is given."""
+    if address is None:
+        yield
+        return
+    try:
+        import joblib
+        from distributed import Client
+    except ImportError:
+        raise InputError("--dask needs dask: pip install dask distributed") from None
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--dask {address}: no cluster answers there ({error})") from None
+    with client, joblib.parallel_config(backend="dask", client=client):
+        yield
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value

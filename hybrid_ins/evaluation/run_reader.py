@@ -1,0 +1,444 @@
+"""What a bag tells about a run: estimate, truth, fixes and their verdicts, biases, noise."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.cli import program
+from hybrid_ins.core import rotations
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import stamp_ns as ns_of
+from hybrid_ins.trajectory import Array, Stamps, Trajectory
+
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_FIX = "sensor_msgs/msg/NavSatFix"
+_VERDICT = "diagnostic_msgs/msg/DiagnosticStatus"
+_BIAS = "geometry_msgs/msg/AccelWithCovarianceStamped"
+_VECTOR = "geometry_msgs/msg/Vector3Stamped"
+_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+_ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
+_CHUNK = 10_000  # messages decoded at once
+_MOVED = 1.0  # m: a vehicle that went this far had a velocity
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topic names in the bags."""
+
+    odometry: str = "/odometry"
+    truth: str = "/truth/odometry"
+    truth_datum: str = "/truth/datum"
+    datum: str = "/datum"
+    fix: str = "/gnss/fix"
+    verdict: str = "/gnss/verdict"
+    bias: str = "/imu/bias"
+    accelerometer_noise: str = "/q/accelerometer"
+    gyroscope_noise: str = "/q/gyroscope"
+    diagnostics: str = "/diagnostics"
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """Valid GNSS positions, in the order of their stamps."""
+
+    stamp_ns: Stamps  # (N,) reference clock
+    lla: Array  # (N, 3) rad, rad, m; the height may be NaN
+
+    @classmethod
+    def none(cls) -> Fixes:
+        """Return an empty table."""
+        return cls(np.empty(0, np.int64), np.empty((0, 3)))
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """What the filter did with each fix, in the order of their stamps."""
+
+    stamp_ns: Stamps  # (N,) of the fix, reference clock
+    kind: NDArray[np.str_]  # (N,) "position" or "velocity"
+    accepted: NDArray[np.bool_]  # (N,)
+    reason: NDArray[np.str_]  # (N,) why not
+    nis: Array  # (N,) NaN where the fix never came to the test
+    dof: Array  # (N,)
+    threshold: Array  # (N,) of nis
+    time_offset: Array  # (N,) s, added to the fix's stamp to reach the IMU clock
+
+    _TYPES: ClassVar[dict[str, type]] = {"stamp_ns": np.int64, "accepted": bool, "kind": np.str_,
+                                         "reason": np.str_}  # fmt: skip
+
+    @classmethod
+    def of(cls, rows: Iterable[tuple[int, str, bool, str, float, float, float, float]]) -> Verdicts:
+        """Collect verdicts given as tuples in the order of the fields."""
+        columns = list(zip(*sorted(rows, key=lambda row: row[0]), strict=True)) or [()] * 8
+        names = [f.name for f in fields(cls)]
+        return cls(
+            *(
+                np.array(column, cls._TYPES.get(name, float))
+                for name, column in zip(names, columns, strict=True)
+            )
+        )
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def rows(self, keep: NDArray[np.bool_]) -> Verdicts:
+        """Return the verdicts that `keep` selects."""
+        return Verdicts(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Three values over time, base_link (FLU) axes."""
+
+    stamp_ns: Stamps  # (N,) IMU clock
+    values: Array  # (N, 3)
+    sigma: Array | None = None  # (N, 3) the filter's own standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class SensorErrors:
+    """What an IMU adds to its readings: biases and noise, as estimated or as they are."""
+
+    accelerometer_bias: Series | None = None  # m/s^2
+    gyroscope_bias: Series | None = None  # rad/s
+    accelerometer_noise: Series | None = None  # per-sample variance, (m/s^2)^2
+    gyroscope_noise: Series | None = None  # per-sample variance, (rad/s)^2
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of the filter, as far as it was recorded."""
+
+    name: str
+    estimate: Trajectory
+    truth: Trajectory | None = None  # stamps in the reference clock
+    fixes: Fixes = field(default_factory=Fixes.none)
+    verdicts: Verdicts = field(default_factory=lambda: Verdicts.of(()))
+    sensor_errors: SensorErrors = field(default_factory=SensorErrors)
+    true_sensor_errors: SensorErrors = field(default_factory=SensorErrors)  # simulations know them
+    noise_source: tuple[tuple[int, str], ...] = ()  # (stamp_ns, name) at each change
+    notes: tuple[str, ...] = ()
+
+
+def read_recording(
+    estimate_path: Path | str, truth_path: Path | str | None = None, topics: Topics | None = None
+) -> Recording:
+    """
+    Read a run from its bag, and truth and fixes from a second one where they are not in it.
+
+    Parameters
+    ----------
+    estimate_path
+        Bag with the filter's output.
+    truth_path
+        Bag with the truth; by default the same one.
+    topics
+        Names, where they differ from the usual ones.
+
+    Returns
+    -------
+    Recording
+        `truth` is None where `truth_path` is not given and the bag has none.
+
+    Raises
+    ------
+    InputError
+        A bag is unreadable, or has no estimate, or the bag given for the truth has no truth.
+
+    """
+    topics = topics or Topics()
+    notes: list[str] = []
+    with BagReader(estimate_path) as reader:
+        bag = _Bag(reader, topics)
+        estimate, frames = _track(bag, topics.odometry, "--odometry", topics.datum, notes)
+        truth = truth_frames = None
+        if truth_path is None and reader.count(topics.truth):
+            truth, truth_frames = _track(
+                bag, topics.truth, "--truth-topic", topics.truth_datum, notes
+            )
+        fixes = _fixes(bag, topics.fix)
+        verdicts = _verdicts(bag, topics.verdict)
+        sensor_errors = _sensor_errors(bag, topics)
+        true_sensor_errors = _sensor_errors(bag, topics, "/truth")
+        noise_source = _noise_source(bag, topics.diagnostics)
+    if truth_path is not None:
+        with BagReader(truth_path) as reader:
+            bag = _Bag(reader, topics)
+            truth, truth_frames = _track(
+                bag, topics.truth, "--truth-topic", topics.truth_datum, notes
+            )
+            fixes = fixes if len(fixes) else _fixes(bag, topics.fix)
+            true_sensor_errors = _sensor_errors(bag, topics, "/truth")
+    if truth_frames is not None and truth_frames != frames:
+        notes.append(
+            f"the estimate is of {frames[1]!r} in {frames[0]!r}, the truth of {truth_frames[1]!r} "
+            f"in {truth_frames[0]!r}: compared as if they were the same"
+        )
+    return Recording(
+        Path(estimate_path).name,
+        estimate,
+        truth,
+        fixes,
+        verdicts,
+        sensor_errors,
+        true_sensor_errors,
+        noise_source,
+        tuple(notes),
+    )
+
+
+class _Bag:
+    """An open bag whose small topics are read at once: every pass over a bag takes time."""
+
+    def __init__(self, reader: BagReader, topics: Topics) -> None:
+        self.reader = reader
+        small = {_absolute(name) for name in vars(topics).values()}
+        small |= {f"/truth{name}" for name in small}
+        small -= {_absolute(topics.odometry), _absolute(topics.truth)}
+        self._messages: dict[str, list[Any]] = {name: [] for name in small & set(reader.topics)}
+        if self._messages:
+            for topic, _, message in reader.messages(*self._messages):
+                self._messages[topic].append(message)
+
+    def of(self, topic: str, type_name: str) -> list[Any]:
+        """Messages of an optional topic: none if it is not there or of another type."""
+        topic = _absolute(topic)
+        matches = self.reader.topics.get(topic) == type_name
+        return self._messages.get(topic, []) if matches else []
+
+
+def _absolute(topic: str) -> str:
+    return f"/{topic.lstrip('/')}"
+
+
+def _track(
+    bag: _Bag, topic: str, option: str, datum_topic: str, notes: list[str]
+) -> tuple[Trajectory, tuple[str, str]]:
+    """Read an Odometry topic and its frames; what had to be left out is added to `notes`."""
+    path = bag.reader.path
+    topic = bag.reader.require(topic, _ODOMETRY, option)
+    _, _, first = next(bag.reader.messages(topic), (None, None, None))
+    if first is None:
+        raise InputError(f"{path}: no message on {topic}")
+    track, faults = track_from_odometry(*_odometry_rows(bag.reader, topic))
+    if not len(track):
+        raise InputError(f"{path}: {topic} has no usable message: {'; '.join(faults)}")
+    places = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
+    if len(set(places)) > 1:
+        faults.append(f"{datum_topic} changed during the run; the last one counts")
+    if places and np.all(np.isfinite(places[-1])):
+        track = replace(track, datum_lla=_radians(np.array(places[-1])))
+    notes.extend(f"{topic}: {fault}" for fault in faults)
+    return track, (first.header.frame_id, first.child_frame_id)
+
+
+def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
+    """
+    Stamps (N,) and the doubles (N, 85) of every Odometry message.
+
+    Whatever the frames are called, the numbers end the message: no need to decode it field by
+    field.
+    """
+    stamps: list[int] = []
+    tails: list[bytes] = []
+    chunks: list[Array] = []
+    size = 8 * _ODOMETRY_DOUBLES
+    messages = bag.raw(topic)
+    for _, _, data in program.progress(messages, f"reading {topic}", total=bag.count(topic)):
+        if len(data) < size + 20 or data[:2] != b"\x00\x01":
+            raise InputError(f"{bag.path}: {topic} holds a message that is no Odometry in CDR")
+        seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+        stamps.append(seconds * 1_000_000_000 + nanoseconds)
+        end = len(data) - (len(data) - 4) % 8
+        tails.append(data[end - size : end])
+        if len(tails) == _CHUNK:
+            chunks.append(_doubles(tails))
+            tails.clear()
+    chunks.append(_doubles(tails))
+    return np.array(stamps, np.int64), np.concatenate(chunks)
+
+
+def _doubles(tails: list[bytes]) -> Array:
+    return np.frombuffer(b"".join(tails), "<f8").reshape(-1, _ODOMETRY_DOUBLES)
+
+
+def track_from_odometry(stamp_ns: Stamps, rows: Array) -> tuple[Trajectory, list[str]]:
+    """
+    Turn the numbers of nav_msgs/Odometry into a track.
+
+    Parameters
+    ----------
+    stamp_ns : ndarray, shape (N,)
+        Header stamps.
+    rows : ndarray, shape (N, 85)
+        The message's doubles in its own order: position, quaternion, pose covariance, linear and
+        angular velocity in base_link, twist covariance.
+
+    Returns
+    -------
+    Trajectory
+        In order; without the parts that the messages do not hold.
+    faults : list of str
+        What was left out and why.
+
+    """
+    faults: list[str] = []
+
+    def drop(bad: NDArray[np.bool_], why: str) -> None:
+        nonlocal stamp_ns, rows
+        if np.any(bad):
+            faults.append(f"{np.sum(bad)} of {len(bad)} messages left out: {why}")
+            stamp_ns, rows = stamp_ns[~bad], rows[~bad]
+
+    drop(stamp_ns <= 0, "no time stamp")
+    drop(np.asarray(~np.isfinite(rows[:, :3]).all(axis=1)), "NaN or infinity in the position")
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        norm = np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
+        quat = np.where((norm > 0.5) & (norm < 2.0), rows[:, 3:7] / norm, np.nan)
+    C_map_base = rotations.matrix_from_quat(quat)
+    unturned = np.isnan(quat).any(axis=1)
+    if np.any(unturned):
+        faults.append(
+            f"{np.sum(unturned)} of {len(quat)} quaternions are no rotation (zero or not finite):"
+            " no attitude and no velocity there"
+        )
+    velocity_base = rows[:, 43:46]
+    motion = np.ptp(rows[:, :3], axis=0) if len(rows) else np.zeros(3)
+    still = not np.any(velocity_base) and np.linalg.norm(motion) > _MOVED
+    if still:
+        faults.append("every velocity is zero although the vehicle moves: taken as unknown")
+    pose_cov = rows[:, 7:43].reshape(-1, 6, 6)
+    twist_cov = rows[:, 49:85].reshape(-1, 6, 6)
+    velocity = (C_map_base @ velocity_base[..., None])[..., 0]
+    track, repeated = Trajectory(
+        stamp_ns,
+        rows[:, :3],
+        None if still else _known(velocity),
+        _known(quat),
+        _claimed(pose_cov[:, :3, :3]),
+        None if still else _claimed(twist_cov[:, :3, :3]),
+        _claimed(pose_cov[:, 3:, 3:]),
+    ).in_order()
+    if np.any(np.diff(stamp_ns) < 0):
+        faults.append("time stamps go backward: sorted (did the bag loop?)")
+    if repeated:
+        faults.append(f"{repeated} messages repeat a time stamp: the last of each was taken")
+    return track, faults
+
+
+def _known(values: Array) -> Array | None:
+    return values if np.any(np.isfinite(values)) else None
+
+
+def _claimed(covariance: Array) -> Array | None:
+    """Return None for covariances that are all zero or not finite: nothing is claimed."""
+    return covariance if np.any(np.nan_to_num(covariance, posinf=0.0, neginf=0.0)) else None
+
+
+def _fixes(bag: _Bag, topic: str) -> Fixes:
+    rows = [
+        (ns_of(m.header.stamp), m.latitude, m.longitude, m.altitude)
+        for m in bag.of(topic, _FIX)
+        if m.status.status >= 0
+    ]
+    rows = sorted(r for r in rows if math.isfinite(r[1]) and math.isfinite(r[2]))
+    if not rows:
+        return Fixes.none()
+    return Fixes(
+        np.array([r[0] for r in rows], np.int64), _radians(np.array([r[1:] for r in rows], float))
+    )
+
+
+def _verdicts(bag: _Bag, topic: str) -> Verdicts:
+    rows = []
+    for message in bag.of(topic, _VERDICT):
+        said = {pair.key: pair.value for pair in message.values}
+        if not said.get("stamp", "").isdigit():
+            continue
+        rows.append(
+            (
+                int(said["stamp"]),
+                said.get("kind", "position"),
+                said.get("accepted") == "true",
+                said.get("reason", "") or str(message.message),
+                *(_number(said, name) for name in ("nis", "dof", "threshold", "time_offset")),
+            )
+        )
+    return Verdicts.of(rows)  # type: ignore[arg-type]
+
+
+def _sensor_errors(bag: _Bag, topics: Topics, below: str = "") -> SensorErrors:
+    return SensorErrors(
+        *_biases(bag, below + topics.bias),
+        _vectors(bag, below + topics.accelerometer_noise),
+        _vectors(bag, below + topics.gyroscope_noise),
+    )
+
+
+def _biases(bag: _Bag, topic: str) -> tuple[Series | None, Series | None]:
+    stamps, linear, angular, variances = [], [], [], []
+    for message in bag.of(topic, _BIAS):
+        accel = message.accel.accel
+        stamps.append(ns_of(message.header.stamp))
+        linear.append(_xyz(accel.linear))
+        angular.append(_xyz(accel.angular))
+        variances.append(np.diagonal(np.asarray(message.accel.covariance).reshape(6, 6)))
+    if not stamps:
+        return None, None
+    stamp_ns = np.array(stamps, np.int64)
+    sigma = np.sqrt(np.maximum(np.array(variances), 0.0))
+    return (
+        Series(stamp_ns, np.array(linear), sigma[:, :3]),
+        Series(stamp_ns, np.array(angular), sigma[:, 3:]),
+    )
+
+
+def _vectors(bag: _Bag, topic: str) -> Series | None:
+    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in bag.of(topic, _VECTOR)]
+    if not rows:
+        return None
+    return Series(np.array([r[0] for r in rows], np.int64), np.array([r[1] for r in rows]))
+
+
+def _noise_source(bag: _Bag, topic: str) -> tuple[tuple[int, str], ...]:
+    changes: list[tuple[int, str]] = []
+    for array in bag.of(topic, _DIAGNOSTICS):
+        for status in array.status:
+            if status.name != "hybrid_ins: process noise":
+                continue
+            for pair in status.values:
+                if pair.key != "source" or pair.value == "none":
+                    continue
+                if not changes or changes[-1][1] != pair.value:
+                    changes.append((ns_of(array.header.stamp), pair.value))
+    return tuple(changes)
+
+
+def _xyz(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
+
+
+def _number(said: dict[str, str], key: str) -> float:
+    try:
+        return float(said.get(key, "nan"))
+    except ValueError:
+        return math.nan
+
+
+def _radians(lla_degrees: Array) -> Array:
+    lla = lla_degrees.copy()
+    lla[..., :2] *= math.pi / 180.0
+    return lla

@@ -1,0 +1,1 @@
+"""Noise levels of the IMU, read off its recent samples."""

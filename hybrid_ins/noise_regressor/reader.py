@@ -1,0 +1,166 @@
+"""
+Reads the present noise levels off the ring of IMU samples, and refuses what cannot be told.
+
+The one place where a regressor meets the live samples: it checks the window, runs the model,
+bounds the answer, and keeps count of its refusals.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.ins_filter import NoiseEstimate
+from hybrid_ins.core.samples import ImuRing, as_numbers
+from hybrid_ins.errors import InputError
+from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
+from hybrid_ins.noise_regressor.window import (
+    find_fault,
+    own_axes,
+    quantisation_step,
+    rounded,
+    sampling_rate,
+)
+from hybrid_ins.resources import share_path
+
+Array = NDArray[np.float64]
+
+ABSURD = 1e6  # m/s², rad/s
+FORESEEN = 15  # windows of a recording that are read along with one
+
+
+def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
+    """
+    Return the regressor that ``noise.model`` asks for; the spectral one where that fails.
+
+    Parameters
+    ----------
+    model : str
+        A path, the name of a model that comes with the package, or ``spectral``.
+    log : callable
+        Told why a model cannot be used.
+    """
+    if model == "spectral":
+        return SpectralRegressor()
+    try:
+        path = model if model.endswith(".onnx") else share_path(f"models/{model}.onnx")
+        return Regressor.load(path)
+    except InputError as error:
+        log("warn", f"noise.model: {error}; the spectral estimator takes its place")
+        return SpectralRegressor()
+
+
+class NoiseReader:
+    """
+    Turns the youngest window of IMU samples into noise levels.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    mount : ndarray, shape (3, 3)
+        From the IMU's axes to b: noise is a property of the sensor's own axes.
+    log : callable
+        See `load_regressor`.
+
+    Attributes
+    ----------
+    regressor : NoiseRegressor
+        In use.
+    refusals : Counter
+        Windows and answers that were refused, by reason.
+    fault : str
+        Why the last window or answer was refused; empty when it was not.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], mount: Array, log: Callable[[str, str], None]
+    ) -> None:
+        self.regressor = load_regressor(values["noise.model"], log)
+        self.refusals: Counter[str] = Counter()
+        self.fault = ""
+        self._mount = mount
+        self._turn = mount**2
+        limits = [
+            (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
+            for sensor in ("accelerometer", "gyroscope")]
+        self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
+        self._period_ns = int(values["noise.refresh_period"] * 1e9)
+        self._ahead: tuple[NDArray[np.int64], Array] | None = None
+        self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
+
+    def foresee(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
+        """
+        Tell the readings of a recording in advance: the regressor is then asked once for many.
+
+        Parameters
+        ----------
+        t_ns : ndarray, shape (N,)
+            Stamps [ns].
+        force, rate : ndarray, shape (N, 3)
+            Readings [m/s², rad/s] in the IMU's own axes.
+        """
+        readings = np.hstack((force, rate))
+        readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: the window is another then
+        self._ahead = t_ns, rounded(readings)
+
+    def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
+        """Return the levels at ``t_ns`` [ns], or an estimate that says None."""
+        q, self.fault = self._estimate(ring)
+        if self.fault:
+            self.refusals[self.fault] += 1
+        return NoiseEstimate(t_ns, q)
+
+    def _estimate(self, ring: ImuRing) -> tuple[Array | None, str]:
+        size = self.regressor.window
+        samples = ring.latest(size)
+        if len(samples) < size:
+            return None, "window not full yet"
+        readings = own_axes(as_numbers(samples), self._mount)
+        fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
+        if fault is not None:
+            return None, fault.value
+        try:
+            q = self._ask(samples["t_ns"], readings)
+        except Exception:  # A model that answered at start may fail later; the filter goes on.
+            return None, "the model failed"
+        if not np.all(np.isfinite(q) & (q >= 0.0)):
+            return None, "the model answered with no variance"
+        q = np.maximum(q, quantisation_step(readings) ** 2 / 12.0)
+        q = np.concatenate((self._turn @ q[:3], self._turn @ q[3:]))
+        if np.any(q > self._high):
+            return None, "noise beyond noise.q_*_max"
+        return np.maximum(q, self._low), ""
+
+    def _ask(self, t_ns: NDArray[np.int64], readings: Array) -> Array:
+        """Return the regressor's answer (6,) to a window: stamps (N,) and readings (N, 6)."""
+        end_ns = int(t_ns[-1])
+        window, q = self._answers.get(end_ns, (None, np.empty(0)))
+        if window is not None and np.array_equal(window, readings):
+            return q
+        if max(self._answers, default=0) > end_ns:
+            self._ahead = None  # things went another way than foreseen
+        windows = {end_ns: readings, **self._following(end_ns)}
+        answers = self.regressor.estimate(
+            np.concatenate([window.T for window in windows.values()]), sampling_rate(t_ns))
+        if len(windows) > 1:
+            self._answers = {end: (window, answer) for (end, window), answer in zip(
+                windows.items(), answers.reshape(len(windows), -1), strict=True)}
+        return answers[:6]
+
+    def _following(self, end_ns: int) -> dict[int, Array]:
+        """Return the windows after the one that ends at a stamp, by their ends, if all goes on."""
+        found: dict[int, Array] = {}
+        if self._ahead is not None:
+            t_ns, readings = self._ahead
+            for _ in range(FORESEEN):
+                end = 1 + int(np.searchsorted(t_ns, end_ns + self._period_ns))
+                if not self.regressor.window <= end <= len(t_ns):
+                    break
+                end_ns = int(t_ns[end - 1])
+                found[end_ns] = readings[end - self.regressor.window:end]
+        return found

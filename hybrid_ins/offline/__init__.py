@@ -1,1 +1,0 @@
-"""Programs and their parts that work on files: no middleware, no real time."""

@@ -1,0 +1,1 @@
+"""The border to ROS: messages, ENU and FLU axes, degrees, topics, wording."""

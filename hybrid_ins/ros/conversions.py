@@ -1,0 +1,322 @@
+"""
+The border between ROS and the filter: messages and samples, ENU/FLU and NED/FRD, degrees, radians.
+
+Messages are read and filled by attribute: they may come from rclpy or from a bag. What cannot be
+used is refused with a reason for the user, never with an exception.
+
+References
+----------
+REP-103 (units and axes), REP-105 (frames), REP-145 (IMU), and the definitions of the messages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hybrid_ins.core.earth import LocalFrame, lla_to_ecef
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.rotations import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rpy,
+    rpy_from_quat,
+)
+from hybrid_ins.ros.cdr import ImuFields, Status
+
+Array = NDArray[np.float64]
+Message = Any
+NewMessage = Callable[[str], Message]
+
+FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
+SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
+APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types that say something
+STATUS_FIX = 0
+
+OUTPUTS = {
+    "odometry": "nav_msgs/msg/Odometry",
+    "odometry/local": "nav_msgs/msg/Odometry",
+    "gnss/filtered": "sensor_msgs/msg/NavSatFix",
+    "q/accelerometer": "geometry_msgs/msg/Vector3Stamped",
+    "q/gyroscope": "geometry_msgs/msg/Vector3Stamped",
+    "imu/bias": "geometry_msgs/msg/AccelWithCovarianceStamped",
+    "gnss/verdict": "diagnostic_msgs/msg/DiagnosticStatus",
+    "datum": "sensor_msgs/msg/NavSatFix",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+
+def stamp_ns(stamp: Message) -> int:
+    """Integer nanoseconds of a builtin_interfaces/Time."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def set_stamp(stamp: Message, t_ns: int) -> None:
+    """Write integer nanoseconds into a builtin_interfaces/Time."""
+    seconds, nanoseconds = divmod(t_ns, 1_000_000_000)
+    stamp.sec, stamp.nanosec = int(seconds), int(nanoseconds)
+
+
+def yaw_ned_from_enu(yaw: float) -> float:
+    """Heading from north, clockwise, of a REP-103 yaw from east, counter-clockwise [rad]."""
+    return math.remainder(0.5 * math.pi - yaw, 2.0 * math.pi)
+
+
+def quat_nb_from_enu(quat_xyzw: ArrayLike) -> Array:
+    """C_nb as a quaternion (4,), of the FLU body's orientation in ENU."""
+    return quat_from_matrix(SWAP @ matrix_from_quat(quat_xyzw) @ FLIP)
+
+
+def mount_matrix(rpy: Sequence[float]) -> Array:
+    """
+    Matrix (3, 3) from the IMU message's axes to b (FRD of the base frame).
+
+    ``rpy`` turns the base frame's axes into the IMU's [rad].
+    """
+    return np.asarray(FLIP @ matrix_from_quat(quat_from_rpy(*rpy)))
+
+
+def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
+    """Accelerometer bias to begin with and its std [m/s²], gyroscope's [rad/s], (3,) each, b."""
+    bias_a, bias_g = (FLIP @ values[f"imu.{s}_bias"] for s in ("accelerometer", "gyroscope"))
+    std_a, std_g = (np.broadcast_to(values[f"imu.{s}_bias_std"], 3)
+                    for s in ("accelerometer", "gyroscope"))
+    return bias_a, std_a, bias_g, std_g
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Input that could not be used, and why; ``name`` counts it, ``text`` tells the user."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class GnssInput:
+    """
+    How GNSS messages become measurements.
+
+    Attributes
+    ----------
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b.
+    position_std_default : ndarray, shape (3,)
+        East, north, up [m].
+    position_std_min, position_std_max, velocity_std_default, velocity_std_min : float
+        [m], [m/s].
+    time_offset : float
+        Added to the stamps [s].
+    """
+
+    lever_b: Array
+    position_std_default: Array
+    position_std_min: float
+    position_std_max: float
+    velocity_std_default: float
+    velocity_std_min: float
+    time_offset: float
+
+    @classmethod
+    def from_parameters(cls, values: Mapping[str, Any]) -> GnssInput:
+        """Read the ``gnss`` parameters."""
+        lever = np.subtract(values["gnss.antenna_position"], values["imu.position"])
+        return cls(
+            FLIP @ lever, np.array(values["gnss.position_std_default"]),
+            values["gnss.position_std_min"], values["gnss.position_std_max"],
+            values["gnss.velocity_std_default"], values["gnss.velocity_std_min"],
+            values["gnss.time_offset.value"])
+
+    def position(self, message: Message, received_ns: int | None = None) -> PositionFix | Refused:
+        """Convert a sensor_msgs/NavSatFix; ``received_ns`` takes its stamp's place if given."""
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        if t_ns <= 0:
+            return Refused("gnss: zero stamp", "header.stamp is zero: the driver must stamp fixes")
+        if message.status.status < STATUS_FIX:
+            return Refused("gnss: no fix", f"status {message.status.status} means no fix")
+        lat, lon, height = message.latitude, message.longitude, message.altitude
+        if not (abs(lat) <= 90.0 and abs(lon) <= 360.0) or math.isinf(height):
+            return Refused("gnss: impossible position",
+                           f"latitude {lat}, longitude {lon}, altitude {height} is no position")
+        if lat == 0.0 and lon == 0.0:
+            return Refused("gnss: impossible position", "latitude and longitude are exactly zero: "
+                           "the receiver has no position, whatever its status says")
+        if abs(height) > 1e6:
+            return Refused("gnss: impossible position", f"altitude {height:g} m is no position")
+        if abs(lat) > 89.9:
+            return Refused("gnss: impossible position",
+                           f"latitude {lat:g}°: navigation in NED ends before the poles")
+        covariance_enu = self._position_covariance(message)
+        sigma = np.sqrt(np.diag(covariance_enu))
+        if max(sigma[0], sigma[1]) > self.position_std_max:
+            return Refused("gnss: poor fix",
+                           f"σ {max(sigma[0], sigma[1]):.1f} m exceeds gnss.position_std_max "
+                           f"{self.position_std_max:g} m")
+        return PositionFix(
+            t_ns + round(self.time_offset * 1e9),
+            np.array([math.radians(lat), math.radians(lon), height]),
+            SWAP @ covariance_enu @ SWAP, self.lever_b)
+
+    def _position_covariance(self, message: Message) -> Array:
+        """Covariance (3, 3) [m², ENU] to use: the message's where it is one, with the floor."""
+        default = np.diag(self.position_std_default**2)
+        if message.position_covariance_type in (APPROXIMATED, DIAGONAL, KNOWN):
+            covariance = np.array(message.position_covariance, float).reshape(3, 3)
+            if math.isnan(message.altitude):
+                covariance[2, :] = covariance[:, 2] = 0.0
+                covariance[2, 2] = default[2, 2]
+        else:
+            covariance = default
+        return floor_covariance(covariance, self.position_std_min, default)
+
+    def velocity(self, message: Message, received_ns: int | None = None) -> VelocityFix | Refused:
+        """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        if t_ns <= 0:
+            return Refused("velocity: zero stamp", "header.stamp is zero: the driver must stamp")
+        linear = message.twist.twist.linear
+        velocity_enu = np.array([linear.x, linear.y, linear.z], float)
+        if not np.all(np.isfinite(velocity_enu[:2])) or math.isinf(velocity_enu[2]):
+            return Refused("velocity: not finite", f"{velocity_enu} holds no velocity")
+        if np.nanmax(np.abs(velocity_enu)) > 1000.0:
+            return Refused("velocity: absurd", f"{velocity_enu} m/s is no vehicle's velocity")
+        default = np.eye(3) * self.velocity_std_default**2
+        covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
+        covariance = floor_covariance(covariance, self.velocity_std_min, default)
+        return VelocityFix(
+            t_ns + round(self.time_offset * 1e9),
+            np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
+            SWAP @ covariance @ SWAP, self.lever_b)
+
+
+def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array:
+    """
+    Return a covariance (3, 3) fit for use.
+
+    The symmetric part counts. ``default`` where it says nothing (not finite, not positive
+    definite: a zero or a negative variance means unknown, not perfect); otherwise no axis below
+    ``std_min``, its correlations kept.
+    """
+    if not np.all(np.isfinite(covariance)):
+        return default
+    covariance = 0.5 * covariance + 0.5 * covariance.T
+    diagonal = np.diagonal(covariance)
+    if np.count_nonzero(covariance) == 3 and diagonal.all():  # most receivers give no more
+        low, high = diagonal.min(), diagonal.max()
+        return default if low <= 1e-12 * high else np.diag(np.maximum(diagonal, std_min**2))
+    values, axes = np.linalg.eigh(covariance)
+    if values[0] <= 1e-12 * values[2] or values[2] <= 0.0:
+        return default
+    return np.asarray((axes * np.maximum(values, std_min**2)) @ axes.T)
+
+
+def fill_transform(
+    transform: Message, t_ns: int, parent: str, child: str, position: ArrayLike,
+    quat_xyzw: ArrayLike,
+) -> None:
+    """Fill a geometry_msgs/TransformStamped: pose of ``child`` in ``parent``."""
+    set_stamp(transform.header.stamp, t_ns)
+    transform.header.frame_id, transform.child_frame_id = parent, child
+    p, q = transform.transform.translation, transform.transform.rotation
+    p.x, p.y, p.z = np.asarray(position, float).tolist()
+    q.x, q.y, q.z, q.w = np.asarray(quat_xyzw, float).tolist()
+
+
+def initial_yaw(message: Message) -> tuple[float, float] | Refused:
+    """
+    Heading [rad from north] and its uncertainty of a PoseWithCovarianceStamped in the map frame.
+    """
+    q = message.pose.pose.orientation
+    quat = np.array([q.x, q.y, q.z, q.w], float)
+    norm = float(np.linalg.norm(quat))
+    if not 0.9 < norm < 1.1:
+        return Refused("initialpose: no orientation", f"quaternion {quat} has norm {norm:.2f}")
+    variance = float(message.pose.covariance[35])
+    std = math.sqrt(variance) if math.isfinite(variance) and variance > 0.0 else 0.2
+    yaw_enu = float(rpy_from_quat(quat / norm)[2])
+    return yaw_ned_from_enu(yaw_enu), std
+
+
+def imu_fields(message: Message) -> ImuFields:
+    """What the filter reads of a sensor_msgs/Imu message object."""
+    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    return ImuFields(
+        stamp_ns(message.header.stamp), message.header.frame_id,
+        (q.x, q.y, q.z, q.w), float(message.orientation_covariance[0]),
+        (w.x, w.y, w.z), float(message.angular_velocity_covariance[0]),
+        (a.x, a.y, a.z), float(message.linear_acceleration_covariance[0]))
+
+
+def imu_yaw(orientation_xyzw: Sequence[float], mount: Array) -> float | None:
+    """
+    Heading [rad from north] of b, of an IMU's orientation in ENU; None for no quaternion.
+
+    ``mount``, shape (3, 3), leads from the IMU message's axes to b.
+    """
+    quat = np.array(orientation_xyzw, float)
+    norm = float(np.linalg.norm(quat))
+    if not 0.9 < norm < 1.1:
+        return None
+    C_nb = SWAP @ matrix_from_quat(quat / norm) @ mount.T
+    return float(rpy_from_quat(quat_from_matrix(C_nb))[2])
+
+
+class MapFrame:
+    """
+    The map: ENU at a datum.
+
+    Parameters
+    ----------
+    datum_lla : ndarray, shape (3,)
+        rad, rad, m.
+    """
+
+    def __init__(self, datum_lla: Array) -> None:
+        self.datum_lla = np.asarray(datum_lla, float)
+        frame = LocalFrame(self.datum_lla)
+        self.origin_e = lla_to_ecef(self.datum_lla)
+        self.C_me = np.ascontiguousarray(SWAP @ frame.C_en.T)
+
+
+def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:
+    """Fill a NavSatFix that says where the map's origin is."""
+    message = new(OUTPUTS["datum"])
+    set_stamp(message.header.stamp, t_ns)
+    message.header.frame_id = frame_id
+    message.latitude, message.longitude = map(math.degrees, datum_lla[:2])
+    message.altitude = float(datum_lla[2])
+    message.status.status = STATUS_FIX
+    return message
+
+
+def status(name: str, level: int, text: str, values: Mapping[str, object]) -> Status:
+    """Word a DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR."""
+    return Status(level, f"hybrid_ins: {name}", text, [
+        (key, f"{value:.6g}" if isinstance(value, float) else str(value))
+        for key, value in values.items()])
+
+
+def verdict_status(verdict: Verdict, time_offset: float) -> Status:
+    """Word what became of one fix."""
+    measurement: Measurement = verdict.measurement
+    sigma = dict(zip(("sigma_n", "sigma_e", "sigma_u"), verdict.sigma, strict=False))
+    if verdict.accepted:
+        text = verdict.reason or "fused"
+    else:
+        text = f"refused: {verdict.reason}"
+    if not verdict.accepted and math.isfinite(verdict.nis):
+        text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
+    return status("gnss", 0 if verdict.accepted and not verdict.reset else 1, text, {
+        "stamp": measurement.t_ns - round(time_offset * 1e9), "kind": measurement.kind,
+        "accepted": str(verdict.accepted).lower(), "reason": verdict.reason,
+        "nis": verdict.nis, "dof": len(verdict.sigma), "threshold": verdict.threshold,
+        "sigma_e": sigma.get("sigma_e", math.nan), "sigma_n": sigma.get("sigma_n", math.nan),
+        "sigma_u": sigma.get("sigma_u", math.nan), "time_offset": time_offset,
+        "age": verdict.age,
+    })

@@ -1,0 +1,34 @@
+"""When something that is told less often than samples come is due: by their stamps, not a clock."""
+
+from __future__ import annotations
+
+
+class RateLimiter:
+    """
+    Picks the first stamp of each period, the periods counted from stamp zero.
+
+    Where time jumps, back or ahead, the next stamp is due.
+
+    Parameters
+    ----------
+    rate : float
+        [Hz]; 0: every stamp is due.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._next_ns = 0
+        self.change(rate)
+
+    def change(self, rate: float) -> None:
+        """Go on at another rate [Hz]."""
+        self._period_ns = int(1e9 / rate) if rate else 0
+
+    def is_due(self, t_ns: int) -> bool:
+        """Take a stamp [ns] and tell whether it is the first of its period."""
+        period_ns = self._period_ns
+        if not period_ns:
+            return True
+        if self._next_ns - period_ns <= t_ns < self._next_ns:
+            return False
+        self._next_ns = t_ns - t_ns % period_ns + period_ns
+        return True

@@ -1,0 +1,59 @@
+"""
+Where sensors sit, as ``/tf_static`` tells it: a tree of fixed transforms.
+
+Reads the messages by attribute, so that it works on live messages and on those of a bag, with tf2
+installed or not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.rotations import matrix_from_quat
+
+Array = NDArray[np.float64]
+Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,) [m] of a child in its parent
+
+LONGEST_CHAIN = 64
+
+
+class StaticTransforms:
+    """The fixed frames heard of so far."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Pose]] = {}
+
+    def add(self, message: Any) -> None:
+        """Take a tf2_msgs/TFMessage; transforms that are none are left out."""
+        for transform in message.transforms:
+            q, p = transform.transform.rotation, transform.transform.translation
+            quat = np.array([q.x, q.y, q.z, q.w], float)
+            place = np.array([p.x, p.y, p.z], float)
+            norm = float(np.linalg.norm(quat))
+            if math.isfinite(norm) and norm > 0.5 and np.all(np.isfinite(place)):
+                child = transform.child_frame_id.lstrip("/")
+                parent = transform.header.frame_id.lstrip("/")
+                self._parents[child] = parent, (matrix_from_quat(quat / norm), place)
+
+    def find(self, base: str, frame: str) -> Pose | None:
+        """Return the pose of ``frame`` in ``base``; None where no chain connects them."""
+        in_root, root = self._to_root(frame.lstrip("/"))
+        base_in_root, base_root = self._to_root(base.lstrip("/"))
+        if root != base_root:
+            return None
+        C, p = in_root
+        C_base, p_base = base_in_root
+        return C_base.T @ C, C_base.T @ (p - p_base)
+
+    def _to_root(self, frame: str) -> tuple[Pose, str]:
+        C, p = np.eye(3), np.zeros(3)
+        for _ in range(LONGEST_CHAIN):
+            if frame not in self._parents:
+                break
+            frame, (C_parent, p_parent) = self._parents[frame]
+            C, p = C_parent @ C, C_parent @ p + p_parent
+        return (C, p), frame

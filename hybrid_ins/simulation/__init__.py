@@ -1,0 +1,1 @@
+"""Simulated motion and sensors."""

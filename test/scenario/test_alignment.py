@@ -1,0 +1,276 @@
+"""From nothing to a filter: on the ground, in flight, with a heading and without."""
+
+import numpy as np
+import pytest
+from support.scenes import EPOCH_NS, heading_std, make_navigator, play, scene, stamp
+
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.rotations import rpy_from_quat
+from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT
+from hybrid_ins.simulation.motions import (
+    START_LLA,
+    aircraft_flight,
+    car_drive,
+    quadrotor_flight,
+    random_motion,
+    static,
+)
+from hybrid_ins.simulation.sensors import ImuErrors
+
+FIVE_DEGREES = np.radians(5.0)
+
+
+def test_it_says_what_it_waits_for_in_order() -> None:
+    run = scene(static(6.0))
+    navigator = make_navigator()
+    said = []
+
+    def note(t: float) -> None:
+        if not said or said[-1][0] != navigator.state:
+            said.append((navigator.state, navigator.waiting_for))
+
+    assert navigator.state == "imu" and "IMU" in navigator.waiting_for
+    play(run, navigator, fix=lambda t: t > 2.0, after=note)
+
+    assert [state for state, _ in said] == ["imu", "gnss", "heading"]
+    assert "GNSS" in said[1][1]
+    assert "motion" in said[2][1] and "initialpose" in said[2][1]
+
+
+def test_standing_still_decides_nothing_and_learns_the_gyroscope_bias() -> None:
+    # GIVEN a vehicle that stands for half a minute WITHOUT any heading
+    run = scene(static(30.0, heading=1.0))
+    navigator = make_navigator()
+
+    play(run, navigator)
+
+    # THEN no heading is claimed, but position and biases are known
+    assert navigator.filter is None and navigator.standing
+    assert heading_std(navigator) > np.radians(50.0)
+    assert run.errors(navigator, 30.0)[0] < 0.1
+    assert navigator.best is not None
+    assert navigator.best.nav[BIAS_G] == pytest.approx([0.002, -0.003, 0.001], abs=5e-4)
+
+
+@pytest.mark.parametrize("heading", np.linspace(-2.9, 3.1, 4))
+@pytest.mark.parametrize("trajectory", [quadrotor_flight, car_drive])
+def test_motion_shows_the_heading(trajectory, heading: float) -> None:
+    # GIVEN 4 s standing, then motion
+    run = scene(trajectory(28.0, 3, heading=heading), seed=3)
+    navigator = make_navigator()
+
+    play(run, navigator)
+
+    assert navigator.filter is not None
+    _, _, error = run.errors(navigator, 28.0)
+    assert error < FIVE_DEGREES and error < 4.0 * heading_std(navigator)
+
+
+@pytest.mark.parametrize("start", [9.0, 14.3])
+def test_start_in_flight(start: float) -> None:
+    run = scene(quadrotor_flight(40.0, 1, heading=2.0), seed=1)
+    navigator = make_navigator()
+
+    play(run, navigator, start=start, stop=start + 20.0)
+
+    assert navigator.filter is not None
+    position, velocity, error = run.errors(navigator, start + 20.0)
+    assert error < FIVE_DEGREES and position < 0.5 and velocity < 0.5
+
+
+def test_nose_need_not_point_where_it_moves() -> None:
+    # GIVEN a vehicle that moves sideways and backwards while it turns
+    run = scene(random_motion(30.0, 5, heading=-1.0), seed=5)
+    navigator = make_navigator("motion")
+
+    play(run, navigator)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 30.0)[2] < FIVE_DEGREES
+
+
+def test_claimed_uncertainty_covers_the_error_when_it_is_decided() -> None:
+    normalised = []
+    for seed in range(12):
+        run = scene(quadrotor_flight(20.0, seed, heading=0.5 * seed), seed=seed)
+        navigator = make_navigator()
+
+        def note(t: float, run=run, navigator=navigator, seed=seed) -> None:
+            if navigator.filter is not None and len(normalised) == seed:
+                normalised.append(run.errors(navigator, t)[2] / heading_std(navigator))
+
+        play(run, navigator, after=note)
+        assert len(normalised) == seed + 1
+
+    assert max(normalised) < 4.0 and np.sqrt(np.mean(np.square(normalised))) < 1.6
+
+
+@pytest.mark.parametrize(("sigma", "after"), [(0.08, 1.0), (0.15, 10.0), (0.25, None)])
+def test_a_heading_known_less_well_is_decided_on_later(
+    monkeypatch: pytest.MonkeyPatch, sigma: float, after: float | None
+) -> None:
+    """Clock or lever arm uncalibrated: the mixture stays wider, and one filter narrows it on."""
+    navigator = make_navigator()
+    play(scene(static(6.0)), navigator)
+    bank = navigator.bank
+    assert bank is not None
+    first_ns, decided = bank.best.t_ns, []
+    monkeypatch.setattr(bank, "heading", lambda: (0.5, sigma))
+
+    for t in np.arange(0.0, 20.0, 0.1):
+        bank.best.t_ns = first_ns + round(t * 1e9)
+        if bank.decide() is not None:
+            decided.append(t)
+
+    if after is None:
+        assert not decided
+    else:
+        assert decided[0] == pytest.approx(after, abs=0.11)
+        P = bank.best.nav[COVARIANCE][DIAGONAL]
+        assert P[8] == pytest.approx(sigma**2 + 0.5**2)
+
+
+def test_outlier_while_undecided_hurts_nobody() -> None:
+    run = scene(quadrotor_flight(25.0, 2, heading=1.0), seed=2)
+    navigator = make_navigator()
+
+    play(run, navigator, shift=lambda t: 80.0 if 6.0 < t < 6.3 or 8.0 < t < 8.3 else 0.0)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 25.0)[2] < FIVE_DEGREES
+    assert sum(not v.accepted and "gate" in v.reason for v in run.verdicts) >= 2
+
+
+def test_late_fixes_serve_the_hypotheses_too() -> None:
+    run = scene(quadrotor_flight(25.0, 2, heading=1.0), seed=2)
+    navigator = make_navigator()
+
+    play(run, navigator, delay=lambda t: 0.3)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 25.0)[2] < FIVE_DEGREES
+
+
+def test_heading_by_parameter_holds_at_the_first_sample_and_is_carried_on() -> None:
+    # GIVEN a vehicle that turns from the first sample on
+    run = scene(random_motion(4.0, 7, heading=0.8), seed=7)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0), yaw_std=0.02)
+
+    play(run, navigator, stop=1.5)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 1.5)[2] < 0.06
+
+
+def test_heading_by_hand_goes_before_all_and_ends_the_search() -> None:
+    run = scene(static(6.0, heading=1.0))
+    navigator = make_navigator()
+    play(run, navigator, stop=4.0)
+    assert navigator.filter is None
+
+    navigator.realign()
+    navigator.alignment.set_yaw(navigator.last_ns, 1.0, 0.02)
+    play(run, navigator, start=4.0)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 6.0)[2] < 0.05
+
+
+def test_course_is_taken_where_it_is_asked_for() -> None:
+    run = scene(aircraft_flight(8.0, 1), seed=1)
+    navigator = make_navigator("course")
+
+    play(run, navigator)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 8.0)[2] < 0.2
+
+
+def test_imu_heading_is_taken_where_it_is_asked_for() -> None:
+    run = scene(static(4.0, heading=-2.0))
+    navigator = make_navigator("imu")
+    play(run, navigator, stop=2.0)
+    assert navigator.filter is None and "orientation" in navigator.waiting_for
+
+    navigator.alignment.observe_yaw(-2.0)
+    play(run, navigator, start=2.0)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 4.0)[2] < 0.05
+
+
+def test_biases_that_are_given_are_where_the_filter_begins() -> None:
+    # GIVEN an IMU whose biases an earlier recording told, in a vehicle that moves from the start
+    errors = ImuErrors(accelerometer_bias=(0.5, -0.4, 0.3), gyroscope_bias=(0.2, -0.1, 0.05))
+    run = scene(random_motion(4.0, 7, heading=0.8), seed=7, errors=errors)
+
+    def tilt(navigator: Navigator) -> float:
+        play(run, navigator, stop=1.3)
+        assert navigator.filter is not None
+        k = int(np.argmin(np.abs(run.truth.t - 1.3)))
+        truth = rpy_from_quat(run.truth.quat_xyzw[k])
+        return float(np.max(np.abs((rpy_from_quat(navigator.filter.nav[QUAT]) - truth)[:2])))
+
+    knowing = make_navigator(
+        "parameter", yaw=run.yaw(0.0), bias_a=errors.accelerometer_bias,
+        bias_g=errors.gyroscope_bias)
+    ignorant = make_navigator("parameter", yaw=run.yaw(0.0))
+
+    # THEN the first state holds them, and is levelled by readings that are freed from them
+    assert tilt(knowing) < 0.5 * tilt(ignorant)
+    assert knowing.filter is not None
+    assert knowing.filter.nav[BIAS_A] == pytest.approx(errors.accelerometer_bias, abs=0.02)
+    assert knowing.filter.nav[BIAS_G] == pytest.approx(errors.gyroscope_bias, abs=2e-3)
+
+
+def test_upside_down_is_an_attitude_like_any_other() -> None:
+    run = scene(static(5.0, heading=0.5, roll=np.pi - 0.1))
+    navigator = make_navigator("parameter", yaw=0.5)
+
+    play(run, navigator)
+
+    assert navigator.filter is not None
+    assert run.errors(navigator, 5.0)[2] < 0.05
+
+
+@pytest.mark.parametrize(("factor", "words"), [
+    (0.001, "gravity seems to be removed"), (1 / 9.80665, "seems to be g"), (9.80665, "unit")])
+def test_force_in_other_units_is_refused_loudly(factor: float, words: str) -> None:
+    run = scene(static(4.0))
+    run.force *= factor
+    navigator = make_navigator()
+
+    play(run, navigator)
+
+    assert navigator.state == "imu" and words in navigator.waiting_for
+
+
+def test_height_may_be_missing() -> None:
+    run = scene(static(5.0, heading=0.5))
+    run.fix_lla[:, 2] = np.nan
+    navigator = make_navigator("parameter", yaw=0.5)
+
+    play(run, navigator)
+
+    assert navigator.filter is not None
+    assert np.all(np.isfinite(navigator.filter.nav))
+
+
+def test_vibration_and_a_smooth_cruise_are_not_standing() -> None:
+    shaking = scene(static(8.0), errors=ImuErrors(accelerometer_std=1.0, gyroscope_std=0.05))
+    cruise = scene(aircraft_flight(8.0, 0), seed=0)
+    for run in (shaking, cruise):
+        navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+        play(run, navigator, after=lambda t, n=navigator: pytest.fail("stands") if n.standing
+             else None)
+
+
+def test_one_fix_is_no_velocity() -> None:
+    run = scene(static(3.0))
+    navigator = make_navigator()
+    play(run, navigator, fix=lambda t: t == 1.0)
+
+    assert navigator.state == "gnss"
+    navigator.measure(PositionFix(stamp(3.0), START_LLA, np.eye(3), np.zeros(3)))
+    assert navigator.last_ns > EPOCH_NS

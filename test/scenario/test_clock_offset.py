@@ -1,0 +1,118 @@
+"""The clock offset is found while flying, and looking for it changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenario.test_noise_multiple_model import begin, fly
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.bag import new_message
+from hybrid_ins.core.clock_offset import ClockOffset
+from hybrid_ins.core.ins_filter import ClockShift
+from hybrid_ins.core.state import N_NAV
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.estimator import Estimator
+from tools.paper.montecarlo import Run, Scenario, draw
+
+SCENE = Scenario("flight", rate=100.0, duration=45.0)
+
+
+def stamped_early(run: Run, by: float) -> Run:
+    first = int(run.samples["t_ns"][0])
+    fixes = tuple(replace(f, t_ns=f.t_ns - round(by * 1e9)) for f in run.fixes)
+    return replace(run, fixes=tuple(f for f in fixes if f.t_ns > first))
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03, -0.05])
+def test_offset_is_told_with_its_uncertainty(offset: float) -> None:
+    ins, _ = fly(stamped_early(draw(SCENE, 1), offset))
+    assert ins.clock.missing == pytest.approx(offset, abs=0.02)
+    assert ins.clock.sigma < 0.01
+
+
+def test_looking_for_it_leaves_the_state_alone_to_the_last_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = stamped_early(draw(SCENE, 1), 0.05)
+    looking = fly(run, late=0.1)[0]
+    assert looking.clock.sigma < 0.02
+    monkeypatch.setattr(ClockOffset, "learn", lambda self, correction: None)
+    blind = fly(run, late=0.1)[0]
+    assert blind.clock.missing == 0.0
+
+    assert looking.nav.tobytes() == blind.nav.tobytes()
+
+
+def test_late_fixes_tell_the_same() -> None:
+    run = stamped_early(draw(SCENE, 2), 0.03)
+    run = replace(run, fixes=tuple(f for f in run.fixes if f.t_ns < run.samples["t_ns"][-100]))
+    in_time, late = fly(run)[0], fly(run, late=0.35)[0]
+    assert late.clock.missing == pytest.approx(in_time.clock.missing, abs=1e-9)
+
+
+def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
+    # GIVEN a filter that ran on, with a shift in between
+    run = draw(SCENE, 3)
+    stamps = run.samples["t_ns"]
+    split = int(np.searchsorted(stamps, stamps[0] + 10_000_000_000))
+    results = []
+    for late in (False, True):
+        ins = begin(run)
+        ins.ring.extend(run.samples[1:split])
+        fixes = [f for f in run.fixes if f.t_ns < stamps[split - 1]]
+        shift = ClockShift(fixes[-2].t_ns + 1, 0.02)
+        # WHEN the last fixes and the shift come in order, or after the samples
+        for event in (*fixes[:-2], *(() if late else (fixes[-2], shift, fixes[-1]))):
+            ins.submit(event)
+        ins.process_imu_block(run.samples[1:split])
+        if late:
+            for event in (shift, fixes[-1], fixes[-2]):
+                ins.submit(event)
+        results.append(ins.nav[:N_NAV].copy())
+    # THEN the state is the same
+    np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
+
+
+def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
+    """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
+    estimator = Estimator(
+        parameters.check_all({"alignment.heading_source": "parameter", "alignment.yaw_std": 0.5,
+                              "alignment.yaw": np.pi / 2, **values}), lambda level, text: None)
+    fix = new_message("sensor_msgs/msg/NavSatFix")
+    fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
+    fix.position_covariance_type = 2
+    stamps, start = run.samples["t_ns"], 0
+    for f in run.fixes:
+        stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
+        estimator.imu_block(
+            stamps[start:stop], run.samples["f"][start:stop] @ FLIP,
+            run.samples["w"][start:stop] @ FLIP)
+        start = stop
+        conversions.set_stamp(fix.header.stamp, f.t_ns)
+        fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()
+        fix.altitude = float(f.lla[2])
+        estimator.fix(fix)
+    return estimator
+
+
+def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
+    run = stamped_early(draw(SCENE, 4), 0.15)
+    estimator = through_estimator(run, **{"gnss.time_offset.estimate": True})
+    assert estimator._gnss.time_offset == pytest.approx(0.15, abs=0.03)
+    clock = estimator.diagnostics(estimator.navigator.last_ns)[-1]
+    assert clock.name.endswith("clock")
+    assert float(dict(clock.values)["time_offset"]) == pytest.approx(0.15, abs=0.03)
+
+
+def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
+    run = stamped_early(draw(SCENE, 5), 0.15)
+    estimator = through_estimator(run)
+    assert estimator._gnss.time_offset == 0.0
+    assert estimator.counts["gnss: clock offset"] > 0
+    assert "run ins_calibrate" in estimator._clock_fault()
+    # AND nothing is told of a right one
+    assert through_estimator(draw(SCENE, 5)).counts["gnss: clock offset"] == 0

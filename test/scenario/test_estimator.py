@@ -1,0 +1,201 @@
+"""The estimator between its messages: control, restarts, and what it says of bad input."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.bag import new_message
+from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.ros.conversions import FLIP, set_stamp
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.simulation.motions import quadrotor_flight
+from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
+from hybrid_ins.trajectory import Trajectory
+
+EPOCH_NS = 1_700_000_000_000_000_000
+GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": math.pi / 2 - 0.7}
+
+
+class Drive:
+    """A flight fed message by message."""
+
+    def __init__(self, **values: Any) -> None:
+        self.log: list[tuple[str, str]] = []
+        self.estimator = Estimator(
+            {**parameters.defaults(), **values}, lambda level, text: self.log.append((level, text)))
+        motion = quadrotor_flight(60.0, 4, heading=0.7)
+        self.truth = sample(motion, sample_times(60.0, 100.0))
+        rng = np.random.default_rng(3)
+        imu = corrupt(self.truth, ImuErrors(), rng)
+        self.force, self.rate = imu.specific_force @ FLIP, imu.angular_rate @ FLIP
+        self.gnss = fixes(sample(motion, sample_times(60.0, 5.0)), rng)
+        self.track = Trajectory.from_navigation(
+            np.zeros(len(self.truth.t), np.int64), self.truth.lla, self.truth.velocity_n,
+            self.truth.quat_xyzw, datum_lla=self.gnss.lla[0])
+        self.shift_ns = 0
+        self.published = 0
+
+    def stamp(self, t: float) -> int:
+        return EPOCH_NS + round(t * 1e9) + self.shift_ns
+
+    def play(self, start: float, stop: float, force: Any = None, with_fixes: bool = True) -> None:
+        k = int(np.searchsorted(self.gnss.t, start))
+        for i in np.flatnonzero((self.truth.t >= start) & (self.truth.t < stop)):
+            t = float(self.truth.t[i])
+            f = self.force[i] if force is None else force(self.force[i])
+            self.published += self.estimator.imu(
+                self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist()))
+            self.estimator.tick()
+            while with_fixes and k < len(self.gnss.t) and self.gnss.t[k] <= t:
+                self.fix(k)
+                k += 1
+
+    def fix(self, k: int) -> None:
+        message = new_message("sensor_msgs/msg/NavSatFix")
+        set_stamp(message.header.stamp, self.stamp(float(self.gnss.t[k])))
+        message.latitude, message.longitude = np.degrees(self.gnss.lla[k, :2]).tolist()
+        message.altitude = float(self.gnss.lla[k, 2])
+        message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
+        message.position_covariance_type = 2
+        self.estimator.fix(message)
+
+    def error(self, t: float) -> float:
+        i = int(np.argmin(np.abs(self.truth.t - t)))
+        return float(np.linalg.norm(self.estimator.odometry[:3] - self.track.position_enu[i]))
+
+    def warnings(self) -> list[str]:
+        return [text for level, text in self.log if level == "warn"]
+
+    def status(self, name: str) -> Any:
+        t_ns = self.estimator.navigator.last_ns
+        return next(s for s in self.estimator.diagnostics(t_ns) if s.name.endswith(name))
+
+
+def test_reset_aligns_anew_and_keeps_the_map() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 10.0)
+    datum = [topic for topic, _ in drive.estimator.outbox].count("datum")
+
+    drive.estimator.reset()
+
+    assert not drive.estimator.aligned
+    drive.play(10.0, 10.5)
+    assert "aligning" in drive.status("filter").text
+    drive.play(10.5, 40.0)
+    assert drive.estimator.aligned and drive.error(39.99) < 0.5
+    assert [topic for topic, _ in drive.estimator.outbox].count("datum") == datum == 1
+
+
+def test_a_pose_by_hand_gives_the_heading() -> None:
+    # GIVEN an estimator that waits for motion to show its heading
+    drive = Drive()
+    drive.play(0.0, 3.5)
+    assert not drive.estimator.aligned
+    pose = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
+    q = pose.pose.pose.orientation
+    q.x, q.y, q.z, q.w = quat_from_rpy(0.0, 0.0, math.pi / 2 - 0.7).tolist()
+    pose.pose.covariance[35] = 0.02**2
+
+    drive.estimator.initial_pose(pose)
+
+    drive.play(3.5, 4.2)
+    assert drive.estimator.aligned
+    assert float(drive.status("filter").values[4][1]) < 2.0  # sigma_heading_deg
+
+
+def test_a_pose_without_rotation_changes_nothing() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 5.0)
+    before = drive.estimator.odometry.copy()
+    drive.estimator.initial_pose(new_message("geometry_msgs/msg/PoseWithCovarianceStamped"))
+    assert drive.estimator.aligned and np.array_equal(before, drive.estimator.odometry)
+    assert drive.estimator.counts["initialpose: no orientation"] == 1
+
+
+def test_changes_while_it_runs_keep_the_state() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 20.0)
+    for changes in ({"noise.mode": "constant"}, {"gnss.gate_probability": 0.99},
+                    {"gnss.patience": 1.0}, {"gnss.position_std_min": 0.05},
+                    {"imu.accelerometer_bias_walk": 2e-3}, {"noise.mode": "learned"}):
+        drive.estimator.change(parameters.check_change(drive.estimator.values, changes))
+        assert drive.estimator.aligned
+    drive.play(20.0, 30.0)
+    assert drive.error(29.99) < 0.5
+    assert not drive.warnings()
+
+
+@pytest.mark.parametrize("jump", [-3600.0, 3600.0, -5.0], ids=["back", "ahead", "loop"])
+def test_clocks_that_jump_begin_anew_said_once(jump: float) -> None:
+    drive = Drive()
+    drive.play(0.0, 25.0)
+    assert drive.estimator.aligned
+    # WHEN simulated time, or a bag that is played again, jumps
+    drive.shift_ns = round(jump * 1e9)
+    drive.play(25.0, 50.0)
+
+    said = [text for text in drive.warnings() if "aligning anew" in text]
+    assert len(said) == 1, drive.warnings()
+    assert drive.estimator.aligned and drive.error(49.99) < 0.5
+
+
+def test_accelerations_of_zero_are_no_free_fall() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 20.0)
+    before = drive.estimator.odometry.copy()
+
+    drive.play(20.0, 20.3, force=np.zeros_like)
+
+    assert np.array_equal(before, drive.estimator.odometry)
+    assert drive.estimator.counts["imu: no acceleration"] == 30
+    assert any("exactly zero" in text for text in drive.warnings())
+    drive.play(20.3, 30.0)
+    assert drive.error(29.99) < 0.5
+
+
+def test_an_unusable_imu_ends_dead_reckoning_and_its_biases_are_remembered() -> None:
+    drive = Drive()
+    drive.play(0.0, 30.0)
+    running = drive.estimator.navigator.filter
+    assert running is not None
+    known = running.state.bias_g.copy()
+
+    # WHEN the driver begins to remove gravity
+    drive.play(30.0, 34.0, force=lambda f: f - np.array([0.0, 0.0, 9.8]))
+
+    assert not drive.estimator.aligned
+    status = drive.status("input")
+    assert status.level == 2 and "no gravity" in status.text and "specific force" in status.text
+    drive.play(34.0, 50.0)
+    assert drive.estimator.aligned and drive.error(49.99) < 0.5
+    again = drive.estimator.navigator.filter
+    assert again is not None
+    assert again.state.bias_g == pytest.approx(known, abs=1e-3)
+
+
+def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 30.0)
+    stuck = drive.gnss.lla.copy()
+    drive.gnss.lla[150:165] = stuck[150]
+
+    drive.play(30.0, 33.0)
+
+    assert drive.estimator.counts["gnss: same position while moving"] == 14
+    assert drive.error(32.99) < 2.0
+
+
+def test_an_outage_says_how_long_and_how_far() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 30.0)
+    drive.play(30.0, 40.0, with_fixes=False)
+    status = drive.status("filter")
+    said = dict(status.values)
+    assert status.level == 1 and "dead reckoning for 10 s" in status.text
+    assert float(said["since_last_fix"]) == pytest.approx(10.0, abs=0.3)
+    assert drive.error(39.99) < 4.0 * float(said["sigma_position_horizontal"]) + 0.1

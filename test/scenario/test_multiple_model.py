@@ -1,0 +1,239 @@
+"""A clock that nothing is known of is found among many, and nothing else changes by that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+from scenario.test_clock_offset import SCENE, stamped_early, through_estimator
+
+from hybrid_ins.core import multiple_model
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.multiple_model import ASTRAY_SPEED, ASTRAY_TURN, CELLS, STEPS, opened
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
+from hybrid_ins.ros.estimator import Estimator
+from tools.paper.montecarlo import Run, draw
+
+SECOND = 1_000_000_000
+STORE = get_typestore(Stores.ROS2_JAZZY)
+AUTO = {"alignment.heading_source": "auto"}
+
+
+def until(run: Run, seconds: float) -> Run:
+    """Keep the first stretch of a run."""
+    end = int(run.samples["t_ns"][0]) + round(seconds * SECOND)
+    return replace(run, fixes=tuple(f for f in run.fixes if f.t_ns <= end))
+
+
+def jumping(run: Run, at: float, by: float) -> Run:
+    """Stamp the fixes ``by`` [s] early from ``at`` [s] on."""
+    since = int(run.samples["t_ns"][0]) + round(at * SECOND)
+    return replace(run, fixes=tuple(
+        replace(f, t_ns=f.t_ns - round(by * SECOND)) if f.t_ns > since else f
+        for f in run.fixes))
+
+
+def estimating(run: Run, late: float = 0.0, **values: object) -> Estimator:
+    return through_estimator(run, late, **{"gnss.time_offset.estimate": True, **values})
+
+
+def offset(estimator: Estimator) -> float:
+    return estimator._gnss.time_offset
+
+
+def found(estimator: Estimator) -> tuple[float, float]:
+    told = estimator._clock_found()
+    assert told is not None
+    return told
+
+
+def told_and_waiting(estimator: Estimator) -> list[int]:
+    """Stamps [ns], as the receiver gave them, of all verdicts and of what is not decided yet."""
+    verdicts = [STORE.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticStatus")
+                for topic, data in estimator.outbox if topic == "gnss/verdict"]
+    stamps = [int(value.value) for v in verdicts for value in v.values if value.key == "stamp"]
+    waiting = estimator.navigator.filter.withdraw()  # type: ignore[union-attr]
+    return sorted([*stamps, *(m.t_ns - round(1e9 * offset(estimator)) for m in waiting)])
+
+
+@pytest.mark.parametrize(("true", "late"), [(-0.5, 0.0), (-0.23, 0.3), (0.0, 0.0), (0.35, 0.0)])
+def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None:
+    estimator = estimating(until(stamped_early(draw(SCENE, 4), true), 22.0), late)
+
+    assert estimator.navigator.bank is None
+    assert offset(estimator) == pytest.approx(true, abs=0.02)
+    missing, sigma = found(estimator)
+    assert sigma < 0.02
+    assert abs(offset(estimator) + missing - true) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(("seed", "value", "true"), [(0, 0.0, -0.35), (1, 0.0, 0.3), (2, 0.5, 0.1),
+                                                   (3, 0.0, 0.12), (5, -0.3, -0.2)])
+def test_heading_and_clock_are_found_together(seed: int, value: float, true: float) -> None:
+    # GIVEN a flight of which neither is known
+    run = until(stamped_early(draw(SCENE, seed), true), 20.0)
+    estimator = estimating(run, **AUTO, **{"gnss.time_offset.value": value})
+    # THEN both are found, and each fix is told of once
+    running = estimator.navigator.filter
+    assert running is not None and estimator.navigator.bank is None
+    assert offset(estimator) == pytest.approx(true, abs=0.03)
+    assert np.sqrt(running.nav[COVARIANCE][DIAGONAL][8]) < 0.1
+    told = told_and_waiting(estimator)
+    np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
+
+
+def test_the_search_goes_on_beyond_its_edge() -> None:
+    estimator = estimating(until(stamped_early(draw(SCENE, 4), 1.1), 30.0))
+
+    assert offset(estimator) == pytest.approx(1.1, abs=0.03)
+
+
+def test_the_filter_that_takes_over_is_where_it_says() -> None:
+    # GIVEN runs whose clock is far off, each long enough to find it
+    nees = []
+    for seed in range(8):
+        run = draw(SCENE, seed)
+        estimator = estimating(until(stamped_early(run, -0.3), 25.0))
+        running = estimator.navigator.filter
+        assert running is not None and estimator.navigator.bank is None
+        # WHEN its position is held against the truth at the next epoch that is scored
+        k = int(np.searchsorted(run.samples["t_ns"][run.scored], running.t_ns))
+        now = run.samples["t_ns"][run.scored[k]]
+        ahead = run.samples[np.searchsorted(run.samples["t_ns"], running.t_ns) + 1:
+                            run.scored[k] + 1]
+        if len(ahead):
+            running.process_imu_block(ahead)
+        assert running.t_ns == now
+        off = (run.lla[k] - running.nav[LLA]) * curvature_scale(run.lla[k])
+        nees.append(off**2 / running.nav[COVARIANCE][DIAGONAL][:3])
+    # THEN it is wrong by what the covariance allows, in the mean of 24 numbers
+    assert 0.3 < np.mean(nees) < 2.2
+
+
+@pytest.mark.parametrize(("value", "true"), [(0.0, 0.35), (0.5, 0.1)])
+def test_each_fix_is_told_of_once(value: float, true: float) -> None:
+    # GIVEN fixes that wait for their samples, by the clock in force or by the right one
+    run = until(stamped_early(draw(SCENE, 4), true), 20.0)
+    estimator = estimating(run, **{"gnss.time_offset.value": value})
+
+    assert offset(estimator) == pytest.approx(true, abs=0.02)
+    assert (estimator.counts["gnss: clock offset found"] > 0) == (value > true)
+    told = told_and_waiting(estimator)
+    np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
+
+
+@pytest.mark.parametrize(("by", "opened"), [(0.2, 1), (-0.06, 0)])
+def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) -> None:
+    # GIVEN fixes that come by another clock of a sudden
+    run = jumping(draw(replace(SCENE, duration=75.0), 5), 35.0, by)
+    estimator = estimating(run)
+    # THEN it shows in the state, or in the noise that the IMU would need, and the new one is found
+    assert offset(estimator) == pytest.approx(by, abs=0.02)
+    assert estimator.counts["gnss: clock offset"] == 1
+    assert estimator.counts["gnss: state opened"] == opened
+
+
+def test_the_filter_that_takes_over_knows_what_all_of_them_did(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.bank
+    assert search is not None and len(search.filters) > 1
+    assert search.decide() is None
+    missing, sigma = search.clock()
+    monkeypatch.setattr(multiple_model, "CLOCK_KNOWN", (1.0, 0))
+    decision = search.decide()
+    assert decision is not None
+    winner = decision.filter
+    assert decision.offset + winner.clock.missing == pytest.approx(missing)
+    assert winner.clock.sigma == pytest.approx(sigma)
+
+
+def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
+    # GIVEN a clock that was found, and an IMU that is away for two seconds
+    run = until(stamped_early(draw(SCENE, 4), 0.2), 26.0)
+    t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9
+    estimator = estimating(replace(run, samples=run.samples[(t < 19.0) | (t > 21.0)]))
+    # THEN the filter that starts after that knows the clock from its beginning
+    assert estimator.counts["restart: no IMU samples"] == 1
+    assert estimator.navigator.bank is None
+    missing, sigma = found(estimator)
+    assert sigma < 0.06
+    assert offset(estimator) + missing == pytest.approx(0.2, abs=0.03)
+
+
+def standing(run: Run) -> Run:
+    rng = np.random.default_rng(1)
+    samples = run.samples.copy()
+    samples["f"] = [0.0, 0.0, -9.8] + 0.02 * rng.standard_normal(samples["f"].shape)
+    samples["w"] = 0.002 * rng.standard_normal(samples["w"].shape)
+    noise = 0.1 * rng.standard_normal((len(run.fixes), 3))
+    fixes = tuple(replace(f, lla=run.fixes[0].lla + dn / curvature_scale(f.lla))
+                  for f, dn in zip(run.fixes, noise, strict=True))
+    return replace(run, samples=samples, fixes=fixes)
+
+
+def test_while_nothing_moves_nothing_is_said() -> None:
+    estimator = estimating(standing(draw(SCENE, 1)))
+
+    assert offset(estimator) == 0.0
+    assert found(estimator)[1] > 0.2
+    assert estimator.navigator.bank is not None
+    assert len(estimator.navigator.bank.filters) == 2 * STEPS + 1
+    assert "the search goes on" in estimator.diagnostics(estimator.navigator.last_ns)[-1].text
+
+
+def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
+    run = standing(draw(SCENE, 1))
+    estimator = estimating(until(run, 10.0), **AUTO)
+    bank = estimator.navigator.bank
+    assert bank is not None and len(bank.filters) <= CELLS
+
+    # WHEN the vehicle flies off
+    moving = draw(SCENE, 1)
+    t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9
+    samples = np.where(t < 10.0, run.samples, moving.samples)
+    estimator = estimating(until(replace(run, samples=samples), 12.0), **AUTO)
+    # THEN there are
+    bank = estimator.navigator.bank
+    assert bank is not None and len(bank.filters) > CELLS
+    assert "clock offset" in estimator.navigator.waiting_for
+
+
+def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:
+    run = until(stamped_early(draw(SCENE, 4), 0.1), 5.0)
+    assert through_estimator(run).navigator.bank is None
+
+    estimator = estimating(run)
+    assert estimator.navigator.bank is not None
+    estimator.change({"gnss.time_offset.estimate": False})
+    assert estimator.navigator.bank is None
+    assert estimator.navigator.filters == [estimator.navigator.filter]
+
+
+def test_another_value_while_both_are_open_begins_anew() -> None:
+    # GIVEN a search around a value that is then changed
+    run = stamped_early(draw(SCENE, 4), 0.1)
+    estimator = estimating(until(run, 6.0), **AUTO)
+    bank = estimator.navigator.bank
+    assert bank is not None and bank.clock_open
+    estimator.change({"gnss.time_offset.value": -0.2})
+
+    assert estimator.navigator.bank is None
+
+
+def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
+    state = NavState(np.array([0.8, 0.2, 100.0]), np.array([10.0, -4.0, 1.0]),
+                     np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3),
+                     np.diag(np.full(15, 1e-4)))
+    there = opened(state, 0.5)
+
+    moved = (there.lla - state.lla) * curvature_scale(state.lla)
+    np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
+    std = np.sqrt(np.diag(there.P))
+    np.testing.assert_allclose(std[DV], ASTRAY_SPEED)
+    np.testing.assert_allclose(std[EPS], ASTRAY_TURN)
+    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * ASTRAY_SPEED))
+    # A velocity that was too low has put the state too little back.
+    np.testing.assert_allclose(there.P[DP, DV], -0.5 * ASTRAY_SPEED**2 * np.eye(3))

@@ -1,0 +1,305 @@
+"""Stamps, gaps, outages, jumps: what a navigator makes of what happens in the field."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from support.scenes import make_navigator, play, scene, stamp
+
+from hybrid_ins.core.imu_health import Fault
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.navigator import STAMP_FAULTS
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
+from hybrid_ins.simulation.motions import (
+    START_LLA,
+    Motion,
+    car_drive,
+    quadrotor_flight,
+    static,
+)
+from hybrid_ins.simulation.sensors import ImuErrors
+
+
+def sigma(navigator) -> np.ndarray:
+    return np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL])
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return scene(quadrotor_flight(60.0, 4, heading=0.7), seed=4)
+
+
+@pytest.fixture
+def navigator(flight):
+    return make_navigator("parameter", yaw=flight.yaw(0.0))
+
+
+@pytest.mark.parametrize(("step", "fault"), [
+    (0.0, "imu: repeated stamp"), (-0.05, "imu: stamp out of order"),
+    (900.0, "imu: stamp jumps"), (-900.0, "imu: stamp jumps")])
+def test_a_stray_stamp_is_refused_by_name_and_changes_nothing(
+    flight, navigator, step: float, fault: str
+) -> None:
+    play(flight, navigator, stop=10.0)
+    before = navigator.filter.nav.copy()
+
+    taken = navigator.imu(navigator.last_ns + round(step * 1e9), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+    assert not taken and navigator.refusal == fault and fault in STAMP_FAULTS
+    assert np.array_equal(navigator.filter.nav, before)
+    play(flight, navigator, start=10.0, stop=12.0)
+    assert flight.errors(navigator, 12.0)[0] < 0.3
+    assert not navigator.counts
+
+
+def test_stamps_that_stay_behind_are_a_new_beginning_said_once(flight) -> None:
+    # GIVEN a bag that is played in a loop
+    reasons: list[str] = []
+    navigator = make_navigator("parameter", yaw=flight.yaw(0.0), on_restart=reasons.append)
+    play(flight, navigator, stop=20.0)
+
+    play(flight, navigator, stop=20.0)
+
+    assert len(reasons) == 1 and "went back by" in reasons[0]
+    assert flight.errors(navigator, 20.0)[0] < 0.4
+    assert flight.errors(navigator, 20.0)[2] < 0.05
+
+
+def test_short_gap_is_bridged_with_a_covariance_that_covers_it() -> None:
+    normalised = []
+    for seed in range(10):
+        run = scene(quadrotor_flight(32.0, seed), seed=seed)
+        navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+        # WHEN 0.4 s of IMU samples are missing in a turn
+        play(run, navigator, stop=30.02, imu=lambda t: not 29.6 < t < 30.0,
+             fix=lambda t: t < 29.6)
+
+        assert navigator.counts["imu: gaps bridged"] == 1
+        normalised.append(run.errors(navigator, 30.01)[1] / sigma(navigator)[3:6].max())
+
+    assert np.max(normalised) < 4.0
+
+
+def test_long_gap_ends_dead_reckoning_and_alignment_follows(flight) -> None:
+    reasons: list[str] = []
+    navigator = make_navigator(on_restart=reasons.append)
+
+    play(flight, navigator, imu=lambda t: not 25.0 < t < 29.0)
+
+    assert len(reasons) == 1 and "no IMU samples for 4.0 s" in reasons[0]
+    assert navigator.filter is not None
+    assert flight.errors(navigator, 60.0)[0] < 0.4
+    assert flight.errors(navigator, 60.0)[2] < 0.1
+
+
+def test_heading_survives_a_gap_of_a_vehicle_that_stands() -> None:
+    run = scene(static(20.0, heading=1.2))
+    navigator = make_navigator("parameter", yaw=1.2)
+
+    play(run, navigator, imu=lambda t: not 8.0 < t < 10.0)
+
+    assert navigator.counts["restart: no IMU samples"] == 1
+    assert navigator.filter is not None
+    assert run.errors(navigator, 20.0)[2] < 0.05
+
+
+@pytest.mark.parametrize("delay", [
+    lambda t: 0.3, lambda t: 0.5 * abs(np.sin(1e4 * t))], ids=["constant", "reordering"])
+def test_late_fixes_end_where_punctual_ones_do(flight, delay) -> None:
+    states = []
+    for late in (lambda t: 0.0, delay):
+        navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
+        play(flight, navigator, stop=2.0)
+        play(flight, navigator, start=2.0, stop=20.0, delay=late, fix=lambda t: t < 19.4)
+        states.append(navigator.filter.nav.copy())
+
+    metres = (states[0][LLA] - states[1][LLA]) * 6.4e6
+    assert np.abs(metres).max() < 1e-6
+    assert states[0][VELOCITY] == pytest.approx(states[1][VELOCITY], abs=1e-9)
+
+
+def test_fix_that_is_too_old_is_refused_with_its_age(flight, navigator) -> None:
+    play(flight, navigator, stop=10.0)
+
+    navigator.measure(PositionFix(stamp(8.1), START_LLA, np.eye(3), np.zeros(3)))
+
+    verdict = navigator.verdicts.pop()
+    assert not verdict.accepted and verdict.reason == "too old"
+    assert verdict.age == pytest.approx(1.9, abs=0.02)
+
+
+def test_fix_from_the_future_and_a_repeated_one_are_refused(flight, navigator) -> None:
+    play(flight, navigator, stop=10.0)
+    count = len(flight.verdicts)
+
+    for t in (60.0, 9.8):
+        navigator.measure(PositionFix(stamp(t), START_LLA, np.eye(3), np.zeros(3)))
+
+    assert len(flight.verdicts) == count
+    assert [v.reason for v in navigator.verdicts] == ["stamped ahead of the IMU", "repeated stamp"]
+    assert not any(v.accepted for v in navigator.verdicts)
+
+
+def test_outage_is_dead_reckoned_with_growing_covariance_and_ends_without_a_spike() -> None:
+    # GIVEN a car WITHOUT fixes for 30 s
+    run = scene(car_drive(80.0, 1), seed=1)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    spread = []
+
+    def note(t: float) -> None:
+        if 40.0 <= t < 70.0:
+            spread.append(sigma(navigator)[:2].max())
+
+    before = len(run.verdicts)
+    play(run, navigator, fix=lambda t: not 40.0 < t < 70.0, after=note)
+
+    assert spread[-1] > 2.0 * spread[10]
+    returned = [v for v in run.verdicts[before:] if v.measurement.t_ns >= stamp(70.0)]
+    assert all(v.accepted and not v.reset for v in returned)
+    assert run.errors(navigator, 80.0)[0] < 0.4
+
+
+def test_shift_of_all_fixes_wins_after_the_patience_and_is_said() -> None:
+    # GIVEN a reference station that jumps by 40 m for good
+    run = scene(quadrotor_flight(60.0, 4), seed=4)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+
+    play(run, navigator, shift=lambda t: 40.0 if t >= 30.0 else 0.0)
+
+    refused = [v for v in run.verdicts if not v.accepted and v.measurement.t_ns >= stamp(30.0)]
+    assert 14 <= len(refused) <= 18
+    assert sum(v.reset for v in run.verdicts) == 1
+    assert run.errors(navigator, 60.0)[0] == pytest.approx(40.0, abs=0.5)
+    assert run.errors(navigator, 60.0)[2] < 0.1
+
+
+def test_wild_fixes_for_a_while_do_not_move_the_state() -> None:
+    run = scene(quadrotor_flight(60.0, 4), seed=4)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    rng = np.random.default_rng(0)
+
+    play(run, navigator, stop=36.0,
+         shift=lambda t: rng.normal(0.0, 200.0) if 30.0 <= t < 36.0 else 0.0)
+    # WHEN for twice the patience each contradicts the others
+    assert not any(v.reset for v in run.verdicts)
+    assert run.errors(navigator, 36.0)[0] < 2.0
+
+
+def test_wrong_heading_is_found_out_and_given_up() -> None:
+    # GIVEN a heading by hand that is wrong by a third of a turn, and claims to be right
+    reasons: list[str] = []
+    run = scene(quadrotor_flight(60.0, 4), seed=4)
+    navigator = make_navigator(
+        "parameter", yaw=run.yaw(0.0) + 2.0, yaw_std=0.02, on_restart=reasons.append)
+
+    play(run, navigator)
+
+    assert run.errors(navigator, 60.0)[2] < 0.1
+
+
+def test_standing_vehicle_keeps_still_without_fixes() -> None:
+    # GIVEN a car that stands, WHEN fixes end for a minute
+    run = scene(static(80.0, heading=0.5))
+    navigator = make_navigator("parameter", yaw=0.5)
+
+    play(run, navigator, fix=lambda t: t < 20.0)
+
+    assert navigator.standing
+    assert run.errors(navigator, 80.0)[0] < 0.5
+    assert run.errors(navigator, 80.0)[1] < 0.03
+
+
+def test_stop_in_an_outage_is_noticed_by_the_filter() -> None:
+    run = scene(car_drive(60.0, 1), seed=1)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    standing = []
+
+    play(run, navigator, after=lambda t: standing.append((t, navigator.standing)))
+
+    moving = {t: float(np.linalg.norm(v)) for t, v in
+              zip(run.truth.t.round(3), run.truth.velocity_n, strict=True)}
+    assert not [t for t, stands in standing if stands and moving[round(t, 3)] > 0.3]
+
+
+def test_shaking_sensor_is_not_standing() -> None:
+    run = scene(static(10.0), errors=ImuErrors(accelerometer_std=0.6, gyroscope_std=0.03))
+    navigator = make_navigator("parameter")
+
+    play(run, navigator)
+
+    assert not navigator.standing
+
+
+def drop() -> Motion:
+    """Stand for 10 s, fall for two, be caught within another two, and hang."""
+    t = np.arange(0.0, 20.0, 0.02)
+    acceleration = np.select([t < 10.0, t < 12.0, t < 14.0], [0.0, 9.8, -9.8], 0.0)
+    acceleration = gaussian_filter1d(acceleration, 2.0)
+    down = np.cumsum(acceleration) * 0.02
+    zero = np.zeros_like(down)
+    velocity = make_interp_spline(t, np.stack((zero, zero, down), axis=1), k=5)
+    rpy = make_interp_spline(t, np.stack((zero, zero, zero + 1.2), axis=1), k=5)
+    return Motion(START_LLA, float(t[-1]), velocity.antiderivative(), rpy)
+
+
+@pytest.mark.parametrize("fix_rate", [5.0, 1.0])
+def test_free_fall_is_no_missing_gravity(fix_rate: float) -> None:
+    run = scene(drop(), fix_rate=fix_rate)
+    navigator = make_navigator("parameter", yaw=1.2)
+    seen: list[Fault | None] = []
+    heights: list[float] = []
+
+    def watch(t: float) -> None:
+        if navigator.filter is not None:
+            seen.append(navigator.fault)
+            truth = run.truth.lla[round(t * 100.0)]
+            heights.append(abs(navigator.filter.nav[LLA][2] - truth[2]))
+
+    play(run, navigator, after=watch)
+
+    assert run.truth.lla[-1, 2] < -30.0
+    assert not navigator.counts
+    assert seen == [None] * len(seen)
+    assert max(heights[500:]) < 0.6
+
+
+@pytest.mark.parametrize("fix_rate", [5.0, 1.0])
+def test_missing_gravity_is_no_free_fall(fix_rate: float) -> None:
+    run = scene(static(20.0, heading=1.2), fix_rate=fix_rate)
+    run.force[run.t >= 10.0] -= run.force[:500].mean(axis=0)
+    reasons: list[str] = []
+    navigator = make_navigator("parameter", yaw=1.2, on_restart=reasons.append)
+
+    play(run, navigator, stop=12.2)
+
+    assert len(reasons) == 1 and "unusable: mean acceleration is" in reasons[0]
+    assert navigator.filter is None
+
+
+def test_covariance_stays_positive_through_everything(flight, navigator) -> None:
+    rng = np.random.default_rng(1)
+    play(flight, navigator, imu=lambda t: rng.random() > 0.2,
+         fix=lambda t: not 20.0 < t < 35.0, delay=lambda t: 0.7 * rng.random(),
+         shift=lambda t: 30.0 * (rng.random() > 0.9))
+
+    assert np.linalg.eigvalsh(covariance(navigator.filter.nav)).min() > 0.0
+    assert np.all(np.isfinite(navigator.filter.nav))
+
+
+def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_admits() -> None:
+    # GIVEN 4 s of vibration beyond the accelerometer's range, noise of which nobody tells
+    run = scene(quadrotor_flight(24.0, 3, heading=0.5), seed=3)
+    shaken = (run.t >= 12.0) & (run.t < 16.0)
+    force = run.force[shaken] + np.random.default_rng(0).normal(0.0, 8.0, (int(shaken.sum()), 3))
+    run.force[shaken] = np.clip(force, -16.0, 16.0)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    largest = []
+
+    play(run, navigator, stop=12.0)
+    play(run, navigator, start=12.0, stop=18.0,
+         after=lambda t: largest.append(run.errors(navigator, t)[0]))
+
+    # THEN fixes go on to be fused, and hold the state
+    assert max(largest) < 1.5
+    refused = [v for v in run.verdicts if not v.accepted]
+    assert len(refused) < 10

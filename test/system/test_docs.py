@@ -1,0 +1,278 @@
+"""What the documentation says is so: links, commands, parameters, topics, layouts, policy."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from support.paths import ROOT
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.bag import new_message
+from hybrid_ins.ros.conversions import OUTPUTS
+from tools import generate_docs
+from tools.processes import program
+
+PAGES = sorted(
+    path
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *ROOT.glob("config/**/*.md"))
+)
+INPUTS = {
+    "imu/data": "sensor_msgs/msg/Imu",
+    "gnss/fix": "sensor_msgs/msg/NavSatFix",
+    "gnss/velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+}
+TOPICS = {
+    "/" + name.lstrip("/"): type_name
+    for name, type_name in {
+        **INPUTS,
+        **OUTPUTS,
+        "truth/odometry": "nav_msgs/msg/Odometry",
+    }.items()
+}
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.fixture(params=PAGES, ids=name_of)
+def page(request: pytest.FixtureRequest) -> Path:
+    return Path(request.param)
+
+
+def commands(page: Path) -> list[str]:
+    """The lines of a page's code blocks, continued ones joined, and its code in the text."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```[a-z]*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    lines = "\n".join(blocks) + "\n" + "\n".join(re.findall(r"^    (.*)$", text, re.MULTILINE))
+    return lines.replace("\\\n", " ").splitlines() + re.findall(r"`([^`\n]+)`", text)
+
+
+@cache
+def help_of(name: str) -> str:
+    return subprocess.run(
+        [program(name), "--help"], stdout=subprocess.PIPE, text=True, check=True, timeout=60
+    ).stdout
+
+
+class TestPages:
+    def test_links_lead_to_something(self, page: Path) -> None:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"", text):
+            link = "".join(target)
+            if link.startswith(("http:", "https:")):
+                continue
+            file, _, anchor = link.partition("#")
+            there = (page.parent / file).resolve() if file else page
+            assert there.exists(), link
+            if anchor:
+                assert anchor in anchors(there), link
+
+    def test_programs_and_their_options_exist(self, page: Path) -> None:
+        for line in commands(page):
+            for name, rest in re.findall(r"(?:^|[\s/])(ins_[a-z]+)\b(?![./])([^|;#]*)", line):
+                if not (Path(program(name))).exists():
+                    assert name in ("ins_filter",), line
+                    continue
+                for option in re.findall(r"(?:^|\s)(--[a-z-]+)", rest.partition("--ros-args")[0]):
+                    assert option in help_of(name), f"{name} has no {option}: {line}"
+
+    def test_scripts_exist(self, page: Path) -> None:
+        for line in commands(page):
+            for script in re.findall(r"\b(tools/[a-z_]+\.(?:py|sh))", line):
+                assert (ROOT / script).is_file(), line
+            for test in re.findall(r"\b(test/test_[a-z_0-9]+\.py)", line):
+                assert (ROOT / test).is_file(), line
+
+    def test_launch_files_and_their_arguments_exist(self, page: Path) -> None:
+        for line in commands(page):
+            for file, rest in re.findall(r"ros2 launch hybrid_ins (\S+)([^#]*)", line):
+                source = (ROOT / "launch" / file).read_text(encoding="utf-8")
+                for argument in re.findall(r"(\w+):=", rest):
+                    assert f'"{argument}"' in source, line
+
+    def test_parameters_exist(self, page: Path) -> None:
+        groups = {name.partition(".")[0] for name in parameters.PARAMETERS if "." in name}
+        for line in commands(page):
+            named = re.findall(r"-p '?\"?([a-z_.]+):=", line)
+            if re.fullmatch(rf"({'|'.join(groups)})(\.[a-z_]+)+", line):
+                named.append(line)
+            for name in named:
+                assert name in parameters.PARAMETERS, line
+
+    def test_nothing_is_left_to_fill_in(self, page: Path) -> None:
+        assert "TODO" not in page.read_text(encoding="utf-8")
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors that GitHub makes of a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings
+    }
+
+
+def test_what_is_written_from_the_declarations_is_current() -> None:
+    assert generate_docs.main(["--check"]) == 0
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "config" / "vehicles").glob("*.yaml")), ids=lambda path: path.name
+)
+def test_vehicles_are_parameter_files(path: Path) -> None:
+    values = parameters.load_file(path)
+
+    assert values != parameters.defaults()
+
+
+def test_messages_in_troubleshooting_are_the_programs_own() -> None:
+    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    quoted = [
+        span for line in re.findall(r"^> (.*)$", text, re.M) for span in re.findall("`(.+?)`", line)
+    ]
+    constants = "\n".join(
+        node.value
+        for path in (*(ROOT / "hybrid_ins").rglob("*.py"), *(ROOT / "tools").glob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+    script = (ROOT / "tools" / "setup.sh").read_text(encoding="utf-8")
+
+    assert len(quoted) > 15
+    for message in quoted:
+        for part in message.split("…"):
+            assert part.strip() in constants + script, message
+
+
+class TestViewers:
+    FOLDER = ROOT / "config" / "viewers"
+
+    def test_plotjuggler(self) -> None:
+        layout = ElementTree.parse(self.FOLDER / "plotjuggler.xml").getroot()
+        computed = {snippet.get("name") for snippet in layout.iter("snippet")}
+        series = [curve.get("name") for curve in layout.iter("curve")]
+        sources = [
+            str(e.text) for s in layout.iter("snippet") for e in s.iter() if str(e.text)[0] == "/"
+        ]
+
+        assert len(sources) == 12
+        for name in [*(n for n in series if n not in computed), *sources]:
+            assert name
+            if name.startswith("/diagnostics/hybrid_ins: "):
+                continue  # its keys: see test_plotjuggler_diagnostics
+            topic, path = split_topic(name)
+            assert has_field(topic, re.sub(r"\[.*?\]", "", path).strip("/").split("/")), name
+
+    def test_plotjuggler_diagnostics(self) -> None:
+        layout = (self.FOLDER / "plotjuggler.xml").read_text(encoding="utf-8")
+        source = (ROOT / "hybrid_ins" / "estimator.py").read_text(encoding="utf-8")
+
+        for key in re.findall(r'"/diagnostics/hybrid_ins: filter/(\w+)"', layout):
+            assert f'"{key}"' in source
+
+    def test_verdict_values_are_where_plotjuggler_looks(self) -> None:
+        source = (ROOT / "hybrid_ins" / "conversions.py").read_text(encoding="utf-8")
+        body = source.partition("def verdict_status")[2]
+        keys = re.findall(r'^ +"(\w+)":|, "(\w+)":', body, re.MULTILINE)
+        names = ["".join(key) for key in keys]
+
+        assert [names[k] for k in (4, 6, 7, 8, 9, 11)] == [
+            "nis", "threshold", "sigma_e", "sigma_n", "sigma_u", "age",
+        ]  # fmt: skip
+
+    def test_foxglove(self) -> None:
+        layout = json.loads((self.FOLDER / "foxglove.json").read_text(encoding="utf-8"))
+        own = {"/ins/three_sigma"}
+
+        assert set(leaves(layout["layout"])) == set(layout["configById"])
+        for panel in layout["configById"].values():
+            for path in panel.get("paths", ()):
+                topic, _, fields = path["value"].partition(".")
+                if topic not in own:
+                    names = re.sub(r"\[.*?\](\{.*?\})?", "", fields).split(".")
+                    assert has_field(topic, names), path["value"]
+            for topic in panel.get("topics", ()):
+                assert topic in TOPICS
+
+    def test_rviz(self) -> None:
+        manager = yaml.safe_load((self.FOLDER / "ins.rviz").read_text())["Visualization Manager"]
+        shown = [item["Topic"]["Value"] for item in manager["Displays"] if "Topic" in item]
+        tools = [tool["Topic"]["Value"] for tool in manager["Tools"] if "Topic" in tool]
+
+        assert manager["Global Options"]["Fixed Frame"] == parameters.defaults()["map_frame"]
+        for topic in (*shown, *tools):
+            assert f"/{topic}" in TOPICS
+
+
+def split_topic(series: str) -> tuple[str, str]:
+    """The topic that a PlotJuggler series begins with, and the rest."""
+    for topic in sorted(TOPICS, key=len, reverse=True):
+        if series.startswith(topic + "/"):
+            return topic, series[len(topic) :]
+    raise AssertionError(f"{series}: of no topic")
+
+
+def has_field(topic: str, fields: list[str]) -> bool:
+    """Say whether a topic's message has these nested fields."""
+    node = new_message(TOPICS[topic])
+    for name in fields:
+        if name == "values" and topic == "/gnss/verdict":
+            node = new_message("diagnostic_msgs/msg/KeyValue")
+        elif not hasattr(node, name):
+            return False
+        else:
+            node = getattr(node, name)
+    return True
+
+
+def leaves(layout: object) -> list[str]:
+    if isinstance(layout, dict):
+        return leaves(layout["first"]) + leaves(layout["second"])
+    return [str(layout)]
+
+
+NODE = """
+import json, time, rclpy
+from hybrid_ins.ros.node import InsNode
+rclpy.init()
+node = InsNode()
+time.sleep(0.5)
+graph = [
+    [name for name, _ in names("ins_node", "/")]
+    for names in (node.get_subscriber_names_and_types_by_node,
+                  node.get_publisher_names_and_types_by_node,
+                  node.get_service_names_and_types_by_node)]
+print(json.dumps(graph))
+"""
+
+
+def test_policy_grants_what_the_node_has_and_nothing_else() -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
+    profile = ElementTree.parse(ROOT / "config" / "sros2" / "policy.xml").find(".//profile")
+    assert profile is not None
+
+    def granted(path: str) -> set[str]:
+        return {
+            str(element.text).replace("~", "/ins_node")
+            if str(element.text)[0] in "/~"
+            else f"{profile.get('ns')}{element.text}"
+            for element in profile.iterfind(path)
+        }
+
+    output = subprocess.run(
+        [sys.executable, "-c", NODE], stdout=subprocess.PIPE, text=True, check=True, timeout=120
+    ).stdout
+    subscribed, published, served = map(set, json.loads(output.splitlines()[-1]))
+
+    # /clock is heard with use_sim_time only; /tf and /tf_static need tf2's messages
+    assert granted("topics[@subscribe]/topic") == subscribed | {"/clock", "/tf_static"}
+    assert granted("topics[@publish]/topic") == published | {"/tf"}
+    assert granted("services[@reply]/service") == served

@@ -1,0 +1,314 @@
+"""The real node over DDS, in a process of its own: what it publishes, answers and survives."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+
+from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.cli import replay, simulate
+from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from tools.processes import Processes
+
+rclpy = pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
+
+ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+HEADING = ["alignment.heading_source:=parameter", f"alignment.yaw:={math.pi / 2:.6f}"]
+DURATION = 20.0
+RATE = 4.0
+
+
+def start_node(processes: Processes, log: Path, *words: str) -> subprocess.Popen[str]:
+    """Start ``ins_node`` and wait until it says that it is ready."""
+    parameters = [word for value in HEADING for word in ("-p", value)]
+    with log.open("w") as output:
+        node = processes.start(
+            [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *parameters, *words],
+            output, ENVIRONMENT)
+    until(lambda: "ready" in log.read_text() or node.poll() is not None, 90.0)
+    assert "ready" in log.read_text(), log.read_text()
+    return node
+
+
+def until(condition: Any, patience: float = 15.0) -> None:
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("node")
+
+
+@pytest.fixture(scope="module")
+def flight(folder: Path) -> Path:
+    bag = folder / "flight.mcap"
+    assert simulate.main([str(bag), "--duration", str(DURATION), "--imu-rate", "200"]) == 0
+    return bag
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path, flight: Path) -> tuple[Path, str, int]:
+    """What the live node published of a flight, its log, and its exit status after SIGTERM."""
+    out, log = folder / "live.mcap", folder / "node.log"
+    with Processes() as processes:
+        node = start_node(processes, log)
+        player = processes.start(
+            [sys.executable, "-m", "hybrid_ins.ros.player", str(flight), "--record", str(out),
+             "--rate", str(RATE)], subprocess.PIPE, ENVIRONMENT)
+        text, _ = player.communicate(timeout=90)
+        assert player.returncode == 0, text
+        status = processes.stop(node)
+    return out, log.read_text(), status
+
+
+def odometry(bag: Path) -> dict[int, Any]:
+    with BagReader(bag) as reader:
+        return {
+            m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec: m
+            for _, _, m in reader.messages("/odometry")}
+
+
+def vector(v: Any) -> np.ndarray[Any, Any]:
+    return np.array([v.x, v.y, v.z])
+
+
+def quaternion(q: Any) -> np.ndarray[Any, Any]:
+    return np.array([q.x, q.y, q.z, q.w])
+
+
+def test_live_odometry_is_that_of_the_replay(
+    recorded: tuple[Path, str, int], flight: Path, folder: Path
+) -> None:
+    """GIVEN a bag WHEN played into the node and replayed THEN both estimate the same."""
+    offline = folder / "replayed.mcap"
+    overrides = [word for value in HEADING for word in ("-p", value)]
+    assert replay.main([str(flight), str(offline), *overrides]) == 0
+
+    live, replayed = odometry(recorded[0]), odometry(offline)
+
+    assert len(live) > 0.99 * len(replayed) > 0.9 * DURATION * 200
+    common = live.keys() & replayed.keys()
+    assert len(common) > 0.99 * len(live)
+    for stamp in common:
+        a, b = live[stamp], replayed[stamp]
+        away = vector(a.pose.pose.position) - vector(b.pose.pose.position)
+        turn = quat_multiply(
+            quat_conjugate(quaternion(a.pose.pose.orientation)),
+            quaternion(b.pose.pose.orientation))
+        assert np.linalg.norm(away) < 0.01
+        assert np.linalg.norm(rotvec_from_quat(turn)) < math.radians(0.1)
+        assert np.allclose(a.pose.covariance, b.pose.covariance, rtol=0.05, atol=1e-6)
+
+
+def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
+    """So that the samples between them need not wait for all."""
+    from hybrid_ins.ros.node import InsNode
+
+    said: list[bytes] = []
+    outbox = deque([("imu/bias", b"1"), ("q/gyroscope", b"2"), ("imu/bias", b"3")])
+    node: Any = SimpleNamespace(
+        _estimator=SimpleNamespace(outbox=outbox), _heard={"imu/bias": said.append})
+
+    InsNode._flush(node, 1)
+    assert said == [b"1"]
+    InsNode._flush(node)
+    assert said == [b"1", b"3"]
+    assert not outbox
+
+
+def test_every_topic_is_published_with_its_frames(recorded: tuple[Path, str, int]) -> None:
+    with BagReader(recorded[0]) as reader:
+        counts = {topic: reader.count(topic) for topic in reader.topics}
+        last = {topic: message for topic, _, message in reader.messages()}
+
+    assert counts["/datum"] == 1
+    assert counts["/gnss/verdict"] == DURATION * 5 + 1
+    for topic in ("/gnss/filtered", "/q/accelerometer", "/q/gyroscope", "/imu/bias"):
+        assert counts[topic] > 9 * (DURATION - 2), topic
+    assert counts["/diagnostics"] >= DURATION - 2
+    odom = last["/odometry"]
+    assert (odom.header.frame_id, odom.child_frame_id) == ("map", "base_link")
+    assert last["/gnss/filtered"].position_covariance_type == 3
+    # MPU-9250 noise, read off the IMU by the regressor.
+    assert 2e-4 < last["/q/accelerometer"].vector.x < 8e-4
+    assert 2e-6 < last["/q/gyroscope"].vector.x < 8e-6
+
+
+def test_sigterm_ends_the_node_in_order(recorded: tuple[Path, str, int]) -> None:
+    _, log, status = recorded
+    assert status == 0, log
+    assert "Traceback" not in log
+
+
+class Client:
+    """An rclpy node that asks and listens."""
+
+    def __init__(self) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("asking", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnostics: list[Any] = []
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+
+    def spin_until(self, condition: Any, patience: float = 15.0) -> None:
+        end = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < end, "waited too long"
+            self.executor.spin_once(0.1)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(15.0), name
+        answer = client.call_async(request)
+        self.spin_until(answer.done)
+        return answer.result()
+
+    def set(self, name: str, value: Any) -> Any:
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        request = SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg()])
+        return self.call(SetParameters, "/ins_node/set_parameters", request).results[0]
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    asking = Client()
+    yield asking
+    asking.close()
+
+
+def test_control_of_an_idle_node(
+    processes: Processes, folder: Path, client: Client
+) -> None:
+    """GIVEN a node without data THEN it says so, answers, and refuses nonsense with a reason."""
+    from std_srvs.srv import Trigger
+
+    log = folder / "idle.log"
+    node = start_node(processes, log, "-p", "gnss.patiense:=3.0")
+    assert "gnss.patiense: unknown; did you mean gnss.patience?" in log.read_text()
+
+    client.spin_until(lambda: client.diagnostics)
+    texts = [status.message for status in client.diagnostics[0].status]
+    assert any("no messages on /imu/data" in text for text in texts), texts
+    assert any("waiting for" in text for text in texts), texts
+
+    assert client.set("noise.mode", "constant").successful
+    assert client.set("gnss.patience", 5.0).successful
+    refused = client.set("gnss.patience", -1.0)
+    assert not refused.successful
+    assert "gnss.patience" in refused.reason
+    refused = client.set("imu.position", [1.0, 0.0, 0.0])
+    assert not refused.successful
+    assert "only at the start" in refused.reason
+
+    assert client.call(Trigger, "/ins_node/reset", Trigger.Request()).success
+    before = len(client.diagnostics)
+    node.terminate()
+    client.spin_until(lambda: any(
+        "shut down" in d.status[0].message for d in client.diagnostics[before:]))
+    assert node.wait(10.0) == 0
+    assert "Traceback" not in log.read_text()
+
+
+def test_second_publisher_is_told_and_leaves_the_state_alone(
+    processes: Processes, folder: Path, flight: Path, client: Client
+) -> None:
+    """GIVEN a flight WHEN another node publishes on imu/data, too THEN both are named."""
+    from sensor_msgs.msg import Imu
+
+    log, out, offline = (folder / name for name in (
+        "crowded.log", "crowded.mcap", "crowded_replayed.mcap"))
+    overrides = [word for value in HEADING for word in ("-p", value)]
+    assert replay.main([str(flight), str(offline), *overrides]) == 0
+    node = start_node(processes, log)
+    player = processes.start(
+        [sys.executable, "-m", "hybrid_ins.ros.player", str(flight), "--record", str(out),
+         "--rate", str(RATE)], subprocess.PIPE, ENVIRONMENT)
+    intruder = client.node.create_publisher(Imu, "/imu/data", 10)
+    yesterday = Imu()
+    yesterday.header.stamp.sec, yesterday.linear_acceleration.z = 1000, 99.0
+    client.spin_until(
+        lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0")
+    end = time.monotonic() + 60.0
+    while player.poll() is None and time.monotonic() < end:
+        intruder.publish(yesterday)
+        client.executor.spin_once(0.02)
+    assert player.returncode == 0
+
+    assert "/imu/data has 2 publishers" in log.read_text()
+    assert "asking" in log.read_text()
+    assert "stop or remap all but one" in log.read_text()
+    counted = {v.key: v.value for d in client.diagnostics for s in d.status for v in s.values}
+    assert int(counted["imu/data: several publishers"]) == 1
+    assert int(counted["imu: stamp jumps"]) > 20
+    live, replayed = odometry(out), odometry(offline)
+    common = live.keys() & replayed.keys()
+    assert len(common) > 0.98 * len(replayed)
+    assert max(
+        np.linalg.norm(vector(live[k].pose.pose.position) - vector(replayed[k].pose.pose.position))
+        for k in common) < 0.01
+    assert processes.stop(node) == 0
+
+
+def test_publisher_whose_qos_does_not_fit_is_told(
+    processes: Processes, folder: Path, client: Client
+) -> None:
+    """GIVEN imu/data asked for reliably WHEN it comes as best effort THEN the log says so."""
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import Imu
+
+    log = folder / "unfit.log"
+    start_node(processes, log, "-p",
+               "qos_overrides./imu/data.subscription.reliability:=reliable")
+    client.node.create_publisher(
+        Imu, "/imu/data", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+    until(lambda: "QoS" in log.read_text())
+    told = next(line for line in log.read_text().splitlines() if "QoS" in line)
+    assert "ERROR" in told
+    assert "/imu/data" in told
+    assert "RELIABILITY" in told
+    assert "qos_overrides" in told
+
+    client.spin_until(lambda: any(
+        "no messages on /imu/data" in s.message for d in client.diagnostics for s in d.status))
+
+
+def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    noise:\n      mode: clairvoyant\n")
+
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", "--params-file", str(file)],
+        capture_output=True, text=True, timeout=90, env=os.environ | ENVIRONMENT, check=False)
+
+    assert done.returncode == 2
+    assert "noise.mode" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,173 @@
+"""What the programs answer to wrong arguments: status 2 and one line that says what is wrong."""
+
+import subprocess
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from hybrid_ins.bags.bag import BagWriter, new_message
+from tools.processes import program
+
+MODULES = {
+    "ins_calibrate": "hybrid_ins.cli.calibrate",
+    "ins_convert": "hybrid_ins.cli.convert",
+    "ins_evaluate": "hybrid_ins.cli.evaluate",
+    "ins_play": "hybrid_ins.ros.player",
+    "ins_replay": "hybrid_ins.cli.replay",
+    "ins_simulate": "hybrid_ins.cli.simulate",
+}
+Main = Callable[[list[str]], int]
+
+
+def load(name: str) -> Main:
+    main: Main = EntryPoint(name, f"{MODULES[name]}:main", "console_scripts").load()
+    return main
+
+
+def status_of(name: str, arguments: list[str]) -> int:
+    """Run a program in this process; argparse leaves by SystemExit, as in a shell."""
+    try:
+        return load(name)(arguments)
+    except SystemExit as leave:
+        return int(leave.code or 0)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of inputs: ``bag`` and ``estimate`` are sound, the others are not."""
+    folder = tmp_path_factory.mktemp("files")
+    quick = ["--duration", "3", "--imu-rate", "100", "--trajectory", "static"]
+    assert status_of("ins_simulate", [str(folder / "bag"), *quick]) == 0
+    with BagWriter(folder / "estimate") as estimate:
+        for second in range(1, 10):
+            message = new_message("nav_msgs/msg/Odometry")
+            message.header.stamp.sec = second
+            message.pose.pose.orientation.w = 1.0
+            estimate.write("/odometry", message, second * 10**9)
+    (folder / "empty").mkdir()
+    (folder / "text.mcap").write_text("this is no bag\n" * 100)
+    (folder / "nothing.mcap").touch()
+    (folder / "unknown.yaml").write_text("/**:\n  ros__parameters:\n    gnss.max_dealy: 1.0\n")
+    (folder / "range.yaml").write_text("/**:\n  ros__parameters:\n    gnss.max_delay: -1.0\n")
+    (folder / "type.yaml").write_text("/**:\n  ros__parameters:\n    gnss.max_delay: soon\n")
+    (folder / "broken.yaml").write_text("/**: [ros__parameters: {\n")
+    return folder
+
+
+WRONG = [
+    ("ins_simulate", "OUT --duration -1", "--duration"),
+    ("ins_simulate", "OUT --imu-rate many", "--imu-rate"),
+    ("ins_simulate", "OUT --trajectory train", "--trajectory"),
+    ("ins_simulate", "OUT --outage 10", "--outage"),
+    ("ins_simulate", "bag", "bag"),
+    ("ins_simulate", "text.mcap/OUT", "text.mcap"),
+    ("ins_convert", "missing OUT", "missing"),
+    ("ins_convert", "empty OUT", "empty"),
+    ("ins_convert", "text.mcap OUT", "text.mcap"),
+    ("ins_convert", "empty OUT --gnss-rate 0", "--gnss-rate"),
+    ("ins_convert", "empty OUT --imu one", "--imu"),
+    ("ins_replay", "missing OUT", "missing"),
+    ("ins_replay", "empty OUT", "empty"),
+    ("ins_replay", "text.mcap OUT", "text.mcap"),
+    ("ins_replay", "nothing.mcap OUT", "nothing.mcap"),
+    ("ins_replay", "bag OUT --imu-topic /some/imu", "/some/imu"),
+    ("ins_replay", "bag OUT --fix-topic /imu/data", "/imu/data"),
+    ("ins_replay", "bag OUT --params-file missing.yaml", "missing.yaml"),
+    ("ins_replay", "bag OUT --params-file broken.yaml", "broken.yaml"),
+    ("ins_replay", "bag OUT --params-file unknown.yaml", "did you mean gnss.max_delay"),
+    ("ins_replay", "bag OUT --params-file range.yaml", "gnss.max_delay"),
+    ("ins_replay", "bag OUT --params-file type.yaml", "gnss.max_delay"),
+    ("ins_replay", "bag bag", "bag"),
+    ("ins_play", "missing", "missing"),
+    ("ins_play", "text.mcap", "text.mcap"),
+    ("ins_play", "bag --rate 0", "--rate"),
+    ("ins_play", "bag --topics /some/topic", "/some/topic"),
+    ("ins_play", "bag --start 1000", "--start"),
+    ("ins_evaluate", "missing", "missing"),
+    ("ins_evaluate", "text.mcap", "text.mcap"),
+    ("ins_evaluate", "bag", "odometry"),
+    ("ins_evaluate", "estimate --truth missing", "missing"),
+    ("ins_evaluate", "bag --skip -1", "--skip"),
+    ("ins_evaluate", "bag --plot picture.doc", "picture.doc"),
+    ("ins_calibrate", "missing --out OUT", "missing"),
+    ("ins_calibrate", "text.mcap --out OUT", "text.mcap"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"), WRONG, ids=[f"{name} {line}" for name, line, _ in WRONG]
+)
+def test_wrong_arguments_get_one_clear_line(
+    name: str,
+    arguments: str,
+    words: str,
+    files: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(files)
+    out = tmp_path / "out"
+
+    status = status_of(name, arguments.replace("OUT", str(out)).split())
+
+    printed = capsys.readouterr()
+    *usage, last = printed.err.strip().splitlines()
+    assert status == 2
+    assert last.startswith(f"{name}: error: ")
+    assert words in last
+    assert all(line.startswith(("usage:", " ")) for line in usage), "more than argparse's usage"
+    assert not out.exists(), "left something behind"
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_no_or_unknown_options_show_the_usage(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments in ([], ["--no-such-option"]):
+        assert status_of(name, arguments) == 2
+        assert capsys.readouterr().err.startswith(f"usage: {name}")
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_help_teaches_by_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of(name, ["--help"]) == 0
+
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"usage: {name}")
+    assert f"example:\n  {name} " in printed
+
+
+class TestNode:
+    """The node is a process of its own: rclpy's context and signals are per process."""
+
+    @pytest.mark.parametrize(
+        ("option", "words"),
+        [
+            (["-p", "gnss.max_delay:=-1.0"], "gnss.max_delay"),
+            (["-p", "gnss.max_delay:=soon"], "gnss.max_delay"),
+            (["-p", "noise.mode:=magic"], "noise.mode"),
+            (["--params-file", "missing.yaml"], "missing.yaml"),
+            (["--params-file", "broken.yaml"], "broken.yaml"),
+        ],
+    )
+    def test_wrong_parameters_get_one_clear_line(
+        self, option: list[str], words: str, files: Path
+    ) -> None:
+        pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
+
+        result = subprocess.run(
+            [program("ins_node"), "--ros-args", *option],
+            cwd=files,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+        assert result.returncode == 2, result.stderr
+        assert "Traceback" not in result.stderr
+        last = result.stderr.strip().splitlines()[-1]
+        assert last.startswith("ins_node: error: ")
+        assert words in last

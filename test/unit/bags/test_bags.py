@@ -1,0 +1,586 @@
+"""Recordings: written, read back by us and by others, broken in every way."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as GeneralMcapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.typesys import Stores, get_typestore
+from support.paths import ROOT
+
+from hybrid_ins.bags.bag import IMU, BagReader, BagWriter, Message, new_message
+from hybrid_ins.errors import InputError
+
+FIX = "sensor_msgs/msg/NavSatFix"
+START_NS = 1_700_000_000_000_000_000
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def imu_message(k: int, frame_id: str = "imu_link") -> Message:
+    message = new_message(IMU)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns(k), 1_000_000_000)
+    message.header.frame_id = frame_id
+    message.linear_acceleration.x = 0.1 * k
+    message.linear_acceleration.z = 9.8
+    message.angular_velocity.y = -0.01 * k
+    return message
+
+
+def stamp_ns(k: int) -> int:
+    return START_NS + 5_000_000 * k
+
+
+def serialised(message: Message) -> bytes:
+    return bytes(TYPES.serialize_cdr(message, message.__msgtype__))
+
+
+def write_flight(path: Path, count: int = 2000) -> Path:
+    """Write an Imu topic at 200 Hz with a fix at every 40th sample; several chunks."""
+    with BagWriter(path) as bag:
+        for k in range(count):
+            bag.write("imu/data", imu_message(k), stamp_ns(k) + 1000)
+            if k % 40 == 0:
+                bag.write("/gnss/fix", new_message(FIX), stamp_ns(k) + 2000)
+    return path
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_flight(tmp_path_factory.mktemp("flight") / "flight.mcap", 12_000)
+
+
+# --- written and read back ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["flight", "flight.mcap", "some/where/flight"])
+def test_what_is_written_is_read_back(tmp_path: Path, name: str) -> None:
+    with BagReader(write_flight(tmp_path / name)) as bag:
+        assert bag.topics == {"/imu/data": IMU, "/gnss/fix": FIX}
+        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0) + 1000, stamp_ns(1999) + 1000)
+        assert bag.count("imu/data") == bag.count("/imu/data") == 2000
+        assert bag.count("/gnss/fix") == 50
+        assert bag.count("/nothing") == 0
+        messages = list(bag.messages())
+        assert [m[0] for m in messages[:3]] == ["/imu/data", "/gnss/fix", "/imu/data"]
+        assert [m[1] for m in messages] == sorted(m[1] for m in messages)
+        assert [serialised(m) for _, _, m in bag.messages("imu/data")] == [
+            serialised(imu_message(k)) for k in range(2000)
+        ]
+        assert list(bag.raw("/nothing")) == []
+
+
+def test_other_readers_read_what_we_write(tmp_path: Path) -> None:
+    directory = write_flight(tmp_path / "flight")
+    with BagReader(directory) as ours:
+        expected = list(ours.raw())
+    for path in (directory, directory / "flight_0.mcap"):
+        with AnyReader([path]) as theirs:
+            found = [(c.topic, t, bytes(data)) for c, t, data in theirs.messages()]
+            assert found == expected
+            assert theirs.message_count == len(expected)
+    with (directory / "flight_0.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+        assert found == expected
+        summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(expected)
+    assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+
+
+def test_messages_come_in_log_order_across_chunks(tmp_path: Path) -> None:
+    order = list(range(9000))
+    for start in range(0, 9000, 3000):  # each third is shuffled, and each begins in the one before
+        part = order[max(0, start - 500) : start + 3000]
+        random.Random(start).shuffle(part)
+        order[max(0, start - 500) : start + 3000] = part
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for k in order:
+            bag.write("/imu/data", imu_message(k), stamp_ns(k))
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        assert [t for _, t, _ in bag.raw()] == [stamp_ns(k) for k in range(9000)]
+
+
+def test_a_split_recording_is_one_bag(tmp_path: Path) -> None:
+    directory = tmp_path / "bag"
+    directory.mkdir()
+    for number, parity in enumerate((0, 1)):
+        with BagWriter(directory / f"bag_{number}.mcap") as bag:
+            for k in range(parity, 100, 2):
+                bag.write("/imu/data", imu_message(k), stamp_ns(k))
+    (directory / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {version: 9, storage_identifier: mcap,"
+        " relative_file_paths: [bag_0.mcap, bag_1.mcap]}"
+    )
+    with BagReader(directory) as bag:
+        assert [t for _, t, _ in bag.raw()] == [stamp_ns(k) for k in range(100)]
+        assert bag.count("/imu/data") == 100
+        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
+
+
+@pytest.mark.parametrize("layout", ["sqlite3", "zstd chunks", "zstd messages", "zstd file"])
+def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
+    plugin = StoragePlugin.SQLITE3 if layout == "sqlite3" else StoragePlugin.MCAP
+    writer = Rosbag2Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
+    mode = {
+        "zstd chunks": CompressionMode.STORAGE,
+        "zstd messages": CompressionMode.MESSAGE,
+        "zstd file": CompressionMode.FILE,
+    }.get(layout, CompressionMode.NONE)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/imu/data", IMU, typestore=TYPES)
+        for k in range(100):
+            writer.write(connection, stamp_ns(k), serialised(imu_message(k)))
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.topics == {"/imu/data": IMU}
+        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
+        assert bag.count("/imu/data") == 100
+        assert bag.imu().specific_force[:, 0] == pytest.approx(0.1 * np.arange(100))
+    if layout == "sqlite3":
+        with BagReader(tmp_path / "bag" / "bag.db3") as bag:
+            assert bag.imu().stamp_ns[-1] == stamp_ns(99)
+
+
+@pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.LZ4}])
+def test_recordings_of_other_mcap_writers(tmp_path: Path, options: dict[str, object]) -> None:
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = GeneralMcapWriter(file, **{"compression": CompressionType.NONE, **options})
+        writer.start("ros2")
+        text = TYPES.generate_msgdef(IMU, ros_version=2)[0].encode()
+        schema = writer.register_schema(IMU, "ros2msg", text)
+        channel = writer.register_channel("/imu/data", "cdr", schema)
+        for k in reversed(range(100)):
+            writer.add_message(channel, stamp_ns(k), serialised(imu_message(k)), stamp_ns(k))
+        writer.finish()
+    with BagReader(path) as bag:
+        assert bag.count("/imu/data") == 100
+        assert list(bag.imu().stamp_ns) == [stamp_ns(k) for k in range(100)]
+
+
+def test_ros1_recordings(tmp_path: Path) -> None:
+    types = get_typestore(Stores.ROS1_NOETIC)
+    path = tmp_path / "robot.bag"
+    with Ros1Writer(path) as writer:
+        imu = writer.add_connection("/imu/data", IMU, typestore=types)
+        own_type = writer.add_connection(
+            "/own", "own_msgs/msg/Own", msgdef="uint8 x", md5sum="123456789"
+        )
+        for k in range(100):
+            writer.write(imu, stamp_ns(k), TYPES.cdr_to_ros1(serialised(imu_message(k)), IMU))
+            writer.write(own_type, stamp_ns(k), b"\0")
+    with BagReader(path) as bag:
+        assert bag.topics == {"/imu/data": IMU}
+        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
+        raw = [data for _, _, data in bag.raw("imu/data")]
+        assert raw == [serialised(imu_message(k)) for k in range(100)]
+        assert bag.imu().stamp_ns[-1] == stamp_ns(99)
+
+
+def test_topics_that_nobody_can_decode_are_left_out(tmp_path: Path) -> None:
+    with (tmp_path / "bag.mcap").open("wb") as file:
+        writer = GeneralMcapWriter(file, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("own_msgs/msg/Own", "ros2msg", b"this is no definition")
+        imu = writer.register_schema(IMU, "ros2msg", b"")
+        own = writer.register_channel("/own", "cdr", schema)
+        text = writer.register_channel("/json", "json", 0)
+        imu_channel = writer.register_channel("/imu/data", "cdr", imu)
+        for channel, data in (
+            (own, b"?"),
+            (text, b"{}"),
+            (imu_channel, serialised(imu_message(0))),
+        ):
+            writer.add_message(channel, stamp_ns(0), data, stamp_ns(0))
+        writer.finish()
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        assert bag.topics == {"/imu/data": IMU}
+        assert [topic for topic, _, _ in bag.messages()] == ["/imu/data"]
+
+
+@pytest.mark.parametrize(
+    "type_name",
+    ["nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray", "tf2_msgs/msg/TFMessage"],
+)
+def test_a_new_message_is_zero_and_complete(type_name: str) -> None:
+    data = serialised(new_message(type_name))
+    assert set(data[4:]) <= {0, 1}  # an empty text has length 1
+    assert bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, type_name), type_name)) == data
+
+
+# --- Imu in bulk ----------------------------------------------------------------------------------
+
+
+def big_endian(message: Message) -> bytes:
+    return bytes(TYPES.serialize_cdr(message, IMU, little_endian=False))
+
+
+@pytest.mark.parametrize(
+    "encode",
+    [
+        lambda k: serialised(imu_message(k)),
+        lambda k: serialised(imu_message(k, "imu" * (k % 3))),
+        lambda k: (big_endian if k % 2 else serialised)(imu_message(k)),
+    ],
+    ids=["one layout", "frame_id changes", "byte order changes"],
+)
+def test_imu_table(tmp_path: Path, encode: Callable[[int], bytes]) -> None:
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for k in range(50):
+            bag.write_raw("/imu/data", IMU, encode(k), stamp_ns(k) + 7)
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        table = bag.imu("imu/data")
+    k = np.arange(50)
+    np.testing.assert_array_equal(table.stamp_ns, stamp_ns(0) + 5_000_000 * k)
+    np.testing.assert_array_equal(table.log_ns, table.stamp_ns + 7)
+    np.testing.assert_array_equal(table.specific_force, np.c_[0.1 * k, 0 * k, 9.8 + 0 * k])
+    np.testing.assert_array_equal(table.angular_rate, np.c_[0 * k, -0.01 * k, 0 * k])
+    assert table.stamp_ns.dtype == table.log_ns.dtype == np.int64
+
+
+def test_bulk_is_fast(tmp_path: Path) -> None:
+    """Ten minutes at 200 Hz; the limits leave a factor of five for a busy machine."""
+    data = serialised(imu_message(1))
+    start = time.process_time()
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for k in range(120_000):
+            bag.write_raw("/imu/data", IMU, data, stamp_ns(k))
+    written = time.process_time()
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        assert len(bag.imu().stamp_ns) == 120_000
+    assert written - start < 1.2
+    assert time.process_time() - written < 0.8
+
+
+# --- errors that the user can act on --------------------------------------------------------------
+
+
+def test_a_missing_topic_names_those_that_would_do(flight: Path) -> None:
+    with BagReader(flight) as bag:
+        with pytest.raises(InputError, match=r"no topic /imu: choose /imu/data with --imu-topic"):
+            bag.imu("imu")
+        with pytest.raises(InputError, match=r"/gnss/fix is .*NavSatFix, not .*Imu: choose /imu"):
+            bag.imu("/gnss/fix")
+        with pytest.raises(InputError, match=r"no other is std_msgs/msg/Bool; it has /gnss/fix, "):
+            bag.require("/x", "std_msgs/msg/Bool", "--x")
+
+
+def test_the_map_s_origin_and_the_truth_would_not_do(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as out:
+        for topic in ("/truth/datum", "/datum"):
+            out.write(topic, new_message("sensor_msgs/msg/NavSatFix"), 1)
+
+    with BagReader(tmp_path / "bag") as bag, pytest.raises(InputError, match=r"no other is .*Fix"):
+        bag.require("/gnss/fix", "sensor_msgs/msg/NavSatFix", "--fix-topic")
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "is empty"),
+        (b"time,x,y,z\n0,1,2,3\n", "is not a bag"),
+        (b"\x89MCAP0\r\n", "breaks off at byte 8 before the first whole message"),
+        (b"SQLite format 3\0" + bytes(500), "cannot be read"),
+        (b"#ROSBAG V2.0\n" + bytes(500), "cannot be read"),
+        (b"#ROSBAG V1.2\n", "version 102 is not supported"),
+    ],
+)
+def test_files_that_are_no_bag(tmp_path: Path, content: bytes, complaint: str) -> None:
+    path = tmp_path / "bag.db3"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=complaint) as caught:
+        BagReader(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_paths_that_are_no_bag(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        BagReader(tmp_path / "nothing")
+    with pytest.raises(InputError, match=r"no metadata\.yaml"):
+        BagReader(tmp_path)
+    with pytest.raises(InputError, match="neither a file nor a directory"):
+        BagReader("/dev/null")
+    with BagWriter(tmp_path / "empty.mcap"):
+        pass
+    with pytest.raises(InputError, match="holds no messages"):
+        BagReader(tmp_path / "empty.mcap")
+
+
+METADATA_DAMAGE = {
+    "gone": None,
+    "no yaml": b"\x00\xff{",
+    "nested": b"[" * 100_000,
+    "other yaml": b"[1, 2]",
+    "no files": b"rosbag2_bagfile_information: {relative_file_paths: []}",
+    "aliases": b"rosbag2_bagfile_information: &a {b: *a}",
+    "huge": b"#" * (2 << 20),
+}
+
+
+@pytest.mark.parametrize("damage", METADATA_DAMAGE.values(), ids=METADATA_DAMAGE)
+def test_damaged_metadata_does_not_hide_the_data(
+    tmp_path: Path, damage: bytes | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_flight(tmp_path / "bag", 100) / "metadata.yaml"
+    path.unlink() if damage is None else path.write_bytes(damage)
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.count("/imu/data") == 100
+    assert "metadata.yaml" in caplog.text
+
+
+def test_a_missing_part_is_named(tmp_path: Path) -> None:
+    (write_flight(tmp_path / "bag", 100) / "bag_0.mcap").unlink()
+    with pytest.raises(InputError, match=r"lacks bag_0\.mcap: copy the whole bag"):
+        BagReader(tmp_path / "bag")
+
+
+def test_a_damaged_message_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        bag.write_raw("/imu/data", IMU, serialised(imu_message(0))[:-8], stamp_ns(0))
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        with pytest.raises(InputError, match=f"message on /imu/data at {stamp_ns(0)} ns is no"):
+            list(bag.messages())
+        with pytest.raises(InputError, match="is no sensor_msgs/msg/Imu"):
+            bag.imu()
+
+
+# --- recordings that break off --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.9999])
+def test_a_truncated_file_is_read_up_to_the_break(
+    tmp_path: Path, flight: Path, share: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = flight.read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: int(share * len(whole))])
+    with BagReader(flight) as bag:
+        expected = list(bag.raw())
+    with BagReader(path) as bag:
+        found = list(bag.raw())
+        assert bag.count("/imu/data") == sum(m[0] == "/imu/data" for m in found)
+        assert bag.end_ns == found[-1][1]
+    assert found == expected[: len(found)]
+    assert len(found) > (share - 0.25) * len(expected)
+    assert ("breaks off at byte" if share < 0.99 else "no usable index") in caplog.text
+    assert f"{path}: the recording" in caplog.text
+
+
+def test_a_file_cut_before_its_first_chunk_ends_is_refused(tmp_path: Path, flight: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(flight.read_bytes()[:5000])
+    with pytest.raises(InputError, match="before the first whole message"):
+        BagReader(path)
+
+
+def mutate(data: bytes, seed: int) -> bytes:
+    """Flip bits, overwrite, cut out or insert a stretch, or cut the end off."""
+    rng = random.Random(seed)
+    mutant = bytearray(data)
+    at = rng.choice((rng.randrange(len(data)), rng.randrange(300), -rng.randrange(1, 2000)))
+    length = rng.choice((1, 4, 8, 100, 5000))
+    match seed % 5:
+        case 0:
+            mutant[at] ^= 1 << rng.randrange(8)
+        case 1:
+            mutant[at : at + length or None] = rng.randbytes(length)
+        case 2:
+            del mutant[at : at + length]
+        case 3:
+            mutant[at:at] = rng.choice((bytes(length), b"\xff" * length))
+        case 4:
+            del mutant[at:]
+    return bytes(mutant)
+
+
+def make_sqlite3(path: Path) -> Path:
+    with Rosbag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/imu/data", IMU, typestore=TYPES)
+        for k in range(200):
+            writer.write(connection, stamp_ns(k), serialised(imu_message(k)))
+    return path / f"{path.name}.db3"
+
+
+def make_ros1(path: Path) -> Path:
+    path = path.with_suffix(".bag")
+    with Ros1Writer(path) as writer:
+        connection = writer.add_connection(
+            "/imu/data", IMU, typestore=get_typestore(Stores.ROS1_NOETIC)
+        )
+        for k in range(200):
+            data = TYPES.cdr_to_ros1(serialised(imu_message(k)), IMU)
+            writer.write(connection, stamp_ns(k), data)
+    return path
+
+
+def complaint_about(path: Path) -> str:
+    """Read all of a bag; return why it is refused."""
+    try:
+        with BagReader(path) as bag:
+            for _ in bag.messages():
+                pass
+            bag.imu()
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    "make", [lambda p: write_flight(p / "x.mcap", 200), make_sqlite3, make_ros1]
+)
+def test_mutated_files_are_read_or_refused(
+    tmp_path: Path, make: Callable[[Path], Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    original = make(tmp_path / "original")
+    data = original.read_bytes()
+    mutant = tmp_path / f"mutant{original.suffix}"
+    refused = 0
+    for seed in range(300):
+        mutant.write_bytes(mutate(data, seed))
+        start = time.monotonic()
+        complaint = complaint_about(mutant)
+        assert time.monotonic() - start < 5
+        if complaint:
+            refused += 1
+            assert str(mutant) in complaint
+            assert "\n" not in complaint
+    assert refused > 20
+
+
+def test_a_flipped_bit_in_the_data_is_refused(tmp_path: Path, flight: Path) -> None:
+    data = bytearray(flight.read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "bag.mcap").write_bytes(data)
+    with BagReader(tmp_path / "bag.mcap") as bag, pytest.raises(InputError, match="checksum"):
+        bag.imu()
+
+
+# --- an interrupted or misdirected writer ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, RuntimeError])
+def test_an_interrupted_bag_holds_everything_so_far(
+    tmp_path: Path,
+    name: str,
+    interruption: type[BaseException],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def record() -> None:
+        with BagWriter(tmp_path / name) as bag:
+            for k in range(5000):
+                bag.write("/imu/data", imu_message(k), stamp_ns(k))
+            raise interruption
+
+    with pytest.raises(interruption):
+        record()
+    assert "ends early, after 5000 messages (25.0 s)" in caplog.text
+    caplog.clear()
+    with BagReader(tmp_path / name) as bag:
+        assert bag.imu().stamp_ns[-1] == stamp_ns(4999)
+    assert not caplog.text
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+def test_failing_before_the_first_message_leaves_nothing(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RuntimeError), BagWriter(tmp_path / name):
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
+    """The signal arrives while messages are serialised, gathered and flushed."""
+    script = tmp_path / "record.py"
+    script.write_text(
+        "import sys\n"
+        "from hybrid_ins.bags.bag import BagWriter\n"
+        "with BagWriter(sys.argv[1]) as bag:\n"
+        "    print('started', flush=True)\n"
+        "    for k in range(10**9):\n"
+        "        bag.write_raw('/imu/data', 'sensor_msgs/msg/Imu', bytes(20_000), k)\n"
+    )
+    for k in range(5):
+        path = tmp_path / f"bag{k}.mcap"
+        with subprocess.Popen(
+            [sys.executable, str(script), str(path)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(0.05 + 0.013 * k)
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
+        assert process.returncode
+        with path.open("rb") as file:
+            times = [m.log_time for _, _, m in make_reader(file, True).iter_messages()]
+        assert times == list(range(len(times)))
+        assert times
+
+
+def test_a_killed_writer_loses_only_its_last_chunk(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    for k in range(10_000):
+        writer.write("/imu/data", imu_message(k), stamp_ns(k))
+    with BagReader(tmp_path / "bag") as bag:
+        count = len(bag.imu().stamp_ns)
+    assert 6000 < count < 10_000
+    assert "not completed: no metadata.yaml" in caplog.text
+    assert "breaks off" in caplog.text
+    writer.close()
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    path = write_flight(tmp_path / "bag", 100)
+    with pytest.raises(InputError, match="exists: give another name, or --overwrite"):
+        BagWriter(path)
+    with BagWriter(path, overwrite=True) as bag:
+        bag.write("/imu/data", imu_message(0), stamp_ns(0))
+    with BagReader(path) as bag:
+        assert bag.count("/imu/data") == 1
+    (path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"more than a bag \(thesis\.tex\): not overwritten"):
+        BagWriter(path, overwrite=True)
+
+
+def test_a_full_disk_is_one_clear_line(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    bag = BagWriter(tmp_path / "bag.mcap")
+    bag._writer._file = open("/dev/full", "wb", buffering=0)  # noqa: PTH123, SIM115
+    bag.write("/imu/data", imu_message(0), stamp_ns(0))
+    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+        bag.close()
+
+
+def test_misuse_of_the_writer(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        bag.write("/imu/data", imu_message(0), stamp_ns(0))
+        with pytest.raises(ValueError, match=r"/imu/data holds .*Imu, not .*NavSatFix"):
+            bag.write("imu/data", new_message(FIX), stamp_ns(0))
+        with pytest.raises(ValueError, match="no standard message type"):
+            bag.write_raw("/own", "own_msgs/msg/Own", b"", stamp_ns(0))
+        with pytest.raises(ValueError, match="before the epoch"):
+            bag.write("/imu/data", imu_message(0), -1)
+    with BagReader(tmp_path / "bag.mcap") as reader:
+        assert reader.count("/imu/data") == 1

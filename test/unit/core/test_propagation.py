@@ -1,0 +1,168 @@
+"""The compiled step against the readable reference that it is generated from."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.analytic_motion import Series, Truth, Wave, travel
+from support.paths import ROOT
+
+from hybrid_ins.core import propagation
+from hybrid_ins.core.covariance_step import covariance_step
+from hybrid_ins.core.error_model import discretise, noise_matrix, system_matrix
+from hybrid_ins.core.state import (
+    B_A,
+    B_G,
+    BIAS_A,
+    BIAS_G,
+    COVARIANCE,
+    DV,
+    EPS,
+    LAST_F,
+    LAST_W,
+    LLA,
+    N_ERROR,
+    N_NAV,
+    NAVIGATION,
+    PSD,
+    QUAT,
+    VELOCITY,
+    Array,
+    covariance,
+    pack,
+)
+from hybrid_ins.core.strapdown import mechanise
+
+NO_ROWS = np.empty((0, N_NAV))
+PSD_MEMS = np.repeat([4e-6, 4e-8, 1e-6, 1e-10], 3)
+SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
+
+
+def some_covariance(seed: int) -> Array:
+    mixing = np.random.default_rng(seed).normal(size=(N_ERROR, N_ERROR))
+    correlation = mixing @ mixing.T + N_ERROR * np.eye(N_ERROR)
+    scale = SIGMA / np.sqrt(np.diag(correlation))
+    return correlation * np.outer(scale, scale)
+
+
+def flight(rate: float, duration: float) -> Truth:
+    return travel(
+        np.arange(int(rate * duration) + 1) / rate,
+        Series(rate=(80, 30, 0), waves=[Wave((40, 40, 5), 0.05, (0, 1.57, 0))]),
+        Series(waves=[Wave((0.3, 0.2, 1.0), 0.07), Wave((0.02, 0.03, 0.02), 1.3, (1, 0, 2))]),
+    )
+
+
+def start(truth: Truth) -> Array:
+    nav = truth.flat(P=some_covariance(1))
+    nav[BIAS_A], nav[BIAS_G] = (0.03, -0.02, 0.05), (0.002, 0.001, -0.003)
+    nav[PSD] = PSD_MEMS
+    return nav
+
+
+def test_generated_file_is_current() -> None:
+    generator = ROOT / "tools" / "generate_covariance.py"
+
+    assert subprocess.run([sys.executable, generator, "--check"], check=False).returncode == 0
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**31), st.floats(1e-4, 0.05))
+def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    F = np.zeros((N_ERROR, N_ERROR))
+    lla = np.array([rng.uniform(-1.3, 1.3), 0.0, rng.uniform(-300.0, 10e3)])
+    C, f_n = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(0.0, 10.0, 3)
+    system_matrix(lla, rng.normal(0.0, 100.0, 3), f_n, C.ravel(), F)
+    psd = rng.uniform(0.1, 1.0, 12)
+    P = some_covariance(seed)
+    Phi, Qd = discretise(F, noise_matrix(C), psd, dt)
+    expected = Phi @ P @ Phi.T + Qd
+
+    packed = np.empty(120)
+    pack(P, packed)
+    upper = np.triu_indices(3)
+    covariance_step(
+        packed, F, dt, Qd[DV, DV][upper], Qd[EPS, EPS][upper], np.diag(Qd[B_A, B_A]),
+        np.diag(Qd[B_G, B_G]))
+
+    unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
+    assert np.max(error) < 1e-14
+
+
+def reference_step(nav: Array, P: Array, dt: float, reading: Array) -> Array:
+    """Mechanisation, F and P <- Phi P Phi' + Q^d as the textbook writes them; P is returned."""
+    C, f_n, F = np.empty(9), np.empty(3), np.zeros((N_ERROR, N_ERROR))
+    f0, w0 = nav[LAST_F] - nav[BIAS_A], nav[LAST_W] - nav[BIAS_G]
+    f1, w1 = reading[:3] - nav[BIAS_A], reading[3:] - nav[BIAS_G]
+    mechanise(nav[LLA], nav[VELOCITY], nav[QUAT], f0, w0, f1, w1, dt, C, f_n)
+    nav[LAST_F], nav[LAST_W] = reading[:3], reading[3:]
+    system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
+    Phi, Qd = discretise(F, noise_matrix(C.reshape(3, 3)), nav[PSD], dt)
+    return Phi @ P @ Phi.T + Qd
+
+
+def test_ten_minutes_equal_the_reference() -> None:
+    """State and covariance to 1e-9 of their size after 60 000 steps of the compiled kernel."""
+    truth = flight(100.0, 600.0)
+    nav, reference = start(truth), start(truth)
+    P = covariance(reference)
+    steps = np.diff(truth.t)
+
+    propagation.run(nav, steps, truth.readings[1:], 0.0, NO_ROWS)
+    for dt, reading in zip(steps, truth.readings[1:], strict=True):
+        P = reference_step(reference, P, dt, reading)
+
+    np.testing.assert_allclose(nav[NAVIGATION], reference[NAVIGATION], rtol=1e-9)
+    unit = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+    assert np.max(np.abs(covariance(nav) - P) / unit) < 1e-9
+
+
+def test_step_and_run_are_the_same() -> None:
+    truth = flight(200.0, 2.0)
+    live, batch = start(truth), start(truth)
+    steps, readings = np.diff(truth.t), truth.readings[1:]
+    rows = np.empty((len(steps), N_NAV))
+
+    propagation.run(batch, steps, readings, 0.01, rows)
+    for k, (dt, reading) in enumerate(zip(steps, readings, strict=True)):
+        propagation.step(live, dt, *reading, 0.01)
+        np.testing.assert_array_equal(live[:N_NAV], rows[k])
+
+    np.testing.assert_array_equal(live[:N_NAV], batch[:N_NAV])
+
+
+@pytest.mark.parametrize("interval", [0.01, 0.05])
+def test_coarser_covariance_differs_by_little_and_the_state_not_at_all(interval: float) -> None:
+    """At 1 kHz, after ten seconds of flight: each sigma to 2 % of itself even at 50 ms."""
+    truth = flight(1000.0, 10.0)
+    fine, coarse = start(truth), start(truth)
+
+    for nav, pending in ((fine, 0.0), (coarse, interval)):
+        propagation.run(nav, np.diff(truth.t), truth.readings[1:], pending, NO_ROWS)
+        propagation.flush(nav)
+
+    np.testing.assert_array_equal(coarse[NAVIGATION], fine[NAVIGATION])
+    sigma, exact = (np.sqrt(np.diag(covariance(nav))) for nav in (coarse, fine))
+    np.testing.assert_allclose(sigma, exact, rtol=0.4 * interval)
+
+
+def test_flush_propagates_what_is_pending_and_only_once() -> None:
+    truth = flight(200.0, 0.1)
+    nav, every = start(truth), start(truth)
+    propagation.run(nav, np.diff(truth.t), truth.readings[1:], 1e9, NO_ROWS)
+    propagation.run(every, np.diff(truth.t), truth.readings[1:], 0.0, NO_ROWS)
+    before = nav[COVARIANCE].copy()
+
+    propagation.flush(nav)
+    once = nav[COVARIANCE].copy()
+    propagation.flush(nav)
+
+    np.testing.assert_array_equal(before, start(truth)[COVARIANCE])
+    np.testing.assert_array_equal(nav[COVARIANCE], once)
+    np.testing.assert_allclose(
+        np.diag(covariance(nav)), np.diag(covariance(every)), rtol=0.02)

@@ -1,0 +1,784 @@
+"""ins_evaluate: figures with analytic answers, what is scored, and what is refused."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins.bags.bag import BagWriter, new_message
+from hybrid_ins.cli.evaluate import evaluate, main, outage_spans
+from hybrid_ins.core import rotations
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.result import Result, Scoring
+from hybrid_ins.evaluation.run_reader import Verdicts, read_recording
+from hybrid_ins.ros.cdr import OdometryEncoder
+from hybrid_ins.ros.conversions import SWAP
+from hybrid_ins.trajectory import Trajectory
+
+START_NS = 1_700_000_000_000_000_000
+DATUM = np.array([np.radians(32.1), np.radians(34.8), 0.0])
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+def stamps(seconds: Any) -> np.ndarray:
+    return START_NS + np.rint(1e9 * np.asarray(seconds, float)).astype(np.int64)
+
+
+def flight(seconds: Any, speed: float = 10.0) -> Trajectory:
+    """Eastward at constant speed, nose to the north, level."""
+    t = np.asarray(seconds, float)
+    east = np.array([1.0, 0.0, 0.0])
+    nose_north = rotations.quat_from_rpy(0.0, 0.0, np.pi / 2)
+    return Trajectory(
+        stamps(t),
+        speed * t[:, None] * east,
+        np.tile(speed * east, (len(t), 1)),
+        np.tile(nose_north, (len(t), 1)),
+        datum_lla=DATUM,
+    )
+
+
+def claiming(track: Trajectory, sigma: float) -> Trajectory:
+    cov = np.tile(sigma**2 * np.eye(3), (len(track), 1, 1))
+    return replace(track, position_cov=cov, velocity_cov=cov, attitude_cov=cov)
+
+
+def shifted(track: Trajectory, by: Any) -> Trajectory:
+    return replace(track, position_enu=track.position_enu + np.asarray(by))
+
+
+def verdicts(seconds: Any, **columns: Any) -> Verdicts:
+    """Return accepted position fixes, except as `columns` say."""
+    usual = {"kind": "position", "accepted": True, "reason": "", "nis": 3.0, "dof": 3.0,
+             "threshold": 16.3, "time_offset": 0.0}  # fmt: skip
+    rows = []
+    for i, stamp in enumerate(stamps(seconds)):
+        given = {**usual, **{k: v[i] for k, v in columns.items()}}
+        rows.append((int(stamp), *(given[name] for name in usual)))
+    return Verdicts.of(rows)  # type: ignore[arg-type]
+
+
+FAST = np.arange(0.0, 20.005, 0.01)
+TRUTH = np.arange(0.0, 20.05, 0.1)
+
+
+class TestFigures:
+    def test_a_constant_error_of_3_4_0(self) -> None:
+        result = evaluate(shifted(flight(FAST), [-3.0, -4.0, 0.0]), flight(TRUTH))
+
+        assert result.prmse == pytest.approx(5.0)
+        assert result.pmae == pytest.approx(7.0)
+        assert result.horizontal_rmse == pytest.approx(5.0)
+        assert result.vertical_rmse == pytest.approx(0.0, abs=1e-9)
+        assert result.largest_error == pytest.approx(5.0)
+        assert result.velocity_rmse == pytest.approx(0.0, abs=1e-9)
+        assert result.attitude_rmse == pytest.approx(0.0, abs=1e-9)
+        assert result.errors is not None
+        assert result.errors.position_enu[0] == pytest.approx([3.0, 4.0, 0.0])  # true - estimate
+
+    def test_velocity_and_attitude(self) -> None:
+        tilt = rotations.quat_from_rotvec(np.array([0.0, 0.03, 0.04]))  # about north and up
+        estimate = flight(FAST)
+        assert estimate.velocity_enu is not None
+        assert estimate.quat_xyzw is not None
+        estimate = replace(
+            estimate,
+            velocity_enu=estimate.velocity_enu + np.array([0.0, 0.3, 0.4]),
+            quat_xyzw=rotations.quat_multiply(tilt, estimate.quat_xyzw),
+        )
+
+        result = evaluate(estimate, flight(TRUTH))
+
+        assert result.velocity_rmse == pytest.approx(0.5)
+        assert result.attitude_rmse == pytest.approx(0.05)
+        assert result.heading_rmse == pytest.approx(0.04)
+        assert result.tilt_rmse == pytest.approx(0.03)
+        # C_true = (I - [eps x]) C_estimated
+        assert result.errors is not None
+        assert result.errors.rotation_enu is not None
+        eps = result.errors.rotation_enu[0]
+        assert eps == pytest.approx([0.0, 0.03, 0.04])
+
+    def test_heading_errors_wrap(self) -> None:
+        truth, estimate = flight(TRUTH), flight(FAST)
+        yaw = rotations.quat_from_rpy(0.0, 0.0, np.radians(179.0))
+        back = rotations.quat_from_rpy(0.0, 0.0, np.radians(-179.0))
+        truth = replace(truth, quat_xyzw=np.tile(yaw, (len(truth), 1)))
+        estimate = replace(estimate, quat_xyzw=np.tile(-back, (len(estimate), 1)))
+
+        result = evaluate(estimate, truth)
+
+        assert result.heading_rmse == pytest.approx(np.radians(2.0))
+
+    def test_a_right_covariance_is_consistent_and_a_small_one_is_not(self) -> None:
+        rng = np.random.default_rng(0)
+        truth = flight(TRUTH)
+        noise = 0.2 * rng.standard_normal((3, len(truth), 3))
+        assert truth.velocity_enu is not None
+        assert truth.quat_xyzw is not None
+        estimate = replace(
+            shifted(truth, noise[0]),
+            velocity_enu=truth.velocity_enu + noise[1],
+            quat_xyzw=rotations.quat_multiply(
+                rotations.quat_from_rotvec(0.1 * noise[2]), truth.quat_xyzw
+            ),
+        )
+        cov = np.tile(0.04 * np.eye(3), (len(truth), 1, 1))
+        # At 10 m/s an uncertain attitude makes the velocity along one's own axes uncertain, too:
+        # not along its motion, which is to its right (east, with the nose to the north).
+        twist_cov = cov + 100.0 * 0.01 * np.diag([0.04, 0.0, 0.04])
+        honest = replace(
+            estimate, position_cov=cov, velocity_cov=twist_cov, attitude_cov=0.01 * cov
+        )
+        proud = replace(
+            honest, position_cov=cov / 4, velocity_cov=twist_cov / 4, attitude_cov=cov / 400
+        )
+
+        right, wrong = evaluate(honest, truth), evaluate(proud, truth)
+
+        for part in ("nees_position", "nees_velocity", "nees_attitude"):
+            good, bad = getattr(right, part), getattr(wrong, part)
+            assert good.dof == 3
+            assert good.band[0] < good.per_dof < good.band[1], part
+            assert good.verdict == "consistent"
+            assert bad.per_dof == pytest.approx(4.0 * good.per_dof)
+            assert bad.verdict == "overconfident"
+
+    def test_nis_of_accepted_fixes_beside_that_of_all_tested(self) -> None:
+        at = np.arange(0.05, 20.0, 0.2)
+        nis = np.full(len(at), 3.0)
+        accepted = np.ones(len(at), bool)
+        nis[10], accepted[10] = 300.0, False
+        nis[20], accepted[20] = np.nan, False
+        reasons = np.where(accepted, "", np.where(np.isnan(nis), "no covariance", "gate"))
+
+        result = evaluate(
+            flight(FAST),
+            flight(TRUTH),
+            verdicts=verdicts(at, nis=nis, accepted=accepted, reason=reasons),
+        )
+
+        assert result.nis_position is not None
+        assert result.nis_position.per_dof == pytest.approx(1.0)
+        assert result.nis_position.count == 98
+        assert result.nis_tested is not None
+        assert result.nis_tested.mean == pytest.approx((98 * 3.0 + 300.0) / 99)
+        assert result.fixes is not None
+        assert (result.fixes.total, result.fixes.accepted) == (100, 98)
+        assert result.fixes.refused == {"gate": 1, "no covariance": 1}
+        assert any("refused" in note for note in result.notes)
+
+    def test_velocity_fixes_have_a_nis_of_their_own(self) -> None:
+        at = np.arange(0.05, 20.0, 0.5)
+        kinds = np.where(np.arange(len(at)) % 2, "velocity", "position")
+        nis = np.where(kinds == "velocity", 6.0, 3.0)
+
+        result = evaluate(flight(FAST), flight(TRUTH), verdicts=verdicts(at, kind=kinds, nis=nis))
+
+        assert result.nis_position is not None
+        assert result.nis_velocity is not None
+        assert result.nis_position.per_dof == pytest.approx(1.0)
+        assert result.nis_velocity.per_dof == pytest.approx(2.0)
+        assert result.fixes is not None
+        assert result.fixes.total == 20
+
+
+class TestTime:
+    def test_a_shift_of_0_1_s_at_10_m_per_s_is_1_m_and_vanishes_with_the_offset(self) -> None:
+        # GIVEN an estimate whose clock is 0.1 s ahead of the reference's
+        estimate = flight(FAST)
+        estimate = replace(estimate, stamp_ns=estimate.stamp_ns + 100_000_000)
+
+        ignored = evaluate(estimate, flight(TRUTH), scoring=Scoring(time_offset=0.0))
+        option = evaluate(estimate, flight(TRUTH), scoring=Scoring(time_offset=0.1))
+        at = np.arange(0.05, 20.0, 0.2)
+        said = evaluate(
+            estimate, flight(TRUTH), verdicts=verdicts(at, time_offset=np.full(len(at), 0.1))
+        )
+
+        assert ignored.prmse == pytest.approx(1.0)
+        assert option.prmse == pytest.approx(0.0, abs=1e-9)
+        assert said.prmse == pytest.approx(0.0, abs=1e-9)
+        assert (ignored.time_offset.source, said.time_offset.source) == ("option", "verdicts")
+        assert said.time_offset.mean == pytest.approx(0.1)
+
+    def test_an_offset_that_is_learned_in_flight_counts_from_when_it_is_in_force(self) -> None:
+        estimate = flight(FAST)
+        at = np.array([0.05, 9.95])
+
+        result = evaluate(
+            estimate, flight(TRUTH), verdicts=verdicts(at, time_offset=np.array([0.0, -0.05]))
+        )
+
+        assert result.errors is not None
+        east = result.errors.position_enu[:, 0]
+        assert east[:99] == pytest.approx(0.0, abs=1e-9)
+        assert east[101:] == pytest.approx(0.5)
+        assert (result.time_offset.low, result.time_offset.high) == (-0.05, 0.0)
+
+    def test_epochs_between_estimates_are_interpolated(self) -> None:
+        result = evaluate(flight(np.arange(0.0, 20.1, 0.13)), flight(TRUTH))
+
+        assert result.prmse == pytest.approx(0.0, abs=1e-7)
+        assert result.largest_gap == pytest.approx(0.13)
+
+    def test_no_time_in_common_names_both_times(self) -> None:
+        late = replace(flight(TRUTH), stamp_ns=flight(TRUTH).stamp_ns + 10**12)
+
+        with pytest.raises(InputError, match=r"1700000000\.000 to .*1700001000\.000 to"):
+            evaluate(flight(FAST), late)
+
+    def test_start_end_and_skip(self) -> None:
+        window = Scoring(start=5.0, end=15.0, skip=2.0)
+
+        result = evaluate(flight(np.arange(4.0, 20.0, 0.01)), flight(TRUTH), scoring=window)
+
+        assert result.epochs is not None
+        assert result.epochs.truth == 101
+        assert result.epochs.skipped == 20
+        assert result.epochs.scored == 81
+        assert result.errors is not None
+        first = result.errors.stamp_ns[result.errors.scored][0]
+        assert first == stamps(7.0)
+
+    def test_skip_counts_from_the_first_estimate(self) -> None:
+        result = evaluate(
+            flight(np.arange(4.0, 20.0, 0.01)), flight(TRUTH), scoring=Scoring(skip=2.0)
+        )
+
+        assert result.epochs is not None
+        assert result.epochs.uncovered == 41  # 40 before, and the very last
+        assert result.epochs.skipped == 20
+
+
+class TestWhatIsScored:
+    def test_epochs_at_fix_stamps_are_not(self) -> None:
+        # GIVEN 5 Hz fixes made from a 10 Hz truth, with stamps rounded a little differently
+        fixes = flight(np.arange(0.0, 20.1, 0.2)).stamp_ns + 40
+
+        result = evaluate(flight(FAST), flight(TRUTH), fix_stamp_ns=fixes)
+
+        assert result.epochs is not None
+        assert result.epochs.fed == 101
+        assert result.epochs.scored == 100
+        assert result.epochs.truth == 201
+
+    def test_verdicts_tell_the_fix_stamps_where_fixes_are_not_recorded(self) -> None:
+        result = evaluate(flight(FAST), flight(TRUTH), verdicts=verdicts(np.arange(0.0, 20.1, 0.2)))
+
+        assert result.epochs is not None
+        assert result.epochs.fed == 101
+
+    def test_a_fix_of_velocity_feeds_no_position(self) -> None:
+        at = np.arange(0.0, 20.1, 0.2)
+
+        result = evaluate(
+            flight(FAST),
+            flight(TRUTH),
+            verdicts=verdicts(at, kind=np.full(len(at), "velocity")),
+        )
+
+        assert result.epochs is not None
+        assert result.epochs.fed == 0
+
+    def test_if_all_were_fed_the_way_out_is_named(self) -> None:
+        truth = flight(TRUTH)
+
+        with pytest.raises(InputError, match="--include-fed"):
+            evaluate(flight(FAST), truth, fix_stamp_ns=truth.stamp_ns)
+        all_the_same = evaluate(
+            flight(FAST),
+            truth,
+            fix_stamp_ns=truth.stamp_ns,
+            scoring=Scoring(include_fed=True),
+        )
+        assert all_the_same.epochs is not None
+        assert all_the_same.epochs.scored == len(truth)
+
+    def test_an_estimate_that_stops_early_is_said(self) -> None:
+        result = evaluate(flight(np.arange(2.0, 8.005, 0.01)), flight(TRUTH))
+
+        assert result.coverage == pytest.approx(61 / 201)
+        assert any("2.0 s late" in note and "12.0 s early" in note for note in result.notes)
+
+    def test_no_interpolation_over_long_gaps(self) -> None:
+        hole = np.concatenate((np.arange(0.0, 5.0, 0.01), np.arange(8.0, 20.005, 0.01)))
+
+        result = evaluate(flight(hole), flight(TRUTH))
+
+        assert result.largest_gap == pytest.approx(3.01)
+        assert result.epochs is not None
+        assert result.epochs.uncovered == 30
+        with pytest.raises(InputError, match="--max-gap"):
+            evaluate(flight([0.05, 10.05, 19.95]), flight(TRUTH))
+
+    def test_nan_in_the_truth_is_left_out(self) -> None:
+        truth = flight(TRUTH)
+        position = truth.position_enu.copy()
+        position[7] = np.nan
+
+        result = evaluate(flight(FAST), replace(truth, position_enu=position))
+
+        assert result.epochs is not None
+        assert result.epochs.invalid == 1
+        assert result.prmse == pytest.approx(0.0, abs=1e-9)
+
+    def test_truth_of_positions_only(self) -> None:
+        truth = flight(TRUTH)
+        bare = Trajectory(truth.stamp_ns, truth.position_enu)
+
+        result = evaluate(claiming(flight(FAST), 1.0), bare)
+
+        assert result.prmse == pytest.approx(0.0, abs=1e-9)
+        assert result.velocity_rmse is None
+        assert result.attitude_rmse is None
+        assert result.nees_velocity is None
+        assert result.nees_position is not None
+        assert "not known" in result.table()
+
+    def test_few_epochs_are_said(self) -> None:
+        result = evaluate(flight(FAST), flight(TRUTH), scoring=Scoring(end=0.5))
+
+        assert any("only 6 epochs" in note for note in result.notes)
+
+    @pytest.mark.parametrize(
+        ("scoring", "text"),
+        [
+            (Scoring(skip=100.0), "--skip"),
+            (Scoring(start=50.0), "--start"),
+            (Scoring(start=10.0, end=5.0), "--end"),
+        ],
+    )
+    def test_an_empty_window_is_refused(self, scoring: Scoring, text: str) -> None:
+        with pytest.raises(InputError, match=text):
+            evaluate(flight(FAST), flight(TRUTH), scoring=scoring)
+
+    def test_one_message_is_no_estimate(self) -> None:
+        with pytest.raises(InputError, match="fewer than two"):
+            evaluate(flight([1.0]), flight(TRUTH))
+
+    def test_covariances_that_are_none_are_said(self) -> None:
+        estimate = claiming(flight(FAST), 1.0)
+        assert estimate.position_cov is not None
+        cov = estimate.position_cov.copy()
+        cov[:1000] = 0.0
+
+        result = evaluate(replace(estimate, position_cov=cov), flight(TRUTH))
+
+        assert result.nees_position is not None
+        assert result.nees_position.count < result.epochs.scored  # type: ignore[union-attr]
+        assert any("not positive definite" in note for note in result.notes)
+
+    def test_unordered_tracks_are_sorted(self) -> None:
+        estimate, truth = flight(FAST), flight(TRUTH)
+
+        result = evaluate(estimate.rows(slice(None, None, -1)), truth.rows(slice(None, None, -1)))
+
+        assert result.prmse == pytest.approx(0.0, abs=1e-9)
+
+
+class TestMaps:
+    def test_truth_of_another_datum_is_moved(self) -> None:
+        there = LocalFrame(DATUM).lla(np.array([300.0, -200.0, 30.0]))
+        truth = flight(TRUTH).in_map_of(there)
+
+        result = evaluate(flight(FAST), truth)
+        naive = evaluate(flight(FAST), replace(truth, datum_lla=None))
+
+        assert result.prmse == pytest.approx(0.0, abs=1e-7)
+        assert result.attitude_rmse == pytest.approx(0.0, abs=1e-9)
+        assert naive.prmse == pytest.approx(np.sqrt(300.0**2 + 200.0**2 + 30.0**2), rel=0.01)
+
+
+class TestOutages:
+    def test_the_error_at_the_end_is_that_before_the_returning_fix(self) -> None:
+        # GIVEN 5 Hz fixes with one hole, an error that grows in it and vanishes at the next fix
+        at = np.concatenate((np.arange(0.0, 5.1, 0.2), np.arange(15.0, 20.0, 0.2)))
+        estimate = flight(FAST)
+        t = (estimate.stamp_ns - START_NS) * 1e-9
+        grown = np.where((t > 5.0) & (t < 14.999), (t - 5.0) * 0.3, 0.0)
+        estimate = shifted(estimate, np.stack((grown, 0 * grown, 0 * grown), axis=1))
+        estimate = replace(estimate, velocity_enu=None)
+
+        result = evaluate(estimate, flight(TRUTH), fix_stamp_ns=stamps(at))
+
+        (outage,) = result.outages
+        assert outage.start == pytest.approx(5.0)
+        assert outage.duration == pytest.approx(10.0)
+        assert outage.end_error == pytest.approx(0.3 * 9.9)  # the last truth epoch in it
+        assert outage.end_horizontal_error == pytest.approx(0.3 * 9.9)
+        assert result.outage_error(50) == pytest.approx(0.3 * 9.9)
+
+    def test_refused_fixes_make_an_outage(self) -> None:
+        at = np.arange(0.0, 20.1, 0.2)
+        accepted = (at < 8.0) | (at > 13.0)
+
+        result = evaluate(
+            flight(FAST),
+            flight(TRUTH),
+            fix_stamp_ns=stamps(at),
+            verdicts=verdicts(at, accepted=accepted),
+        )
+
+        (outage,) = result.outages
+        assert outage.start == pytest.approx(7.8)
+        assert outage.duration == pytest.approx(5.4)
+
+    def test_spans(self) -> None:
+        fused = stamps([0.0, 1.0, 2.0, 8.0, 9.0])
+        end = int(stamps(9.5))
+
+        assert outage_spans(fused, end, 3.0) == [(fused[2], fused[3])]
+        assert outage_spans(fused, int(stamps(30.0)), 3.0)[-1] == (fused[4], int(stamps(30.0)))
+        assert outage_spans(stamps(np.arange(0.0, 60.0, 5.0)), int(stamps(60.0)), 3.0) == []
+        assert outage_spans(np.empty(0, np.int64), end, 3.0) == []
+
+    def test_no_outage_no_figure(self) -> None:
+        assert evaluate(flight(FAST), flight(TRUTH)).outage_error(50) is None
+
+
+class TestResult:
+    def test_the_dictionary_is_plain_and_complete(self) -> None:
+        at = np.arange(0.0, 20.1, 0.2)
+        result = evaluate(claiming(flight(FAST), 1.0), flight(TRUTH), verdicts=verdicts(at))
+
+        data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
+
+        documented = Result.as_dict.__doc__ or ""
+        assert all(f"{key}" in documented for key in data)
+        assert data["prmse_m"] == pytest.approx(0.0, abs=1e-9)
+        assert data["nees_position"]["dof"] == 3
+        assert data["epochs"]["scored"] == 100
+        assert data["outages"] == {
+            "count": 0,
+            "end_error_median_m": None,
+            "end_error_p90_m": None,
+            "each": [],
+        }
+
+    def test_the_table_fits_a_terminal(self) -> None:
+        at = np.concatenate((np.arange(0.0, 5.1, 0.2), np.arange(15.0, 20.0, 0.2)))
+        accepted = np.arange(len(at)) % 5 > 0
+        reasons = np.where(accepted, "", "innovation gate: farther than the filter believes")
+        result = evaluate(
+            claiming(shifted(flight(FAST[:1500]), [1.0, 2.0, 3.0]), 0.01),
+            flight(TRUTH),
+            verdicts=verdicts(at, accepted=accepted, reason=reasons),
+            scoring=Scoring(skip=1.0),
+        )
+
+        table = result.table()
+
+        assert max(len(line) for line in table.splitlines()) <= 80
+        for text in ("PRMSE", "PMAE", "NEES", "NIS", "overconfident", "outages", "note:", "skip"):
+            assert text in table
+
+    def test_without_truth_only_the_filter_s_own_word(self) -> None:
+        result = evaluate(flight(FAST), None, verdicts=verdicts(np.arange(0.0, 20.1, 0.2)))
+
+        assert result.prmse is None
+        assert result.nis_position is not None
+        assert result.as_dict()["epochs"] is None
+        assert "no truth" in result.table()
+
+
+# Bags
+
+
+def navsatfix(stamp_ns: int, lla: np.ndarray, status: int = 0) -> Any:
+    message = new_message("sensor_msgs/msg/NavSatFix")
+    set_stamp(message, stamp_ns)
+    message.latitude, message.longitude = np.degrees(lla[:2]).tolist()
+    message.altitude = float(lla[2])
+    message.status.status = status
+    return message
+
+
+def set_stamp(message: Any, stamp_ns: int) -> None:
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp_ns), 10**9)
+
+
+def write_track(
+    out: BagWriter, topic: str, track: Trajectory, frames: tuple[str, str] = ("map", "base_link")
+) -> None:
+    """Write a track as nav_msgs/Odometry; parts that it lacks stay zero."""
+    encoder = OdometryEncoder(*frames)
+    for i, stamp_ns in enumerate(track.stamp_ns):
+        pose_cov, twist_cov = np.zeros((6, 6)), np.zeros((6, 6))
+        quat, velocity = np.zeros(4), np.zeros(3)
+        if track.quat_xyzw is not None:
+            quat = track.quat_xyzw[i]
+            C_base_map = rotations.matrix_from_quat(rotations.quat_conjugate(quat))
+            if track.velocity_enu is not None:
+                velocity = C_base_map @ track.velocity_enu[i]
+            if track.velocity_cov is not None:
+                twist_cov[:3, :3] = track.velocity_cov[i]
+        if track.position_cov is not None:
+            pose_cov[:3, :3] = track.position_cov[i]
+        if track.attitude_cov is not None:
+            pose_cov[3:, 3:] = track.attitude_cov[i]
+        data = encoder.encode(
+            int(stamp_ns), track.position_enu[i], quat, pose_cov, velocity, np.zeros(3), twist_cov
+        )
+        out.write_raw(topic, ODOMETRY, data, int(stamp_ns))
+
+
+def write_verdict(out: BagWriter, stamp_ns: int, **said: str) -> None:
+    message = new_message("diagnostic_msgs/msg/DiagnosticStatus")
+    message.name = "hybrid_ins: gnss"
+    for key, value in {"stamp": str(stamp_ns), **said}.items():
+        pair = new_message("diagnostic_msgs/msg/KeyValue")
+        pair.key, pair.value = key, value
+        message.values.append(pair)
+    out.write("/gnss/verdict", message, int(stamp_ns))
+
+
+@contextmanager
+def bag(path: Path, truth: Trajectory | None = None) -> Iterator[BagWriter]:
+    with BagWriter(path) as out:
+        if truth is not None:
+            write_track(out, "/truth/odometry", truth)
+            if truth.datum_lla is not None:
+                out.write("/truth/datum", navsatfix(START_NS, truth.datum_lla), START_NS)
+            lla = LocalFrame(DATUM).lla(flight(TRUTH[::2]).position_enu @ SWAP)
+            for stamp_ns, place in zip(truth.stamp_ns[::2], lla, strict=True):
+                out.write("/gnss/fix", navsatfix(stamp_ns, place), int(stamp_ns))
+        yield out
+
+
+def said(capsys: pytest.CaptureFixture[str], status: int, *arguments: Any) -> tuple[str, str]:
+    assert main([str(a) for a in arguments]) == status
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return captured.out, captured.err
+
+
+def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
+    with bag(tmp_path / "run", flight(TRUTH)) as out:
+        write_track(out, "/odometry", flight(FAST))
+        for below in ("", "/truth"):
+            for second, stamp_ns in enumerate(stamps([1.0, 2.0])):
+                bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
+                set_stamp(bias, stamp_ns)
+                bias.accel.accel.linear.x, bias.accel.accel.angular.z = 0.5, -0.1
+                bias.accel.covariance = np.diag([4.0, 4.0, 4.0, 9.0, 9.0, 9.0]).ravel()
+                out.write(f"{below}/imu/bias", bias, int(stamp_ns))
+                noise = new_message("geometry_msgs/msg/Vector3Stamped")
+                set_stamp(noise, stamp_ns)
+                noise.vector.y = 1.0 + second
+                out.write(f"{below}/q/gyroscope", noise, int(stamp_ns))
+        for stamp_ns, source in zip(
+            stamps([0.0, 1.0, 2.0, 3.0]), ("none", "fallback", "learned", "learned"), strict=True
+        ):
+            array = new_message("diagnostic_msgs/msg/DiagnosticArray")
+            set_stamp(array, stamp_ns)
+            status, pair = map(
+                new_message,
+                ("diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"),
+            )
+            status.name, pair.key, pair.value = "hybrid_ins: process noise", "source", source
+            status.values.append(pair)
+            array.status.append(status)
+            out.write("/diagnostics", array, int(stamp_ns))
+        lost = navsatfix(int(stamps(1.1)), DATUM, status=-1)
+        out.write("/gnss/fix", lost, int(stamps(1.1)))
+        write_verdict(out, int(stamps(1.2)), kind="position", accepted="false", reason="late")
+        write_verdict(out, int(stamps(1.4)), accepted="true", nis="1.5", dof="x")
+
+    recording = read_recording(tmp_path / "run")
+
+    for errors in (recording.sensor_errors, recording.true_sensor_errors):
+        assert errors.accelerometer_bias is not None
+        assert errors.gyroscope_bias is not None
+        assert errors.accelerometer_bias.values[0].tolist() == [0.5, 0.0, 0.0]
+        assert errors.gyroscope_bias.values[0].tolist() == [0.0, 0.0, -0.1]
+        assert errors.gyroscope_bias.sigma is not None
+        assert errors.gyroscope_bias.sigma[0].tolist() == [3.0, 3.0, 3.0]
+        assert errors.accelerometer_noise is None
+        assert errors.gyroscope_noise is not None
+        assert errors.gyroscope_noise.values[:, 1].tolist() == [1.0, 2.0]
+    assert [source for _, source in recording.noise_source] == ["fallback", "learned"]
+    assert len(recording.fixes) == 101  # without the one that says it is none
+    assert recording.verdicts.reason.tolist() == ["late", ""]
+    assert recording.verdicts.accepted.tolist() == [False, True]
+    assert np.isnan(recording.verdicts.dof).all()
+    assert recording.truth is not None
+    assert recording.truth.datum_lla == pytest.approx(DATUM)
+
+
+class TestProgram:
+    @pytest.fixture
+    def truth_bag(self, tmp_path: Path) -> Path:
+        with bag(tmp_path / "truth.mcap", flight(TRUTH)):
+            pass
+        return tmp_path / "truth.mcap"
+
+    @pytest.fixture
+    def estimate_bag(self, tmp_path: Path) -> Path:
+        there = LocalFrame(DATUM).lla(np.array([30.0, -20.0, 3.0]))
+        estimate = shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.0])
+        with bag(tmp_path / "estimate") as out:
+            write_track(out, "/odometry", estimate.in_map_of(there))
+            out.write("/datum", navsatfix(START_NS, there), START_NS)
+            for stamp_ns in stamps(TRUTH[::2]):
+                write_verdict(
+                    out, stamp_ns, kind="position", accepted="true", nis="2.5", dof="3",
+                    threshold="16.3", time_offset="0.0",
+                )  # fmt: skip
+        return tmp_path / "estimate"
+
+    def test_two_bags_with_different_datums(
+        self, estimate_bag: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out, _ = said(capsys, 0, estimate_bag, "--truth", truth_bag, "--json")
+
+        figures = json.loads(out)
+        assert figures["prmse_m"] == pytest.approx(0.5, abs=1e-6)
+        assert figures["pmae_m"] == pytest.approx(0.7, abs=1e-5)
+        assert figures["velocity_rmse_mps"] == pytest.approx(0.0, abs=1e-6)
+        assert figures["nees_position"]["mean"] == pytest.approx(1.0, abs=1e-5)
+        assert figures["nees_attitude"]["mean"] == pytest.approx(0.0, abs=1e-9)
+        assert figures["nis_position"]["per_dof"] == pytest.approx(2.5 / 3)
+        assert figures["epochs"]["fed"] == 101
+        assert figures["notes"] == []
+
+    def test_table_and_truth_beside_the_estimate(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with bag(tmp_path / "both", flight(TRUTH)) as out:
+            write_track(out, "/odometry", flight(FAST))
+
+        text, _ = said(capsys, 0, tmp_path / "both")
+
+        assert "scored 100 of 201 truth epochs; left out: 101 at fix stamps" in text
+        assert "the estimate's datum is not in the bag" in " ".join(text.split())
+
+    def test_no_truth_is_an_error_unless_asked_for(
+        self, estimate_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        _, error = said(capsys, 2, estimate_bag)
+        text, _ = said(capsys, 0, estimate_bag, "--no-truth")
+
+        assert "--truth" in error
+        assert error.count("\n") == 1
+        assert "position NIS" in text
+
+    def test_no_odometry_names_what_there_is(
+        self, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        _, error = said(capsys, 2, truth_bag)
+
+        assert "no topic /odometry" in error
+        assert "/truth/odometry" in error.partition("it has")[2]
+
+    def test_a_zero_quaternion_is_no_attitude(
+        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with bag(tmp_path / "estimate") as out:
+            write_track(out, "/odometry", replace(flight(FAST), quat_xyzw=None))
+
+        out_text, _ = said(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
+
+        figures = json.loads(out_text)
+        assert figures["prmse_m"] == pytest.approx(0.0, abs=1e-6)
+        assert figures["attitude_rmse_deg"] is None
+        assert figures["velocity_rmse_mps"] is None
+        assert any("no rotation" in note for note in figures["notes"])
+
+    def test_nan_zero_stamps_and_repeated_stamps_are_left_out_and_said(
+        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        estimate = flight(FAST)
+        position, stamp_ns = estimate.position_enu.copy(), estimate.stamp_ns.copy()
+        position[500] = np.nan
+        stamp_ns[600] = 0
+        stamp_ns[700] = stamp_ns[699]
+        position[699] = 1e6  # before the correction at the same stamp
+        with bag(tmp_path / "estimate") as out:
+            write_track(
+                out,
+                "/odometry",
+                replace(estimate, position_enu=position, stamp_ns=stamp_ns, velocity_enu=None),
+            )
+
+        text, _ = said(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
+
+        notes = " ".join(json.loads(text)["notes"])
+        assert "1 of 2001 messages left out: no time stamp" in notes
+        assert "1 of 2000 messages left out: NaN" in notes
+        assert "1 messages repeat" in notes
+        assert "every velocity is zero" in notes
+        assert json.loads(text)["prmse_m"] < 0.1
+
+    def test_other_topics_and_frames(
+        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with bag(tmp_path / "estimate") as out:
+            write_track(out, "/odometry/filtered", flight(FAST), ("odom", "base_footprint"))
+
+        text, _ = said(
+            capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--odometry",
+            "odometry/filtered", "--json",
+        )  # fmt: skip
+
+        assert any("'odom'" in note for note in json.loads(text)["notes"])
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            [],
+            ["EST", "--skip", "-1"],
+            ["EST", "--skip", "soon"],
+            ["EST", "--time-offset", "nan"],
+            ["EST", "--unknown"],
+        ],
+    )
+    def test_wrong_arguments(self, arguments: list[str]) -> None:
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments)
+
+        assert stopped.value.code == 2
+
+    @pytest.mark.parametrize(
+        ("arguments", "text"),
+        [
+            (["/nowhere/bag"], "/nowhere/bag"),
+            (["EST", "--truth", "/nowhere/truth"], "/nowhere/truth"),
+            (["EST", "--truth", "EST", "--no-truth"], "exclude"),
+            (["EST", "--truth", "EST"], "/truth/odometry"),
+            (["EST", "--plot", "picture.bmp"], ".png or .svg"),
+            (["EST", "--plot", "/nowhere/picture.png"], "no such folder"),
+            (["EST", "--odometry", "/gnss/verdict"], "diagnostic_msgs"),
+        ],
+    )
+    def test_what_cannot_be_used_is_one_clear_line(
+        self,
+        estimate_bag: Path,
+        capsys: pytest.CaptureFixture[str],
+        arguments: list[str],
+        text: str,
+    ) -> None:
+        given = [str(estimate_bag) if a == "EST" else a for a in arguments]
+
+        _, error = said(capsys, 2, *given)
+
+        assert text in error
+        assert error.startswith("ins_evaluate: error: ")
+        assert error.count("\n") == 1
+
+    def test_an_estimate_without_any_usable_message(
+        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        estimate = flight(FAST[:5])
+        with bag(tmp_path / "estimate") as out:
+            write_track(out, "/odometry", replace(estimate, position_enu=np.full((5, 3), np.nan)))
+
+        _, error = said(capsys, 2, tmp_path / "estimate", "--truth", truth_bag)
+
+        assert "no usable message" in error

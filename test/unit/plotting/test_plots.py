@@ -1,0 +1,205 @@
+"""Pictures: what is on them, that they never fail, and that matplotlib stays optional."""
+
+import importlib.util
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from unit.evaluation.test_evaluation import (
+    DATUM,
+    FAST,
+    START_NS,
+    TRUTH,
+    bag,
+    claiming,
+    flight,
+    said,
+    shifted,
+    stamps,
+    verdicts,
+    write_track,
+)
+
+from hybrid_ins.cli import replay, simulate
+from hybrid_ins.cli.evaluate import evaluate_recording
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.result import Scoring
+from hybrid_ins.evaluation.run_reader import Fixes, Recording, SensorErrors, Series
+from hybrid_ins.plotting import run
+from hybrid_ins.ros.conversions import SWAP
+
+pytest.importorskip("matplotlib")
+
+
+def series(level: float) -> Series:
+    at = np.arange(0.0, 20.0, 0.2)
+    values = level * (1.0 + 0.1 * np.sin(at[:, None] + np.arange(3)))
+    return Series(stamps(at), values, 0.1 * np.abs(values))
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recording:
+    """A flight with everything: an outage, refusals of two kinds, biases, noise, its source."""
+    at = np.concatenate((np.arange(0.0, 8.0, 0.2), np.arange(13.0, 20.0, 0.2)))
+    accepted = np.arange(len(at)) % 11 > 0
+    nis = np.where(accepted, 3.0, 400.0)
+    nis[11] = np.nan
+    reasons = np.where(accepted, "", np.where(np.isnan(nis), "no covariance", "gate"))
+    lla = LocalFrame(DATUM).lla(flight(at).position_enu @ SWAP)
+    lla[3, 2] = np.nan
+    return Recording(
+        "a_flight",
+        shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.1]),
+        flight(TRUTH),
+        Fixes(stamps(at), lla),
+        verdicts(at, accepted=accepted, nis=nis, reason=reasons),
+        SensorErrors(series(0.1), series(1e-3), series(1e-3), series(1e-6)),
+        SensorErrors(series(0.11), None, series(1.1e-3), None),
+        ((START_NS, "constant"), (START_NS + 5 * 10**9, "learned")),
+    )
+
+
+def texts(figure: object) -> str:
+    from matplotlib.text import Text
+
+    return "\n".join(t.get_text() for t in figure.findobj(Text))  # type: ignore[attr-defined]
+
+
+def test_one_page_shows_everything(whole: Recording, tmp_path: Path) -> None:
+    result = evaluate_recording(whole, Scoring(skip=1.0))
+
+    figure = run.overview(whole, result)
+    run.save(figure, tmp_path / "run.png")
+
+    shown = texts(figure)
+    for text in (
+        "a_flight", "PRMSE 0.51 m", "east [m]", "refused fix", "east error", "north error",
+        "up error", "heading error", "tilt error", "body velocity error", "m/s", "deg", "NIS",
+        "threshold", "refused: gate (6)", "refused: no covariance (1)", "accelerometer bias",
+        "gyroscope bias", "accelerometer q", "learned", "time [s]; shaded: no accepted fix",
+    ):  # fmt: skip
+        assert text in shown, text
+    header = (tmp_path / "run.png").read_bytes()[:24]
+    assert header[:8] == b"\x89PNG\r\n\x1a\n"
+    assert int.from_bytes(header[16:20], "big") == 1600
+    assert int.from_bytes(header[20:24], "big") == 1000
+
+
+def test_svg_is_well_formed_and_the_same_each_time(whole: Recording, tmp_path: Path) -> None:
+    for name in ("one.svg", "two.svg"):
+        run.save(run.overview(whole, evaluate_recording(whole)), tmp_path / name)
+
+    assert ElementTree.parse(tmp_path / "one.svg").getroot().tag.endswith("svg")
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+
+
+def test_without_truth_the_filter_s_own_sigma_is_drawn(whole: Recording) -> None:
+    alone = replace(whole, truth=None)
+
+    shown = texts(run.overview(alone, evaluate_recording(alone)))
+
+    assert "no truth, the filter's own ±3σ" in shown
+    assert "PRMSE" not in shown
+
+
+def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Path) -> None:
+    bare = Recording("bare", replace(flight(FAST), quat_xyzw=None, velocity_enu=None))
+
+    figure = run.overview(bare, evaluate_recording(bare))
+    run.save(figure, tmp_path / "bare.png")
+
+    shown = texts(figure)
+    assert "no verdicts recorded" in shown
+    assert "not recorded" in shown
+    assert "not known" in shown
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 1e12])
+def test_odd_values_do_not_stop_it(whole: Recording, tmp_path: Path, value: float) -> None:
+    estimate = whole.estimate
+    assert estimate.position_cov is not None
+    cov = estimate.position_cov.copy()
+    cov[500:900] = value
+    odd = Series(stamps(np.arange(4.0)), np.full((4, 3), value), np.full((4, 3), value))
+    recording = replace(
+        whole,
+        estimate=replace(estimate, position_cov=cov, attitude_cov=cov),
+        sensor_errors=SensorErrors(odd, None, None, odd),
+        verdicts=replace(whole.verdicts, nis=np.full(len(whole.verdicts), value)),
+    )
+
+    run.save(run.overview(recording, evaluate_recording(recording)), tmp_path / "odd.png")
+
+
+def test_long_runs_are_thinned_without_losing_a_spike() -> None:
+    at = np.arange(0.0, 600.0, 0.001)
+    values = np.sin(at)
+    values[123_456], values[400_001] = 50.0, -60.0
+    values[200] = np.nan
+
+    t, y = run._thin(at, values)
+
+    assert len(t) < 4000
+    assert np.nanmax(y) == 50.0
+    assert np.nanmin(y) == -60.0
+    assert np.all(np.diff(t) > 0)
+
+
+def test_lines_are_broken_where_time_is_missing() -> None:
+    at = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(9.0, 12.0, 0.1)))
+
+    t, y = run._thin(at, at)
+
+    assert np.sum(np.isnan(t)) == 1
+    assert np.isnan(y[50])
+
+
+@pytest.mark.parametrize(("name", "text"), [("run.jpg", ".png or .svg"), ("run", ".png or .svg")])
+def test_other_formats_are_refused(tmp_path: Path, name: str, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        run.check(tmp_path / name)
+
+
+def test_without_matplotlib_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+
+    with pytest.raises(InputError, match=r"hybrid_ins\[plot\]"):
+        run.check(tmp_path / "run.png")
+
+
+def test_evaluation_does_not_load_matplotlib() -> None:
+    code = "import sys, hybrid_ins.cli.evaluate; sys.exit('matplotlib' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with bag(tmp_path / "run", flight(TRUTH)) as out:
+        write_track(out, "/odometry", claiming(flight(FAST), 0.5))
+
+    text, _ = said(capsys, 0, tmp_path / "run", "--plot", tmp_path / "run.svg")
+
+    assert f"picture: {tmp_path / 'run.svg'}" in text
+    assert (tmp_path / "run.svg").stat().st_size > 10_000
+
+
+def test_replay_draws_what_it_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flown, out, picture = (str(tmp_path / name) for name in ("flown", "out", "run.png"))
+    options = ["--duration", "8", "--imu-rate", "100", "--heading", "0"]
+    given = ["-p", "alignment.heading_source:=parameter", "-p", "alignment.yaw:=1.5708"]
+    assert simulate.main([flown, *options]) == 0
+
+    assert replay.main([flown, out, *given, "--plot", picture]) == 0
+    assert f"picture: {picture}" in capsys.readouterr().out
+    assert Path(picture).stat().st_size > 10_000
+
+    assert replay.main([flown, out, "--overwrite", "--plot", "run.bmp"]) == 2
+    assert replay.main([flown, flown, out, "--plot", picture]) == 2

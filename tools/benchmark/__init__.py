@@ -1,0 +1,1 @@
+"""Benchmarks: `run` measures, the other modules are its parts."""

@@ -1,0 +1,140 @@
+"""
+Two processes that a node is measured between: one sends IMU and GNSS, the other takes odometry.
+
+    imu_load.py send RATE DURATION OUT.npy     stamps [ns] of the Imu messages sent
+    imu_load.py take OUT.npy [--times]         stamps of the Odometry messages that came, until
+                                               SIGTERM; with the times when they were published
+
+A stamp is the wall clock's time right before the message was given to the middleware, so that the
+publication time of its answer says what happened to it in between.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np  # noqa: E402
+import rclpy  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
+from rclpy.experimental import EventsExecutor  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.task import Future  # noqa: E402
+from sensor_msgs.msg import Imu, NavSatFix  # noqa: E402
+
+from hybrid_ins.ros.cdr import FixEncoder, StampedEncoder  # noqa: E402
+
+FIX_PERIOD_NS = 200_000_000
+NOISE = np.array([0.002] * 3 + [0.02] * 3)  # rad/s, m/s²: an MPU-9250
+LATENCY_OF_FIX_NS = 50_000_000
+DEEP = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def send(rate: float, duration: float, out: Path) -> None:
+    """Send Imu at a rate and fixes at 5 Hz, once somebody listens, of a vehicle that hovers."""
+    rclpy.init()
+    node = rclpy.create_node("imu_load")
+    publisher = node.create_publisher(Imu, "imu/data", DEEP)
+    fixes = node.create_publisher(NavSatFix, "gnss/fix", DEEP)
+    imu = StampedEncoder(("imu_link",), 37)
+    imu.values[3] = 1.0  # level, facing east
+    imu.values[[4, 8, 12]] = 0.01
+    fix = FixEncoder("gnss", 2)
+    fix.values[:] = [32.1, 34.8, 50.0, 0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.02]
+    noise = np.random.default_rng(0).normal(size=(4096, 6)) * NOISE
+    end = time.monotonic() + 20.0
+    while publisher.get_subscription_count() == 0:
+        if time.monotonic() > end:
+            raise SystemExit("imu_load.py: nobody listens to imu/data")
+        time.sleep(0.02)
+    period = 1.0 / rate
+    sent = np.zeros(int(rate * duration) + 1, np.int64)
+    next_fix_ns = 0
+    start = time.perf_counter()
+    publish, values, message = publisher.publish, imu.values, imu.message
+    for k in range(len(sent)):
+        ahead = start + k * period - time.perf_counter()
+        if ahead > 2e-5:
+            time.sleep(ahead)
+        row = noise[k & 4095]
+        values[13:16] = row[:3]
+        values[25:28] = row[3:]
+        values[27] += 9.8
+        t_ns = time.time_ns()
+        sent[k] = t_ns
+        publish(message(t_ns))
+        if t_ns >= next_fix_ns:
+            next_fix_ns = t_ns + FIX_PERIOD_NS
+            fixes.publish(fix.message(t_ns - LATENCY_OF_FIX_NS))
+    np.save(out, sent)
+    time.sleep(0.5)  # what is on the way arrives
+    rclpy.try_shutdown()
+
+
+def take(out: Path, times: bool) -> None:
+    """Take Odometry until SIGTERM."""
+    rclpy.init()
+    node = rclpy.create_node("odometry_take")
+    stamps: list[bytes] = []
+    published: list[int] = []
+    add, add_time = stamps.append, published.append
+    reliable = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.RELIABLE)
+
+    def with_time(data: bytes, info: dict[str, Any]) -> None:
+        add(data[4:12])
+        add_time(info["source_timestamp"])
+
+    def without_time(data: bytes) -> None:
+        add(data[4:12])
+
+    node.create_subscription(
+        Odometry, "odometry", with_time if times else without_time, reliable, raw=True)
+    # The faster executor does not hand over when a message was published.
+    executor = SingleThreadedExecutor() if times else EventsExecutor()
+    executor.add_node(node)
+    asked_to_stop: Future[None] = Future()
+    signal.signal(signal.SIGTERM, lambda *_: asked_to_stop.set_result(None))
+    print("ready", flush=True)
+    try:
+        while rclpy.ok() and not asked_to_stop.done():
+            executor.spin_until_future_complete(asked_to_stop, 0.2)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    seconds = np.frombuffer(b"".join(stamps), "<i4")[::2].astype(np.int64)
+    nanoseconds = np.frombuffer(b"".join(stamps), "<u4")[1::2]
+    np.save(out, np.stack((
+        seconds * 1_000_000_000 + nanoseconds,
+        np.array(published if times else np.zeros(len(stamps)), np.int64))))
+    rclpy.try_shutdown()
+
+
+def main() -> int:
+    """Run one of the two."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    sending = commands.add_parser("send")
+    sending.add_argument("rate", type=float)
+    sending.add_argument("duration", type=float)
+    sending.add_argument("out", type=Path)
+    taking = commands.add_parser("take")
+    taking.add_argument("out", type=Path)
+    taking.add_argument("--times", action="store_true")
+    args = parser.parse_args()
+    if args.command == "send":
+        send(args.rate, args.duration, args.out)
+    else:
+        take(args.out, args.times)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

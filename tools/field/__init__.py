@@ -1,0 +1,1 @@
+"""The field experiment on recorded quadrotor flights."""

@@ -1,0 +1,437 @@
+"""
+Paired Monte Carlo runs of the filter under chosen process noise, on arrays and with exact truth.
+
+A `Scenario` draws a `Run` from a seed: a flight, what its IMU and receiver report, and the error
+that the filter begins with, drawn from the covariance it is told. Each `Method` of setting the
+process noise then flies the same run, so that differences between methods are theirs alone. What
+the estimator does around the filter (the regressor on its clock of stamps, the fallback while it
+cannot tell) is done here too; alignment and gate are left out, since the start is known and no
+simulated fix is an outlier.
+
+References
+----------
+.. [1] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
+       2022, Table I, eq. (16)-(19), (25), (26).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins import parameters
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.noise import (
+    PAPER_CONSTANTS,
+    ConstantNoise,
+    InnovationNoise,
+    LearnedNoise,
+    NoiseModel,
+    ProcessNoise,
+    ScaledNoise,
+)
+from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.rotations import (
+    left_jacobian,
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_multiply,
+    rotvec_from_quat,
+)
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.statistics import nees
+from hybrid_ins.noise_regressor.reader import NoiseReader
+from hybrid_ins.simulation.motions import Motion, quadrotor_flight
+from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
+
+Array = NDArray[np.float64]
+
+START_STD: Array = np.repeat((0.5, 0.3, 0.02, 0.05, 0.003), 3)
+"""Of the error at the start: position [m], velocity [m/s], misalignment [rad], biases."""
+START_STD[8] = 0.05  # heading
+LOST = 1e5  # m: a filter that far off has diverged
+T0_NS = 1_000_000_000
+PAPER_WALK = np.full(6, 1e-3)  # the paper's epsilon, as a density
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """
+    What is flown; everything random in it is drawn anew for each seed.
+
+    Attributes
+    ----------
+    name : str
+        For tables.
+    motion : callable
+        Makes the trajectory from duration [s] and seed.
+    rate : float
+        IMU samples per second [Hz].
+    duration, scored_from : float
+        Length of a run, and the time from which its errors count [s].
+    fix_rate : float
+        GNSS fixes per second [Hz].
+    errors : ImuErrors
+        Its biases at the start are drawn from ``START_STD`` instead.
+    rough : (float, float), optional
+        Range of the factor by which the noise's standard deviation rises in rough stretches
+        (log-uniform, one factor a run); None: the noise is constant.
+    dwell : (float, float)
+        Range of the length of quiet and of rough stretches [s].
+    outages : tuple of (float, float)
+        Start and duration [s] without fixes.
+    """
+
+    name: str
+    motion: Callable[[float, int], Motion] = quadrotor_flight
+    rate: float = 200.0
+    duration: float = 120.0
+    scored_from: float = 20.0
+    fix_rate: float = 5.0
+    errors: ImuErrors = field(default_factory=ImuErrors)
+    rough: tuple[float, float] | None = None
+    dwell: tuple[float, float] = (4.0, 15.0)
+    outages: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Method:
+    """
+    A way to set the process noise.
+
+    Attributes
+    ----------
+    name : str
+        For tables.
+    kind : str
+        constant, innovation, literal (eq. 18 of [1]_ at every IMU step), learned, scaled (learned,
+        times factors from the innovations: the node's default), or oracle, which is told the true
+        levels at every instant.
+    q : (float, float)
+        Per-sample variances of accelerometer and gyroscope: the constant, the first levels, the
+        fallback.
+    window : int
+        Innovations averaged.
+    model : str
+        Regressor, as parameter ``noise.model``.
+    refresh : float
+        Time between two estimates [s].
+    smoothing : float
+        Share of the last levels that is kept at an estimate, of their logarithms.
+    as_printed : bool
+        Qc = q and bias random walks of ``PAPER_WALK``, as the paper's text has it.
+    """
+
+    name: str
+    kind: Literal["constant", "innovation", "literal", "learned", "scaled", "oracle"]
+    q: tuple[float, float] = (4e-4, 4e-6)
+    window: int = 3
+    model: str = "plateau"
+    refresh: float = 0.2
+    smoothing: float = 0.0
+    as_printed: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    One draw of a scenario.
+
+    Attributes
+    ----------
+    seed : int
+        Of the draw.
+    samples : ndarray of SAMPLE_DTYPE, shape (N,)
+        What the IMU reports.
+    q : ndarray, shape (N, 6)
+        True variance of the white noise in each sample.
+    fixes : tuple of PositionFix
+        In order.
+    start : NavState
+        What the filter begins with, at the first sample.
+    scored : ndarray, shape (K,)
+        Indices of the samples at which errors are taken: midway between two fixes.
+    lla, velocity_n, quat_xyzw, biases : ndarray, shape (K, 3), (K, 3), (K, 4), (K, 6)
+        Truth there.
+    bias_walk : ndarray, shape (6,)
+        PSD of the biases' random walks.
+    """
+
+    seed: int
+    samples: NDArray[np.void]
+    q: Array
+    fixes: tuple[PositionFix, ...]
+    start: NavState
+    scored: NDArray[np.int64]
+    lla: Array
+    velocity_n: Array
+    quat_xyzw: Array
+    biases: Array
+    bias_walk: Array
+
+    @property
+    def t(self) -> Array:
+        """Time of the scored epochs [s], shape (K,)."""
+        return np.asarray((self.samples["t_ns"][self.scored] - T0_NS) * 1e-9)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """
+    How a method did on a run, at its scored epochs.
+
+    Attributes
+    ----------
+    t : ndarray, shape (K,)
+        [s].
+    position_error : ndarray, shape (K, 3)
+        [m, NED]; NaN from where a filter diverged.
+    nees : ndarray, shape (K,)
+        Of the whole state: 15 on average for a right covariance.
+    position_nees : ndarray, shape (K,)
+        Of the position alone: 3.
+    q : ndarray, shape (K, 6)
+        Levels in force.
+    fallback : ndarray of bool, shape (K,)
+        They were those of the fallback.
+    """
+
+    t: Array
+    position_error: Array
+    nees: Array
+    position_nees: Array
+    q: Array
+    fallback: NDArray[np.bool_]
+
+    @property
+    def diverged(self) -> bool:
+        """The filter went beyond ``LOST``."""
+        return bool(np.isnan(self.position_error).any())
+
+    @property
+    def prmse(self) -> float:
+        """Position error [m], eq. (25) of [1]_; infinite for a filter that diverged."""
+        value = float(np.sqrt(np.mean(np.sum(self.position_error**2, axis=1))))
+        return np.inf if self.diverged else value
+
+    @property
+    def pmae(self) -> float:
+        """Position error [m], eq. (26) of [1]_; infinite for a filter that diverged."""
+        value = float(np.mean(np.sum(np.abs(self.position_error), axis=1)))
+        return np.inf if self.diverged else value
+
+
+def draw(scenario: Scenario, seed: int) -> Run:
+    """Return the run that a scenario makes of a seed."""
+    rng = np.random.default_rng(seed)
+    start_rng, schedule_rng, imu_rng, fix_rng = rng.spawn(4)
+    flight = scenario.motion(scenario.duration, seed)
+    error = START_STD * start_rng.standard_normal(N_ERROR)
+    errors = replace(
+        scenario.errors, accelerometer_bias=error[B_A], gyroscope_bias=error[B_G],
+        noise_schedule=_schedule(scenario, schedule_rng))
+    truth = sample(flight, sample_times(scenario.duration, scenario.rate))
+    imu = corrupt(truth, errors, imu_rng)
+    samples = np.empty(len(imu.t), SAMPLE_DTYPE)
+    samples["t_ns"] = _stamps(imu.t)
+    samples["f"], samples["w"] = imu.specific_force, imu.angular_rate
+
+    gnss = fixes(sample(flight, sample_times(scenario.duration, scenario.fix_rate)[1:]), fix_rng)
+    gnss = gnss.without(scenario.outages)
+    covariance_n = np.diag(gnss.position_std**2)
+    aiding = tuple(
+        PositionFix(int(t_ns), lla, covariance_n, np.zeros(3))
+        for t_ns, lla in zip(_stamps(gnss.t), gnss.lla, strict=True))
+
+    start = NavState(
+        truth.lla[0] - error[DP] / curvature_scale(truth.lla[0]),
+        truth.velocity_n[0] - error[DV],
+        quat_multiply(quat_from_rotvec(error[EPS]), truth.quat_xyzw[0]),
+        np.zeros(3), np.zeros(3), np.diag(START_STD**2))
+    between = np.arange(scenario.scored_from, scenario.duration, 1.0 / scenario.fix_rate)
+    scored = np.searchsorted(imu.t, between + 0.5 / scenario.fix_rate - 1e-6)
+    scored = scored[scored < len(imu.t)]
+    walk = [np.broadcast_to(w, 3) for w in (
+        scenario.errors.accelerometer_bias_walk, scenario.errors.gyroscope_bias_walk)]
+    return Run(
+        seed, samples,
+        np.hstack((imu.accelerometer_std, imu.gyroscope_std)) ** 2, aiding, start, scored,
+        truth.lla[scored], truth.velocity_n[scored], truth.quat_xyzw[scored],
+        np.hstack((imu.accelerometer_bias, imu.gyroscope_bias))[scored],
+        np.concatenate(walk) ** 2)
+
+
+def _schedule(scenario: Scenario, rng: np.random.Generator) -> tuple[tuple[float, float], ...]:
+    """Return (time [s], factor) of the changes between quiet and rough."""
+    if scenario.rough is None:
+        return ()
+    factor = float(np.exp(rng.uniform(*np.log(scenario.rough))))
+    t, rough, changes = float(rng.uniform(0.0, scenario.dwell[1])), True, []
+    while t < scenario.duration:
+        changes.append((t, factor if rough else 1.0))
+        t, rough = t + float(rng.uniform(*scenario.dwell)), not rough
+    return tuple(changes)
+
+
+def _stamps(t: Array) -> NDArray[np.int64]:
+    return np.rint(t * 1e9).astype(np.int64) + T0_NS
+
+
+def fly(run: Run, method: Method) -> Flight:
+    """
+    Run the filter over a run under a method.
+
+    Raises
+    ------
+    InputError
+        The regressor cannot be loaded.
+    """
+    samples, stamps = run.samples, run.samples["t_ns"]
+    period = float(np.median(np.diff(stamps))) * 1e-9
+    process = ProcessNoise(
+        PAPER_WALK if method.as_printed else run.bias_walk, period, not method.as_printed)
+    ring = ImuRing()
+    ring.extend(samples[:1])
+    first = np.concatenate((samples["f"][0], samples["w"][0]))
+    # Delays do not occur here, and a short horizon keeps few rewind points.
+    settings = FilterSettings(max_delay=0.2)
+    ins = InsFilter(
+        run.start, int(stamps[0]), first, _noise_model(method, run, process), process,
+        Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0), ring, settings)
+
+    count = len(run.scored)
+    error, q = np.full((count, N_ERROR), np.nan), np.full((count, 6), np.nan)
+    P, fallback = np.full((count, N_ERROR, N_ERROR), np.nan), np.zeros(count, bool)
+    at = 0
+    with np.errstate(all="ignore"):  # a filter that diverges overflows
+        for t_ns, _, act in sorted(_events(run, method, ins), key=lambda event: event[:2]):
+            stop = int(np.searchsorted(stamps, t_ns, side="right"))
+            if stop > at + 1:
+                ring.extend(samples[at + 1:stop])
+                ins.process_imu_block(samples[at + 1:stop])
+                at = stop - 1
+            if isinstance(act, int):
+                state = ins.state
+                error[act] = state_error(run, act, state)
+                if not np.linalg.norm(error[act, DP]) < LOST:
+                    error[act] = np.nan
+                    break
+                P[act], q[act] = state.P, ins.noise.levels()
+                fallback[act] = ins.noise.source == "fallback"
+            else:
+                act()
+    return Flight(
+        run.t, error[:, DP], nees(error, P), nees(error[:, DP], P[:, DP, DP]), q, fallback)
+
+
+def _events(
+    run: Run, method: Method, ins: InsFilter
+) -> Iterator[tuple[int, int, int | Callable[[], None]]]:
+    """Yield stamp [ns], rank within it, and what is done then: a call, or an epoch to score."""
+    stamps = run.samples["t_ns"]
+    if method.kind == "oracle":
+        for k in np.flatnonzero(np.diff(run.q[:, 0])).tolist():
+            change = NoiseChange(int(stamps[k + 1]), ConstantNoise(run.q[k + 1]))
+            yield change.t_ns, 0, partial(ins.submit, change)
+    if method.kind in ("learned", "scaled"):
+        reader = NoiseReader(
+            {**parameters.defaults(), "noise.model": method.model}, np.eye(3), _refuse)
+        refresh = partial(_refresh, ins, reader, method.smoothing)
+        for then in range(int(stamps[0]), int(stamps[-1]), int(method.refresh * 1e9)):
+            yield then, 0, refresh
+    for fix in run.fixes:
+        yield fix.t_ns, 1, partial(ins.submit, fix)
+    for k, index in enumerate(run.scored.tolist()):
+        yield int(stamps[index]), 2, k
+
+
+def _refresh(ins: InsFilter, reader: NoiseReader, smoothing: float) -> None:
+    """Give the filter the levels of its youngest samples."""
+    estimate = reader.read(ins.ring, ins.t_ns)
+    if smoothing > 0.0 and estimate.q is not None and ins.noise.source == "learned":
+        kept = ins.noise.levels() ** smoothing
+        estimate = replace(estimate, q=kept * estimate.q ** (1.0 - smoothing))
+    ins.submit(estimate)
+
+
+def _noise_model(method: Method, run: Run, process: ProcessNoise) -> NoiseModel:
+    q = np.repeat(method.q, 3)
+    if method.kind == "oracle":
+        return ConstantNoise(run.q[0])
+    if method.kind == "learned":
+        return LearnedNoise(q)
+    if method.kind == "scaled":
+        return ScaledNoise(LearnedNoise(q), process, NoiseScale())
+    if method.kind in ("innovation", "literal"):
+        floor = np.repeat([parameters.defaults()[f"noise.q_{sensor}_min"]
+                           for sensor in ("accelerometer", "gyroscope")], 3)
+        return InnovationNoise(
+            q, floor, method.window, process, literal=method.kind == "literal")
+    return ConstantNoise(q)
+
+
+def _refuse(level: str, text: str) -> None:
+    """Let no other regressor stand in for the one that is judged."""
+    raise InputError(text)
+
+
+def state_error(run: Run, epoch: int, state: NavState) -> Array:
+    """
+    Return the error state, true minus estimated, shape (15,), at a scored epoch.
+
+    Position and velocity as P has them, before the misalignment bent them, see `core.kalman`.
+    """
+    lla = run.lla[epoch]
+    turn = rotvec_from_quat(quat_multiply(run.quat_xyzw[epoch], quat_conjugate(state.quat_xyzw)))
+    moved = (lla - state.lla) * curvature_scale(lla), run.velocity_n[epoch] - state.velocity_n
+    return np.concatenate((
+        *np.linalg.solve(left_jacobian(turn), np.stack(moved, axis=1)).T,
+        -turn, run.biases[epoch, :3] - state.bias_a, run.biases[epoch, 3:] - state.bias_g))
+
+
+def fly_all(
+    scenario: Scenario, methods: Sequence[Method], seeds: Sequence[int], jobs: int = 1
+) -> Iterator[tuple[int, list[Flight]]]:
+    """
+    Fly every method on the run of every seed; yields (seed, flights) as they are done.
+
+    Parameters
+    ----------
+    scenario, methods, seeds
+        What to fly.
+    jobs : int
+        Processes to use; 1 stays in this one.
+    """
+    if jobs <= 1:
+        for seed in seeds:
+            yield seed, _fly_one(scenario, methods, seed)
+        return
+    # Each process has one core to itself: their linear algebra must not fight over them.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context) as pool:
+        waiting = {pool.submit(_fly_one, scenario, methods, seed): seed for seed in seeds}
+        for done in as_completed(waiting):
+            yield waiting[done], done.result()
+
+
+def _fly_one(scenario: Scenario, methods: Sequence[Method], seed: int) -> list[Flight]:
+    run = draw(scenario, seed)
+    return [fly(run, method) for method in methods]
+
+
+CONSTANTS = tuple(
+    Method(name.upper(), "constant", q) for name, q in PAPER_CONSTANTS.items())

@@ -1,0 +1,473 @@
+"""
+Every named fault of `faults`, injected into a simulated and a recorded flight.
+
+Each run has to end without an exception, publish no NaN and only positive definite covariances, say
+what is wrong, and be as good as the undisturbed run 10 s after the fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import struct
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+from tqdm import tqdm
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.bag import BagReader, BagWriter
+from hybrid_ins.cli import calibrate, convert, replay, simulate
+from hybrid_ins.cli import program as shell
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.run_reader import track_from_odometry
+from tools.processes import Processes, isolated_ros, program
+from tools.robustness.faults import FAULTS, Fault, Flight
+
+RECOVERY = 10.0  # s after the fault
+WORSE = 1.2  # times the undisturbed run's error
+OTHERS = 4  # further draws of noise
+COVERED = 0.95  # share of the truth that must have an estimate by then
+INPUTS = ("/gnss/fix", "/gnss/velocity")  # that a replay may carry over
+LIVE = ("imu_nan_long", "imu_in_g", "imu_frozen", "imu_two_publishers", "imu_gap_long",
+        "clock_forward", "bag_loop", "fix_shift", "fix_outage", "fix_late_reordered",
+        "fix_future", "no_fixes_at_all")
+QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fixes_at_all")
+LIVE_RATE = 4.0  # times real time
+ODOMETRY = struct.Struct("<4xiI")
+SHORT = 0.1  # s between two estimates that a truth epoch may lie between
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flight to disturb, and the same with other noise."""
+
+    name: str
+    bag: Path
+    values: parameters.Values
+    start: float  # s, of the faults
+    others: tuple[Path, ...] = ()
+
+    @property
+    def variants(self) -> list[Case]:
+        """The flight with each of the other draws of noise."""
+        return [replace(self, bag=bag, others=()) for bag in self.others]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Position error of a run at the truth's epochs."""
+
+    t: np.ndarray[Any, Any]  # (K,) s since the flight's begin
+    error: np.ndarray[Any, Any]  # (K,) m; NaN where there is no estimate
+
+    def after(self, t: float) -> tuple[float, float]:
+        """RMS error [m] and share of epochs that have an estimate, from a time [s] on."""
+        error = self.error[self.t >= t]
+        found = np.isfinite(error)
+        rms = float(np.sqrt(np.mean(error[found] ** 2))) if found.any() else math.nan
+        return rms, float(np.mean(found)) if len(found) else 0.0
+
+    def largest(self, start: float, stop: float) -> float:
+        """Largest error [m] in a stretch."""
+        error = self.error[(self.t >= start) & (self.t < stop)]
+        return float(np.nanmax(error)) if np.isfinite(error).any() else math.nan
+
+
+@dataclass(frozen=True)
+class Output:
+    """What an estimator published, and what is wrong with it."""
+
+    trace: Trace
+    said: tuple[str, ...]
+    faults: tuple[str, ...]
+    odometry: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """Result of one fault in one flight."""
+
+    fault: str
+    case: str
+    said: str
+    peak: float
+    clean: float
+    error: float
+    failures: tuple[str, ...]
+
+
+def examine(path: Path, truth_path: Path, origin_ns: int, offset: float, shift: float) -> Output:
+    """
+    Read what was published over a flight.
+
+    Parameters
+    ----------
+    path, truth_path : Path
+        Bags of the estimate and of the truth.
+    origin_ns : int
+        Stamp at which times count from zero.
+    offset : float
+        Added to the truth's stamps [s].
+    shift : float
+        Taken from all stamps [s].
+    """
+    problems: list[str] = []
+    said: list[str] = []
+    with BagReader(path) as bag:
+        estimate = _odometry(bag, "/odometry", problems)
+        _odometry(bag, "/odometry/local", problems)
+        others = [topic for topic in bag.topics if not topic.startswith(("/odometry", "/truth"))]
+        datum = None
+        for topic, _, message in bag.messages(*others):
+            if topic == "/diagnostics":
+                for status in message.status:
+                    said.append(status.message)
+                    said += [f"{item.key} ×{item.value}" for item in status.values]
+            elif topic == "/gnss/verdict":
+                said += _verdict(message)
+            elif topic == "/datum":
+                datum = message
+            elif topic not in INPUTS and not all(map(math.isfinite, _numbers(message))):
+                problems.append(f"NaN on {topic}")
+    with BagReader(truth_path) as bag:
+        truth = _odometry(bag, "/truth/odometry", [])
+        [place] = [message for _, _, message in bag.messages("/truth/datum")][-1:]
+    stamp_ns, rows = _last_pass(*truth)
+    track = replace(track_from_odometry(stamp_ns, rows)[0], datum_lla=_lla(place))
+    if datum is not None:
+        track = track.in_map_of(_lla(datum))
+    t_ns = track.stamp_ns + round(offset * 1e9)
+    error = np.full(len(t_ns), math.nan)
+    at, found = _last_pass(*estimate)
+    if len(at) > 1:
+        right = np.clip(np.searchsorted(at, t_ns), 1, len(at) - 1)
+        near = (at[right] - at[right - 1] < SHORT * 1e9) & (t_ns >= at[0]) & (t_ns <= at[-1])
+        position = np.stack([np.interp(t_ns, at, found[:, i]) for i in range(3)], axis=1)
+        error[near] = np.linalg.norm(position - track.position_enu, axis=1)[near]
+    t = (t_ns - origin_ns) * 1e-9 - shift
+    return Output(Trace(t, error), tuple(dict.fromkeys(said)), tuple(dict.fromkeys(problems)),
+                  len(estimate[0]))
+
+
+def _odometry(bag: BagReader, topic: str, problems: list[str]) -> tuple[Any, Any]:
+    data = [message for _, _, message in bag.raw(topic)] if topic in bag.topics else []
+    stamps = np.array([s * 10**9 + n for s, n in (ODOMETRY.unpack_from(d) for d in data)], np.int64)
+    rows = np.frombuffer(b"".join(bytes(d[-680:]) for d in data), "<f8").reshape(-1, 85)
+    if not np.all(np.isfinite(rows)):
+        problems.append(f"NaN on {topic}")
+    elif len(rows) and not topic.startswith("/truth"):
+        for name, part in (("pose", rows[:, 7:43]), ("twist", rows[:, 49:85])):
+            if np.linalg.eigvalsh(part.reshape(-1, 6, 6)).min() <= 0.0:
+                problems.append(f"{topic}: a {name} covariance is not positive definite")
+    return stamps, rows
+
+
+def _verdict(message: Any) -> list[str]:
+    said = {item.key: item.value for item in message.values}
+    return [said["reason"], f"verdict dof {said['dof']}",
+            f"verdict sigma_e {float(said['sigma_e']):.3g}",
+            f"verdict age {float(said['age']):.1f}"]
+
+
+def _numbers(message: Any) -> Iterable[float]:
+    """All floating-point numbers of a message."""
+    for name in message.__dataclass_fields__:
+        value = getattr(message, name)
+        if isinstance(value, float):
+            yield value
+        elif isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            yield from value.tolist()
+        elif hasattr(value, "__dataclass_fields__"):
+            yield from _numbers(value)
+
+
+def _lla(place: Any) -> np.ndarray[Any, Any]:
+    return np.array([math.radians(place.latitude), math.radians(place.longitude), place.altitude])
+
+
+def _last_pass(stamps: Any, rows: Any) -> tuple[Any, Any]:
+    """Keep what follows the last step back in time."""
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    start = int(back[-1]) + 1 if len(back) else 0
+    return stamps[start:], rows[start:]
+
+
+def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
+    """Hold a run against what the fault demands."""
+    failures = list(output.faults)
+    found = []
+    for sign in fault.signs:
+        if sign.startswith("no "):
+            unwanted = [text for text in output.said if sign[3:] in text]
+            failures += [f"said {text!r}" for text in unwanted[:1]]
+            found.append(sign)
+            continue
+        hits = [text for text in output.said for word in sign.split("|") if word in text]
+        if hits:
+            found.append(next(word for word in sign.split("|") if word in hits[0]))
+        else:
+            failures.append(f"nothing says {sign!r}")
+    end = case.start + fault.duration
+    expected, _ = clean.after(end + RECOVERY)
+    error, covered = output.trace.after(end + RECOVERY)
+    if fault.silent:
+        if output.odometry:
+            failures.append(f"{output.odometry} odometry messages")
+    else:
+        if covered < COVERED:
+            failures.append(f"odometry for {covered:.0%} of the time from {RECOVERY:g} s after")
+        if not error <= WORSE * expected:
+            failures.append(_too_large(error, expected))
+    peak = output.trace.largest(case.start, end + RECOVERY)
+    return Row(fault.name, case.name, "; ".join(found), peak, expected, error, tuple(failures))
+
+
+def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
+    """Replay a flight, disturbed or not."""
+    bag, estimate = case.bag, folder / f"{case.name}_estimate.mcap"
+    if fault is not None:
+        bag = folder / f"{case.name}_disturbed.mcap"
+        inject(case, fault, bag)
+    values = parameters.check_all({**case.values, **(fault.values if fault else {})})
+    log: list[str] = []
+    with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
+        replay.replay(reader, out, values, log=lambda level, text: log.append(text), progress=False)
+    output = examine(estimate, bag, _origin(case), float(values["gnss.time_offset.value"]),
+                     fault.stamp_shift if fault else 0.0)
+    return replace(output, said=(*output.said, *log))
+
+
+def inject(case: Case, fault: Fault, bag: Path) -> None:
+    """Write the disturbed flight."""
+    flight = Flight.read(case.bag, case.start, fault.duration)
+    fault.inject(flight)
+    flight.write(bag)
+
+
+def _origin(case: Case) -> int:
+    with BagReader(case.bag) as bag:
+        return bag.start_ns
+
+
+def attempt(case: Case, name: str, clean: Trace) -> Row:
+    """Run one fault; an exception is a result."""
+    fault = next(fault for fault in FAULTS if fault.name == name)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            row = judge(fault, case, replayed(case, fault, Path(folder)), clean)
+            return _again(row, case, fault, Path(folder)) if _only_worse(row) else row
+        except Exception:  # whatever ends a run is what is looked for
+            return _crashed(fault, case)
+
+
+def _only_worse(row: Row) -> bool:
+    return len(row.failures) == 1 and row.failures[0].startswith("error ")
+
+
+def _again(row: Row, case: Case, fault: Fault, folder: Path) -> Row:
+    """Take the RMS over several draws of noise: the errors of one flight are few independent."""
+    rows = [row] + [
+        judge(fault, other, replayed(other, fault, folder), replayed(other, None, folder).trace)
+        for other in case.variants]
+    clean, error = (float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in rows])))
+                    for name in ("clean", "error"))
+    failures = [f for r in rows[1:] for f in r.failures if not f.startswith("error ")]
+    if not error <= WORSE * clean:
+        failures.append(_too_large(error, clean) + f", RMS of {len(rows)} draws of noise")
+    return replace(row, clean=clean, error=error, peak=max(r.peak for r in rows),
+                   failures=tuple(failures))
+
+
+def _too_large(error: float, clean: float) -> str:
+    return f"error {error:.3f} m, undisturbed {clean:.3f} m"
+
+
+def _crashed(fault: Fault, case: Case) -> Row:
+    last = traceback.format_exc().strip().splitlines()
+    return Row(fault.name, case.name, "", math.nan, math.nan, math.nan,
+               (f"crash: {last[-1]}", *last[-5:-1]))
+
+
+def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
+    """Play one fault into the node over DDS."""
+    bag, estimate = folder / "disturbed.mcap", folder / "estimate.mcap"
+    log, parameter_file = folder / "node.log", folder / "values.yaml"
+    inject(case, fault, bag)
+    values = parameters.check_all({**case.values, **fault.values})
+    parameter_file.write_text(parameters.to_yaml(values, "Of the fault campaign."))
+    with Processes() as processes, log.open("w") as output:
+        node = processes.start(
+            [program("ins_node"), "--ros-args", "--params-file", parameter_file], output)
+        player = processes.start(
+            [program("ins_play"), bag, "--rate", str(LIVE_RATE), "--record", estimate,
+             "--wait", "120", "--overwrite"], output)
+        player.wait(600.0)
+        ended_early = node.poll() is not None
+        status = processes.stop(node)
+    words = log.read_text(errors="replace")
+    row = judge(fault, case, examine(estimate, bag, _origin(case), float(
+        values["gnss.time_offset.value"]), fault.stamp_shift), clean)
+    failures = [*row.failures]
+    if player.returncode or status or ended_early:
+        failures.append(f"exit status: player {player.returncode}, node {status}")
+    if "Traceback" in words:
+        failures.append("traceback: " + words.strip().splitlines()[-1])
+    return replace(row, case=f"{case.name}, live", failures=tuple(failures))
+
+
+def make_simulated(folder: Path) -> Case:
+    """Simulate a quadrotor flight."""
+    bags = [folder / f"simulated_{seed}.mcap" for seed in range(1 + OTHERS)]
+    for seed, bag in enumerate(bags):
+        simulate.main([
+            str(bag), "--imu-rate", "200", "--truth-rate", "20", "--variant", "3",
+            "--seed", str(1 + seed), "--accelerometer-std", "0.3", "--gyroscope-std", "0.01",
+            "--overwrite"])
+    return Case("simulated", bags[0], parameters.defaults(), 20.0, tuple(bags[1:]))
+
+
+def make_recorded(folder: Path, flight: Path, imu: int, offset: float | None) -> Case:
+    """Convert a flight of the dataset, its clock offset given or calibrated."""
+    bags = [folder / f"recorded_{seed}.mcap" for seed in range(1 + OTHERS)]
+    for seed, bag in enumerate(bags):
+        if convert.main([str(flight), str(bag), "--imu", str(imu), "--seed", str(seed),
+                           "--overwrite"]):
+            raise InputError(f"{flight}: not converted")
+    values = parameters.defaults()
+    if offset is None:
+        run = calibrate.read_run(bags[0], values)
+        offset = calibrate.calibrate([run], values).values["gnss.time_offset.value"]
+        print(f"clock offset {offset:+.4f} s")
+    values["gnss.time_offset.value"] = offset
+    return Case("recorded", bags[0], values, 12.0, tuple(bags[1:]))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the results as a Markdown table."""
+    texts = {fault.name: fault.text for fault in FAULTS}
+    cases = list(dict.fromkeys(row.case for row in rows))
+    lines = ["| fault | what happens | said | " + " | ".join(
+        f"{case}: peak, after (clean) [m]" for case in cases) + " | |",
+        "|---|---|---|" + "---|" * len(cases) + "---|"]
+    for name in dict.fromkeys(row.fault for row in rows):
+        mine = {row.case: row for row in rows if row.fault == name}
+        said = next((row.said for row in mine.values() if row.said), "")
+        verdict = "pass" if not any(row.failures for row in mine.values()) else "**FAIL**"
+        cells = [name, texts[name], said, *(_cell(mine.get(case)) for case in cases), verdict]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(row: Row | None) -> str:
+    if row is None:
+        return ""
+    if math.isnan(row.error):
+        return "no odometry"
+    return f"{row.peak:.2f}, {row.error:.3f} ({row.clean:.3f})"
+
+
+def report(rows: Sequence[Row], command: str, seconds: float) -> str:
+    """Return the page for the documentation."""
+    failed = sum(bool(row.failures) for row in rows)
+    return f"""# Fault campaign
+
+Named faults, each injected into a simulated flight (60 s, quadrotor that vibrates by 0.3 m/s² and
+0.01 rad/s, 200 Hz, fixes at 5 Hz) and into a recorded one, replayed by the node's own estimator
+with the default parameters (no heading given); some of them played into the live node over DDS as
+well. Every run must
+
+- end without an exception,
+- publish no NaN and only positive definite covariances,
+- say what is wrong: a counter or text of `/diagnostics`, or a reason of `gnss/verdict`,
+- be back, from {RECOVERY:g} s after the fault to the flight's end, within {WORSE:g} times the RMS
+  position error of the undisturbed run over the same time. (Where one run is not, the RMS over
+  {1 + OTHERS} draws of the sensors' noise decides, all with the same fault.)
+
+`peak` is the largest position error from the fault's beginning to {RECOVERY:g} s after its end.
+
+    {command}
+
+{len(rows)} runs, {failed} failed, {seconds:.0f} s.
+
+{table(rows)}
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the campaign."""
+    parser = shell.parser(
+        "fault_campaign", __doc__ or "",
+        "python -m tools.robustness.fault_campaign --live --flight "
+        "../shared/data/quadrotor/Horizontal/path_4")
+    parser.add_argument("--flight", type=Path, metavar="DIR",
+                        help="flight of the quadrotor dataset (without: simulated only)")
+    parser.add_argument("--imu", type=int, default=1, metavar="K", help="which IMU of it [1]")
+    parser.add_argument("--time-offset", type=float, metavar="S",
+                        help="of that flight [calibrated, which takes half a minute]")
+    parser.add_argument("--only", nargs="+", metavar="FAULT", choices=[f.name for f in FAULTS],
+                        help="these faults only")
+    parser.add_argument("--quick", action="store_true", help="a few faults only")
+    parser.add_argument("--live", action="store_true",
+                        help=f"also play {len(LIVE)} of them into the node over DDS")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N",
+                        help="at a time [%(default)s]")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="Markdown page to write")
+    args = parser.parse_args(argv)
+    args.command = " ".join(["python -m tools.robustness.fault_campaign", *(sys.argv[1:] if argv is None
+                                                                  else argv)])
+    return shell.run(_body, args)
+
+
+def _body(args: argparse.Namespace) -> int:
+    started = time.monotonic()
+    names = args.only or (QUICK if args.quick else [fault.name for fault in FAULTS])
+    faults = [fault for fault in FAULTS if fault.name in names]
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        cases = [make_simulated(Path(folder))]
+        if args.flight:
+            cases.append(make_recorded(Path(folder), args.flight, args.imu, args.time_offset))
+        clean = {case.name: replayed(case, None, Path(folder)).trace for case in cases}
+        jobs = [joblib.delayed(attempt)(case, fault.name, clean[case.name])
+                for fault in faults for case in cases]
+        parallel = joblib.Parallel(args.jobs, return_as="generator")
+        rows += tqdm(parallel(jobs), total=len(jobs), desc="faults", disable=None)
+        if args.live:
+            rows += _live(faults, cases, clean, Path(folder))
+    print(table(rows))
+    for row in rows:
+        for failure in row.failures:
+            print(f"FAIL {row.fault} ({row.case}): {failure}")
+    failed = sum(bool(row.failures) for row in rows)
+    seconds = time.monotonic() - started
+    print(f"{len(rows)} runs of {len(faults)} faults, {failed} failed, {seconds:.0f} s")
+    if args.report:
+        args.report.write_text(report(rows, args.command, seconds), encoding="utf-8")
+    return int(failed > 0)
+
+
+def _live(faults: Sequence[Fault], cases: Sequence[Case], clean: Mapping[str, Trace],
+          folder: Path) -> list[Row]:
+    os.environ.update(isolated_ros())
+    case = cases[-1]
+    chosen = [fault for fault in faults if fault.name in LIVE]
+    return [attempt_live(case, fault, clean[case.name], folder)
+            for fault in tqdm(chosen, desc="live", disable=None)]
+
+
+if __name__ == "__main__":
+    from tools.robustness import (
+        fault_campaign,  # what is in __main__ cannot be sent to other processes
+    )
+
+    raise SystemExit(fault_campaign.main())
