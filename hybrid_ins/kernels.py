@@ -51,7 +51,9 @@ def prepare(tell: Callable[[str], None] = lambda text: None) -> None:
     if compilation.CACHE is not None:
         other = subprocess.Popen(
             [sys.executable, "-m", "hybrid_ins.kernels", "filter"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
     try:
         _compile_output()
         if other is not None:
@@ -90,8 +92,19 @@ def _compile_output() -> None:
     z, H = measurements.velocity_model(nav, zero, zero)
     noise_multiple_model_step.mean_system(nav, zero, turn, 0.1)
     noise_multiple_model_step.advance(
-        nav[COVARIANCE][:, None].copy(), np.zeros((N_ERROR, 1)), np.zeros((N_ERROR, N_ERROR)), 0.1,
-        turn, np.ones(12), np.ones((3, 1)), z, H, np.eye(3), np.zeros(N_ERROR), 6.0)
+        nav[COVARIANCE][:, None].copy(),
+        np.zeros((N_ERROR, 1)),
+        np.zeros((N_ERROR, N_ERROR)),
+        0.1,
+        turn,
+        np.ones(12),
+        np.ones((3, 1)),
+        z,
+        H,
+        np.eye(3),
+        np.zeros(N_ERROR),
+        6.0,
+    )
     s, acceleration, _ = clock_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
     clock_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
@@ -104,8 +117,13 @@ def _compile_output() -> None:
 
 def _some_state() -> np.ndarray:
     return NavState(
-        np.array([0.5, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3),
-        np.zeros(3), np.eye(N_ERROR)).to_flat()
+        np.array([0.5, 0.0, 0.0]),
+        np.zeros(3),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(N_ERROR),
+    ).to_flat()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

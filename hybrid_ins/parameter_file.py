@@ -24,7 +24,8 @@ class _PlainLoader(yaml.SafeLoader):
 
 # YAML 1.1 takes 1e-4 for a text; ROS takes it for the number that everybody means.
 _PlainLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789"))
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
+)
 
 
 def parse(text: str) -> object:

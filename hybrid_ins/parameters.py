@@ -73,8 +73,9 @@ class Parameter:
         if isinstance(self.default, str):
             if isinstance(value, str) and (not self.choices or value in self.choices):
                 return value
-            raise self._refusal(value, "one of " + ", ".join(self.choices)
-                                if self.choices else "a text")
+            raise self._refusal(
+                value, "one of " + ", ".join(self.choices) if self.choices else "a text"
+            )
         if isinstance(self.default, list):
             if 1 in self.lengths and isinstance(value, int | float):
                 value = [value]
@@ -92,8 +93,10 @@ class Parameter:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._refusal(value, "a number")
         if not (math.isfinite(value) and self.low <= value <= self.high):
-            raise self._refusal(value, f"between {self.low:g} and {self.high:g}"
-                                + (f" {self.unit}" if self.unit else ""))
+            raise self._refusal(
+                value,
+                f"between {self.low:g} and {self.high:g}" + (f" {self.unit}" if self.unit else ""),
+            )
         return float(value)
 
     def _refusal(self, value: object, wanted: str) -> InputError:
@@ -105,123 +108,413 @@ class Parameter:
 
 _METRES: dict[str, Any] = {"unit": "m", "low": -1000.0, "high": 1000.0}
 
-PARAMETERS: dict[str, Parameter] = {p.name: p for p in (
-    Parameter("map_frame", "map", "Frame of odometry: ENU at the datum (REP-105)"),
-    Parameter("odom_frame", "odom", "Frame of odometry/local, without jumps (REP-105)"),
-    Parameter("base_frame", "base_link", "Frame whose pose and twist are published"),
-    Parameter("datum", [], "Origin of the map as latitude [deg], longitude [deg], ellipsoidal "
-              "height [m]; empty: the first good fix", lengths=(0, 3),
-              low=-12000.0, high=1e7),
-
-    Parameter("use_receive_time", False, "Take the time of arrival for the stamp of every message: "
-              "only for drivers that do not stamp, it costs accuracy"),
-    Parameter("use_tf_static", True, "Where imu.position and imu.mount_rpy, or "
-              "gnss.antenna_position, are all zero: take them from /tf_static by frame_id"),
-
-    Parameter("imu.position", [0.0, 0.0, 0.0], "IMU in base_frame (forward, left, up)", **_METRES),
-    Parameter("imu.mount_rpy", [0.0, 0.0, 0.0], "Roll, pitch, yaw that turn base_frame's axes "
-              "into the IMU's", unit="rad", low=-6.3, high=6.3),
-    Parameter("imu.accelerometer_bias", [0.0, 0.0, 0.0], "Accelerometer bias at start (forward, "
-              "left, up), as imu/bias tells it", unit="m/s²", low=-10.0, high=10.0),
-    Parameter("imu.accelerometer_bias_std", [0.3], "Uncertainty of the accelerometer bias at "
-              "start: of all axes, or of each (forward, left, up)", unit="m/s²", lengths=(1, 3),
-              low=1e-6, high=10.0),
-    Parameter("imu.gyroscope_bias", [0.0, 0.0, 0.0], "Gyroscope bias at start (forward, left, up), "
-              "as imu/bias tells it", unit="rad/s", low=-1.0, high=1.0),
-    Parameter("imu.gyroscope_bias_std", [0.01], "Uncertainty of the gyroscope bias at start: of "
-              "all axes, or of each (forward, left, up)", unit="rad/s", lengths=(1, 3),
-              low=1e-8, high=1.0),
-    Parameter("imu.accelerometer_bias_walk", 1e-3, "Random walk of the accelerometer bias",
-              unit="m/s²/√s", low=0.0, high=10.0, runtime=True),
-    Parameter("imu.gyroscope_bias_walk", 1e-4, "Random walk of the gyroscope bias",
-              unit="rad/s/√s", low=0.0, high=1.0, runtime=True),
-    Parameter("imu.max_specific_force", 400.0, "Readings beyond this are refused as faulty",
-              unit="m/s²", low=20.0, high=1e5),
-    Parameter("imu.max_angular_rate", 80.0, "Readings beyond this are refused as faulty or given "
-              "in degrees", unit="rad/s", low=1.0, high=1e4),
-    Parameter("imu.zero_updates", True, "Tell the filter that it does not move while the IMU and "
-              "the filter's own speed say that the vehicle stands"),
-    Parameter("imu.max_gap", 0.5, "A longer gap between IMU samples ends dead reckoning: the "
-              "filter aligns anew", unit="s", low=0.01, high=60.0),
-
-    Parameter("gnss.antenna_position", [0.0, 0.0, 0.0], "Antenna in base_frame (forward, left, "
-              "up)", **_METRES),
-    Parameter("gnss.position_std_default", [3.0, 3.0, 6.0], "Standard deviations, east north up, "
-              "used where a fix carries no usable covariance", unit="m", low=1e-3, high=1000.0),
-    Parameter("gnss.position_std_min", 0.01, "Floor of a fix's standard deviations: receivers "
-              "claim millimetres that clock and lever arm do not keep", unit="m",
-              low=0.0, high=100.0, runtime=True),
-    Parameter("gnss.position_std_max", 100.0, "Fixes with a greater horizontal standard deviation "
-              "are refused", unit="m", low=0.01, high=1e5, runtime=True),
-    Parameter("gnss.velocity_std_default", 0.2, "Standard deviation used where a velocity carries "
-              "no usable covariance", unit="m/s", low=1e-3, high=100.0),
-    Parameter("gnss.velocity_std_min", 0.02, "Floor of a velocity's standard deviations",
-              unit="m/s", low=0.0, high=100.0, runtime=True),
-    Parameter("gnss.gate_probability", 0.9999, "Share of sound fixes that the chi-square gate "
-              "lets pass", low=0.5, high=1.0 - 1e-12, runtime=True),
-    Parameter("gnss.patience", 3.0, "Fixes refused without interruption for this long are taken "
-              "for right and the state for wrong", unit="s", low=0.0, high=3600.0, runtime=True),
-    Parameter("gnss.max_delay", 1.0, "Fixes that arrive later than this after their stamp are "
-              "refused; younger ones are fused where they belong", unit="s", low=0.0, high=5.0),
-    Parameter("gnss.time_offset.value", 0.0, "Added to the stamps of fixes to bring them to the "
-              "IMU's clock", unit="s", low=-10.0, high=10.0, runtime=True),
-    Parameter("gnss.time_offset.estimate", False, "Find the clock offset while running and "
-              "correct it; otherwise a wrong one is only told", runtime=True),
-
-    Parameter("alignment.heading_source", "auto", "Where the first heading comes from",
-              choices=("auto", "motion", "parameter", "imu", "course")),
-    Parameter("alignment.yaw", 0.0, "Heading at start for heading_source parameter: of base_frame "
-              "in map, 0 east, counter-clockwise", unit="rad", low=-6.3, high=6.3),
-    Parameter("alignment.yaw_std", 0.1, "Uncertainty of the heading given by parameter or IMU",
-              unit="rad", low=1e-4, high=3.2),
-    Parameter("alignment.course_min_speed", 1.0, "Speed from which the course over ground is "
-              "taken for the heading", unit="m/s", low=0.1, high=50.0),
-    Parameter("alignment.window", 1.0, "IMU time that levelling averages", unit="s",
-              low=0.05, high=5.0),
-
-    Parameter("noise.mode", "learned", "Where the process noise comes from: a regressor on the "
-              "IMU's last samples, a constant (ours or the paper's three), or the innovations",
-              choices=("learned", "constant", "cq1", "cq2", "cq3", "innovation",
-                       "innovation_literal"), runtime=True),
-    Parameter("noise.model", "plateau", "Regressor of mode learned: a model that comes with the "
-              "package (plateau, paper), spectral, or the path of an .onnx file", runtime=True),
-    Parameter("noise.refresh_period", 0.2, "The regressor runs once per this time", unit="s",
-              low=0.01, high=10.0, runtime=True),
-    Parameter("noise.innovation_scale", True, "In mode learned: multiply the noise, and what fixes "
-              "claim, by factors, up when the innovations show that the IMU or the fixes are worse "
-              "than their noise, and down by thirty at most", runtime=True),
-    Parameter("noise.innovation_window", 3, "Innovations averaged in mode innovation, the paper's "
-              "ξ", low=1, high=100, runtime=True),
-    Parameter("noise.units", "consistent", "consistent: Qc = q·Δt; paper: Qc = q, literally",
-              choices=("consistent", "paper"), runtime=True),
-    Parameter("noise.q_accelerometer", 4e-4, "Per-sample variance of the accelerometer: the "
-              "constant, and what learned modes fall back to", unit="(m/s²)²",
-              low=1e-12, high=1e4, runtime=True),
-    Parameter("noise.background_accelerometer", [0.0, 0.0, 0.0], "Level that the regressor hardly "
-              "ever exceeds in this vehicle's ordinary motion (forward, left, up), where "
-              "noise.q_accelerometer is the noise: only levels above it count as more; 0: not "
-              "known, all levels count", unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
-    Parameter("noise.q_accelerometer_min", 1e-8, "Lowest level that is believed",
-              unit="(m/s²)²", low=0.0, high=1e4, runtime=True),
-    Parameter("noise.q_accelerometer_max", 1e3, "Estimates beyond this are refused",
-              unit="(m/s²)²", low=1e-12, high=1e6, runtime=True),
-    Parameter("noise.q_gyroscope", 4e-6, "Per-sample variance of the gyroscope: the constant, and "
-              "what learned modes fall back to", unit="(rad/s)²", low=1e-14, high=1e2,
-              runtime=True),
-    Parameter("noise.background_gyroscope", [0.0, 0.0, 0.0], "The same of the gyroscope, "
-              "beside noise.q_gyroscope",
-              unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
-    Parameter("noise.q_gyroscope_min", 1e-10, "Lowest level that is believed",
-              unit="(rad/s)²", low=0.0, high=1e2, runtime=True),
-    Parameter("noise.q_gyroscope_max", 10.0, "Estimates beyond this are refused",
-              unit="(rad/s)²", low=1e-14, high=1e4, runtime=True),
-
-    Parameter("covariance_interval", 0.01, "The covariance is propagated once per this time, and "
-              "before every update; 0: with every IMU sample", unit="s", low=0.0, high=0.05),
-    Parameter("odometry_rate", 0.0, "Rate of odometry; 0: with every IMU sample", unit="Hz",
-              low=0.0, high=10000.0, runtime=True),
-    Parameter("publish_tf", True, "Publish map→odom→base_frame where tf2 is installed"),
-)}
+PARAMETERS: dict[str, Parameter] = {
+    p.name: p
+    for p in (
+        Parameter("map_frame", "map", "Frame of odometry: ENU at the datum (REP-105)"),
+        Parameter("odom_frame", "odom", "Frame of odometry/local, without jumps (REP-105)"),
+        Parameter("base_frame", "base_link", "Frame whose pose and twist are published"),
+        Parameter(
+            "datum",
+            [],
+            "Origin of the map as latitude [deg], longitude [deg], ellipsoidal "
+            "height [m]; empty: the first good fix",
+            lengths=(0, 3),
+            low=-12000.0,
+            high=1e7,
+        ),
+        Parameter(
+            "use_receive_time",
+            False,
+            "Take the time of arrival for the stamp of every message: "
+            "only for drivers that do not stamp, it costs accuracy",
+        ),
+        Parameter(
+            "use_tf_static",
+            True,
+            "Where imu.position and imu.mount_rpy, or "
+            "gnss.antenna_position, are all zero: take them from /tf_static by frame_id",
+        ),
+        Parameter(
+            "imu.position", [0.0, 0.0, 0.0], "IMU in base_frame (forward, left, up)", **_METRES
+        ),
+        Parameter(
+            "imu.mount_rpy",
+            [0.0, 0.0, 0.0],
+            "Roll, pitch, yaw that turn base_frame's axes into the IMU's",
+            unit="rad",
+            low=-6.3,
+            high=6.3,
+        ),
+        Parameter(
+            "imu.accelerometer_bias",
+            [0.0, 0.0, 0.0],
+            "Accelerometer bias at start (forward, left, up), as imu/bias tells it",
+            unit="m/s²",
+            low=-10.0,
+            high=10.0,
+        ),
+        Parameter(
+            "imu.accelerometer_bias_std",
+            [0.3],
+            "Uncertainty of the accelerometer bias at "
+            "start: of all axes, or of each (forward, left, up)",
+            unit="m/s²",
+            lengths=(1, 3),
+            low=1e-6,
+            high=10.0,
+        ),
+        Parameter(
+            "imu.gyroscope_bias",
+            [0.0, 0.0, 0.0],
+            "Gyroscope bias at start (forward, left, up), as imu/bias tells it",
+            unit="rad/s",
+            low=-1.0,
+            high=1.0,
+        ),
+        Parameter(
+            "imu.gyroscope_bias_std",
+            [0.01],
+            "Uncertainty of the gyroscope bias at start: of "
+            "all axes, or of each (forward, left, up)",
+            unit="rad/s",
+            lengths=(1, 3),
+            low=1e-8,
+            high=1.0,
+        ),
+        Parameter(
+            "imu.accelerometer_bias_walk",
+            1e-3,
+            "Random walk of the accelerometer bias",
+            unit="m/s²/√s",
+            low=0.0,
+            high=10.0,
+            runtime=True,
+        ),
+        Parameter(
+            "imu.gyroscope_bias_walk",
+            1e-4,
+            "Random walk of the gyroscope bias",
+            unit="rad/s/√s",
+            low=0.0,
+            high=1.0,
+            runtime=True,
+        ),
+        Parameter(
+            "imu.max_specific_force",
+            400.0,
+            "Readings beyond this are refused as faulty",
+            unit="m/s²",
+            low=20.0,
+            high=1e5,
+        ),
+        Parameter(
+            "imu.max_angular_rate",
+            80.0,
+            "Readings beyond this are refused as faulty or given in degrees",
+            unit="rad/s",
+            low=1.0,
+            high=1e4,
+        ),
+        Parameter(
+            "imu.zero_updates",
+            True,
+            "Tell the filter that it does not move while the IMU and "
+            "the filter's own speed say that the vehicle stands",
+        ),
+        Parameter(
+            "imu.max_gap",
+            0.5,
+            "A longer gap between IMU samples ends dead reckoning: the filter aligns anew",
+            unit="s",
+            low=0.01,
+            high=60.0,
+        ),
+        Parameter(
+            "gnss.antenna_position",
+            [0.0, 0.0, 0.0],
+            "Antenna in base_frame (forward, left, up)",
+            **_METRES,
+        ),
+        Parameter(
+            "gnss.position_std_default",
+            [3.0, 3.0, 6.0],
+            "Standard deviations, east north up, used where a fix carries no usable covariance",
+            unit="m",
+            low=1e-3,
+            high=1000.0,
+        ),
+        Parameter(
+            "gnss.position_std_min",
+            0.01,
+            "Floor of a fix's standard deviations: receivers "
+            "claim millimetres that clock and lever arm do not keep",
+            unit="m",
+            low=0.0,
+            high=100.0,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.position_std_max",
+            100.0,
+            "Fixes with a greater horizontal standard deviation are refused",
+            unit="m",
+            low=0.01,
+            high=1e5,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.velocity_std_default",
+            0.2,
+            "Standard deviation used where a velocity carries no usable covariance",
+            unit="m/s",
+            low=1e-3,
+            high=100.0,
+        ),
+        Parameter(
+            "gnss.velocity_std_min",
+            0.02,
+            "Floor of a velocity's standard deviations",
+            unit="m/s",
+            low=0.0,
+            high=100.0,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.gate_probability",
+            0.9999,
+            "Share of sound fixes that the chi-square gate lets pass",
+            low=0.5,
+            high=1.0 - 1e-12,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.patience",
+            3.0,
+            "Fixes refused without interruption for this long are taken "
+            "for right and the state for wrong",
+            unit="s",
+            low=0.0,
+            high=3600.0,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.max_delay",
+            1.0,
+            "Fixes that arrive later than this after their stamp are "
+            "refused; younger ones are fused where they belong",
+            unit="s",
+            low=0.0,
+            high=5.0,
+        ),
+        Parameter(
+            "gnss.time_offset.value",
+            0.0,
+            "Added to the stamps of fixes to bring them to the IMU's clock",
+            unit="s",
+            low=-10.0,
+            high=10.0,
+            runtime=True,
+        ),
+        Parameter(
+            "gnss.time_offset.estimate",
+            False,
+            "Find the clock offset while running and "
+            "correct it; otherwise a wrong one is only told",
+            runtime=True,
+        ),
+        Parameter(
+            "alignment.heading_source",
+            "auto",
+            "Where the first heading comes from",
+            choices=("auto", "motion", "parameter", "imu", "course"),
+        ),
+        Parameter(
+            "alignment.yaw",
+            0.0,
+            "Heading at start for heading_source parameter: of base_frame "
+            "in map, 0 east, counter-clockwise",
+            unit="rad",
+            low=-6.3,
+            high=6.3,
+        ),
+        Parameter(
+            "alignment.yaw_std",
+            0.1,
+            "Uncertainty of the heading given by parameter or IMU",
+            unit="rad",
+            low=1e-4,
+            high=3.2,
+        ),
+        Parameter(
+            "alignment.course_min_speed",
+            1.0,
+            "Speed from which the course over ground is taken for the heading",
+            unit="m/s",
+            low=0.1,
+            high=50.0,
+        ),
+        Parameter(
+            "alignment.window",
+            1.0,
+            "IMU time that levelling averages",
+            unit="s",
+            low=0.05,
+            high=5.0,
+        ),
+        Parameter(
+            "noise.mode",
+            "learned",
+            "Where the process noise comes from: a regressor on the "
+            "IMU's last samples, a constant (ours or the paper's three), or the innovations",
+            choices=(
+                "learned",
+                "constant",
+                "cq1",
+                "cq2",
+                "cq3",
+                "innovation",
+                "innovation_literal",
+            ),
+            runtime=True,
+        ),
+        Parameter(
+            "noise.model",
+            "plateau",
+            "Regressor of mode learned: a model that comes with the "
+            "package (plateau, paper), spectral, or the path of an .onnx file",
+            runtime=True,
+        ),
+        Parameter(
+            "noise.refresh_period",
+            0.2,
+            "The regressor runs once per this time",
+            unit="s",
+            low=0.01,
+            high=10.0,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.innovation_scale",
+            True,
+            "In mode learned: multiply the noise, and what fixes "
+            "claim, by factors, up when the innovations show that the IMU or the fixes are worse "
+            "than their noise, and down by thirty at most",
+            runtime=True,
+        ),
+        Parameter(
+            "noise.innovation_window",
+            3,
+            "Innovations averaged in mode innovation, the paper's ξ",
+            low=1,
+            high=100,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.units",
+            "consistent",
+            "consistent: Qc = q·Δt; paper: Qc = q, literally",
+            choices=("consistent", "paper"),
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_accelerometer",
+            4e-4,
+            "Per-sample variance of the accelerometer: the "
+            "constant, and what learned modes fall back to",
+            unit="(m/s²)²",
+            low=1e-12,
+            high=1e4,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.background_accelerometer",
+            [0.0, 0.0, 0.0],
+            "Level that the regressor hardly "
+            "ever exceeds in this vehicle's ordinary motion (forward, left, up), where "
+            "noise.q_accelerometer is the noise: only levels above it count as more; 0: not "
+            "known, all levels count",
+            unit="(m/s²)²",
+            low=0.0,
+            high=1e4,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_accelerometer_min",
+            1e-8,
+            "Lowest level that is believed",
+            unit="(m/s²)²",
+            low=0.0,
+            high=1e4,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_accelerometer_max",
+            1e3,
+            "Estimates beyond this are refused",
+            unit="(m/s²)²",
+            low=1e-12,
+            high=1e6,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_gyroscope",
+            4e-6,
+            "Per-sample variance of the gyroscope: the constant, and "
+            "what learned modes fall back to",
+            unit="(rad/s)²",
+            low=1e-14,
+            high=1e2,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.background_gyroscope",
+            [0.0, 0.0, 0.0],
+            "The same of the gyroscope, beside noise.q_gyroscope",
+            unit="(rad/s)²",
+            low=0.0,
+            high=1e2,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_gyroscope_min",
+            1e-10,
+            "Lowest level that is believed",
+            unit="(rad/s)²",
+            low=0.0,
+            high=1e2,
+            runtime=True,
+        ),
+        Parameter(
+            "noise.q_gyroscope_max",
+            10.0,
+            "Estimates beyond this are refused",
+            unit="(rad/s)²",
+            low=1e-14,
+            high=1e4,
+            runtime=True,
+        ),
+        Parameter(
+            "covariance_interval",
+            0.01,
+            "The covariance is propagated once per this time, and "
+            "before every update; 0: with every IMU sample",
+            unit="s",
+            low=0.0,
+            high=0.05,
+        ),
+        Parameter(
+            "odometry_rate",
+            0.0,
+            "Rate of odometry; 0: with every IMU sample",
+            unit="Hz",
+            low=0.0,
+            high=10000.0,
+            runtime=True,
+        ),
+        Parameter("publish_tf", True, "Publish map→odom→base_frame where tf2 is installed"),
+    )
+}
 
 
 def defaults() -> Values:
@@ -269,8 +562,10 @@ def check_change(values: Mapping[str, Value], changes: Mapping[str, object]) -> 
     checked = {name: find(name).check(value) for name, value in changes.items()}
     for name, value in checked.items():
         if value != values[name] and not PARAMETERS[name].runtime:
-            raise InputError(f"parameter {name}: takes effect only at the start: put it into the "
-                             "parameter file and start anew")
+            raise InputError(
+                f"parameter {name}: takes effect only at the start: put it into the "
+                "parameter file and start anew"
+            )
     check_together({**values, **checked})
     return checked
 
@@ -288,11 +583,14 @@ def check_together(values: Mapping[str, Any]) -> None:
     """Raise `InputError` where values contradict each other."""
     datum = values["datum"]
     if datum and not (abs(datum[0]) < 90.0 and abs(datum[1]) <= 360.0):
-        raise InputError(f"parameter datum: {datum} is no latitude [deg], longitude [deg], "
-                         "height [m]")
+        raise InputError(
+            f"parameter datum: {datum} is no latitude [deg], longitude [deg], height [m]"
+        )
     if values["gnss.position_std_min"] > values["gnss.position_std_max"]:
-        raise InputError("parameter gnss.position_std_min: "
-                         f"{values['gnss.position_std_min']:g} m exceeds gnss.position_std_max")
+        raise InputError(
+            "parameter gnss.position_std_min: "
+            f"{values['gnss.position_std_min']:g} m exceeds gnss.position_std_max"
+        )
 
 
 def load_file(path: str | Path) -> Values:
@@ -312,8 +610,10 @@ def load_file(path: str | Path) -> Values:
 def _ros_parameters(path: Path, content: object) -> dict[str, object]:
     """Merge the sections of a parameter file that concern the node."""
     if not isinstance(content, dict):
-        raise InputError(f"{path}: no parameter file: it must start with '/**:' or "
-                         f"'{NODE_NAME}:' and hold 'ros__parameters:'")
+        raise InputError(
+            f"{path}: no parameter file: it must start with '/**:' or "
+            f"'{NODE_NAME}:' and hold 'ros__parameters:'"
+        )
     merged: dict[str, object] = {}
     for section, body in content.items():
         if section != "/**" and str(section).rstrip("/").split("/")[-1] != NODE_NAME:
@@ -350,15 +650,21 @@ def to_yaml(
         indent = "    " + "  " * len(path)
         lines += textwrap.wrap(
             parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
-            initial_indent=indent + "# ", subsequent_indent=indent + "# ", width=98)
+            initial_indent=indent + "# ",
+            subsequent_indent=indent + "# ",
+            width=98,
+        )
         if parameter.choices:
             lines += textwrap.wrap(
-                ", ".join(parameter.choices), initial_indent=indent + "# one of: ",
-                subsequent_indent=indent + "#         ", width=98)
+                ", ".join(parameter.choices),
+                initial_indent=indent + "# one of: ",
+                subsequent_indent=indent + "#         ",
+                width=98,
+            )
         if notes and name in notes:
             lines += textwrap.wrap(
-                notes[name], initial_indent=indent + "# ", subsequent_indent=indent + "# ",
-                width=98)
+                notes[name], initial_indent=indent + "# ", subsequent_indent=indent + "# ", width=98
+            )
         lines.append(f"{indent}{last}: {_scalar(values[name])}")
     return "\n".join(lines) + "\n"
 
@@ -392,7 +698,13 @@ def flatten(tree: Mapping[Any, object], path: Path, prefix: str = "") -> dict[st
 
 
 if __name__ == "__main__":
-    print(to_yaml(defaults(), "Every parameter of ins_node with its default.\n\n"
-                  "Copy this file, keep what differs, and start the node with\n"
-                  "  ros2 run hybrid_ins ins_node --ros-args --params-file my_robot.yaml\n"
-                  "Written by: python3 -m hybrid_ins.parameters > config/default.yaml"), end="")
+    print(
+        to_yaml(
+            defaults(),
+            "Every parameter of ins_node with its default.\n\n"
+            "Copy this file, keep what differs, and start the node with\n"
+            "  ros2 run hybrid_ins ins_node --ros-args --params-file my_robot.yaml\n"
+            "Written by: python3 -m hybrid_ins.parameters > config/default.yaml",
+        ),
+        end="",
+    )

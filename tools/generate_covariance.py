@@ -63,8 +63,9 @@ def nonzero_pattern() -> tuple[np.ndarray, np.ndarray]:
     for _ in range(2):
         F = np.zeros((state.N_ERROR, state.N_ERROR))
         lla = np.array([rng.uniform(0.3, 1.0), 0.1, rng.uniform(100, 1000)])
-        error_model.system_matrix(lla, rng.normal(size=3), rng.normal(size=3),
-                                  rng.normal(size=9), F)
+        error_model.system_matrix(
+            lla, rng.normal(size=3), rng.normal(size=3), rng.normal(size=9), F
+        )
         samples.append(F)
     return samples[0], samples[1]
 
@@ -114,7 +115,8 @@ def generate() -> str:
                 lines.append(f"p[{index[i, j]}] = {value}")
     sizes = sorted({len(columns[i]) for i in moving})
     return HEADER.replace("{sums}", "".join(map(sum_function, sizes))) + "".join(
-        wrap(line) for line in lines)
+        wrap(line) for line in lines
+    )
 
 
 def plus(start: str, pairs: list[str]) -> str:
@@ -154,10 +156,12 @@ def wrap(line: str) -> str:
 
 def main() -> int:
     """Write or check the generated module."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true",
-                        help="compare with the file instead of writing it")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="compare with the file instead of writing it"
+    )
     text = generate()
     if parser.parse_args().check:
         if TARGET.read_text() == text:

@@ -253,12 +253,15 @@ class BagReader:
             log_ns,
             np.ascontiguousarray(table["specific_force"]),
             np.ascontiguousarray(table["angular_rate"]),
-            np.where(table["orientation_covariance"][:, :1] == -1.0, 0.0,
-                     table["orientation_xyzw"]),
+            np.where(
+                table["orientation_covariance"][:, :1] == -1.0, 0.0, table["orientation_xyzw"]
+            ),
             (table["angular_rate_covariance"][:, 0] != -1.0)
             & (table["specific_force_covariance"][:, 0] != -1.0),
-            tuple((row, table["name"][row].decode(errors="replace")) for row in _changes(
-                table["name"])),
+            tuple(
+                (row, table["name"][row].decode(errors="replace"))
+                for row in _changes(table["name"])
+            ),
         )
 
     def _imu_one_by_one(self, records: list[Record]) -> ImuTable:
@@ -283,7 +286,8 @@ class BagReader:
                 orientation[row] = imu.orientation_xyzw
             has_reading[row] = -1.0 not in (imu.specific_force_cov0, imu.angular_rate_cov0)
         return ImuTable(
-            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, tuple(frames))
+            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, tuple(frames)
+        )
 
     def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
         wanted = {_absolute(topic) for topic in topics} or self.topics.keys()

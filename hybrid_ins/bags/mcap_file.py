@@ -146,7 +146,9 @@ class McapReader:
             waiting += [
                 (log_ns, channels[number], bytes(content[begin:end]))
                 for begin, end, number, log_ns in zip(
-                    *(column.tolist() for column in found), strict=True)]
+                    *(column.tolist() for column in found), strict=True
+                )
+            ]
             waiting.sort(key=_LOG_TIME)
             ready = len(waiting)
             if next_start_ns is not None:
@@ -410,11 +412,22 @@ class McapWriter:
         """Append many messages of one size: log times (N,) and their bytes, a row each."""
         if log_ns.min() < 0:
             raise ValueError(f"log time {log_ns.min()} ns lies before the epoch")
-        head = np.dtype({
-            "names": ["opcode", "length", "channel", "sequence", "log_ns", "publish_ns", "data"],
-            "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", (np.uint8, rows.shape[1])],
-            "offsets": [0, 1, 9, 11, 15, 23, _MESSAGE_HEAD.size],
-            "itemsize": _MESSAGE_HEAD.size + rows.shape[1]})
+        head = np.dtype(
+            {
+                "names": [
+                    "opcode",
+                    "length",
+                    "channel",
+                    "sequence",
+                    "log_ns",
+                    "publish_ns",
+                    "data",
+                ],
+                "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", (np.uint8, rows.shape[1])],
+                "offsets": [0, 1, 9, 11, 15, 23, _MESSAGE_HEAD.size],
+                "itemsize": _MESSAGE_HEAD.size + rows.shape[1],
+            }
+        )
         most = max(1, _CHUNK_SIZE // head.itemsize)
         for start in range(0, len(rows), most):
             times = log_ns[start : start + most]
@@ -423,13 +436,19 @@ class McapWriter:
             records["channel"], records["sequence"] = channel, 0
             records["log_ns"] = records["publish_ns"] = times
             records["data"] = rows[start : start + most]
-            self._append(_Block(
-                channel, int(times.min()), int(times.max()), times.astype("<u8").tobytes(),
-                head.itemsize, records.view(np.uint8).data))
+            self._append(
+                _Block(
+                    channel,
+                    int(times.min()),
+                    int(times.max()),
+                    times.astype("<u8").tobytes(),
+                    head.itemsize,
+                    records.view(np.uint8).data,
+                )
+            )
 
     def write_many(self, channel: int, log_ns: Sequence[int], messages: Sequence[bytes]) -> None:
-        """Append many messages: as `write_rows` where they are of one size, otherwise as `write`.
-        """
+        """Append many messages: as `write_rows` where they are of one size, otherwise as `write`."""
         if len({*map(len, messages)}) == 1:
             rows = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
             self.write_rows(channel, np.array(log_ns, np.int64), rows)
@@ -454,7 +473,8 @@ class McapWriter:
             end = offset + len(block.records)
             times.setdefault(block.channel, []).append(block.times)
             places.setdefault(block.channel, []).append(
-                np.arange(offset, end, block.size, dtype="<u8"))
+                np.arange(offset, end, block.size, dtype="<u8")
+            )
             offset = end
         content = b"".join([self._undefined, *(block.records for block in self._pending)])
         first_ns = min(block.first_ns for block in self._pending)
@@ -466,8 +486,10 @@ class McapWriter:
         indexes, offsets = bytearray(), bytearray()
         for channel in times:
             offsets += struct.pack("<HQ", channel, self._end + size + len(indexes))
-            pairs = np.stack((np.frombuffer(b"".join(times[channel]), "<u8"),
-                              np.concatenate(places[channel])), axis=1)
+            pairs = np.stack(
+                (np.frombuffer(b"".join(times[channel]), "<u8"), np.concatenate(places[channel])),
+                axis=1,
+            )
             indexes += _record(_MESSAGE_INDEX, _U16.pack(channel) + _prefixed(pairs.tobytes()))
         entry = _record(
             _CHUNK_INDEX,

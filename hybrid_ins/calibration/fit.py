@@ -75,8 +75,13 @@ class Run:
     def aided(self, first: float, last: float) -> Run:
         """Keep the measurements of a stretch of the reference's clock [s]."""
         keep = (self.aid_t >= first) & (self.aid_t <= last)
-        return replace(self, aid_t=self.aid_t[keep], aid_kind=self.aid_kind[keep],
-                       aid=self.aid[keep], aid_R=self.aid_R[keep])
+        return replace(
+            self,
+            aid_t=self.aid_t[keep],
+            aid_kind=self.aid_kind[keep],
+            aid=self.aid[keep],
+            aid_R=self.aid_R[keep],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +162,12 @@ class Pass:
 
 
 def start_state(
-    run: Run, offset: float, lever_b: Array, given: Given, yaw: float, yaw_std: float,
+    run: Run,
+    offset: float,
+    lever_b: Array,
+    given: Given,
+    yaw: float,
+    yaw_std: float,
 ) -> tuple[int, Array]:
     """
     Sample and flat state to start a run with: both sides of the start may be looked at.
@@ -185,15 +195,18 @@ def start_state(
     position, velocity = coefficients[0], coefficients[1]
     acceleration = 2.0 * coefficients[2] if order == 2 else np.zeros(3)
     acceleration = np.clip(acceleration, -5.0, 5.0)
-    near = slice(int(np.searchsorted(run.t, now - 0.5)),
-                 int(np.searchsorted(run.t, now + min(max(dt[-1], 0.5), 1.5))) + 1)
+    near = slice(
+        int(np.searchsorted(run.t, now - 0.5)),
+        int(np.searchsorted(run.t, now + min(max(dt[-1], 0.5), 1.5))) + 1,
+    )
     force_n = acceleration - np.array([0.0, 0.0, normal_gravity(origin[0], origin[2])[1]])
     quat = _levelled(run, near, first, force_n, yaw, given)
     P = np.zeros((N_ERROR, N_ERROR))
     P[:3, :3] = R0 * max(spread[0, 0], 0.2) + 0.05**2 * np.eye(3)
     P[3:6, 3:6] = R0 * spread[1, 1] + 0.5**2 * np.eye(3)
-    P[range(6, 15), range(6, 15)] = np.concatenate(
-        (np.full(3, TILT_STD), given.bias_a_std, given.bias_g_std)) ** 2
+    P[range(6, 15), range(6, 15)] = (
+        np.concatenate((np.full(3, TILT_STD), given.bias_a_std, given.bias_g_std)) ** 2
+    )
     P[8, 8] = yaw_std**2
     position = position - matrix_from_quat(quat) @ lever_b
     state = NavState(origin + position / scale, velocity, quat, given.bias_a, given.bias_g, P)
@@ -211,9 +224,7 @@ def _outvoted(design: Array, places: Array, std: Array) -> tuple[Array, Array]:
     return np.asarray(coefficients, float), weights / np.max(weights)
 
 
-def _levelled(
-    run: Run, near: slice, first: int, f_n: Array, yaw: float, given: Given
-) -> Array:
+def _levelled(run: Run, near: slice, first: int, f_n: Array, yaw: float, given: Given) -> Array:
     """Attitude at sample ``first`` in which the mean specific force of ``near`` is along f_n."""
     f, w = run.samples[near, :3] - given.bias_a, run.samples[near, 3:] - given.bias_g
     dt = np.diff(run.t[near], prepend=run.t[near][0])
@@ -231,8 +242,15 @@ def _levelled(
 
 
 def run_filter(
-    run: Run, offset: float, lever_b: Array, psd: Array, gnss_scale: float, given: Given,
-    yaw: float, yaw_std: float, keep_rows: bool = False,
+    run: Run,
+    offset: float,
+    lever_b: Array,
+    psd: Array,
+    gnss_scale: float,
+    given: Given,
+    yaw: float,
+    yaw_std: float,
+    keep_rows: bool = False,
 ) -> Pass:
     """
     Run the filter over a recording with the given parameters.
@@ -247,11 +265,25 @@ def run_filter(
     first, nav = start_state(run, offset, lever_b, given, yaw, yaw_std)
     nav[PSD] = psd
     M = len(run.aid_t)
-    result = Pass(np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M),
-                  empty_rows(M if keep_rows else 0))
-    innovations(nav, run.t[first:], run.samples[first:], run.aid_t + offset, run.aid_kind,
-                run.aid, run.aid_R * gnss_scale, lever_b, INTERVAL, TAIL,
-                result.z, result.S, result.nis, result.rows)
+    result = Pass(
+        np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M), empty_rows(M if keep_rows else 0)
+    )
+    innovations(
+        nav,
+        run.t[first:],
+        run.samples[first:],
+        run.aid_t + offset,
+        run.aid_kind,
+        run.aid,
+        run.aid_R * gnss_scale,
+        lever_b,
+        INTERVAL,
+        TAIL,
+        result.z,
+        result.S,
+        result.nis,
+        result.rows,
+    )
     return result
 
 
@@ -297,12 +329,29 @@ class Problem:
         return self._filter(k, x, keep_rows)
 
     def _filter(self, k: int, x: Array, keep_rows: bool = False) -> Pass:
-        psd = np.repeat(np.exp([self.value(x, "psd_a"), self.value(x, "psd_g"),
-                                2.0 * self.value(x, "walk_a"), 2.0 * self.value(x, "walk_g")]), 3)
+        psd = np.repeat(
+            np.exp(
+                [
+                    self.value(x, "psd_a"),
+                    self.value(x, "psd_g"),
+                    2.0 * self.value(x, "walk_a"),
+                    2.0 * self.value(x, "walk_g"),
+                ]
+            ),
+            3,
+        )
         lever = np.array([self.value(x, name) for name in SHARED[:3]])
         return run_filter(
-            self.runs[k], self.value(x, offset_name(k, self.names)), lever, psd,
-            math.exp(self.value(x, "gnss_scale")), self.given, self.yaws[k], YAW_STD, keep_rows)
+            self.runs[k],
+            self.value(x, offset_name(k, self.names)),
+            lever,
+            psd,
+            math.exp(self.value(x, "gnss_scale")),
+            self.given,
+            self.yaws[k],
+            YAW_STD,
+            keep_rows,
+        )
 
     def coarse(self, grid: Array) -> Array:
         """Log-likelihood (runs, G) over clock offsets, the heading free; keeps the best heading."""
@@ -320,8 +369,8 @@ class Problem:
                 return run_filter(run, offset, given.lever_b, psd, 1.0, given, yaw, BANK_STD)
 
             self._bank[k] = np.reshape(
-                [np.sum(p.log_likelihood) for p in self._at_once(begun, starts)],
-                (len(grid), YAWS))
+                [np.sum(p.log_likelihood) for p in self._at_once(begun, starts)], (len(grid), YAWS)
+            )
             for g in range(len(grid)):
                 best = np.max(self._bank[k, g])
                 profile[k, g] = best + math.log(np.mean(np.exp(self._bank[k, g] - best)))
@@ -348,7 +397,7 @@ class Problem:
 
     def _concerned(self, name: str) -> list[int]:
         if name.startswith("offset_"):
-            return [int(name[len("offset_"):])]
+            return [int(name[len("offset_") :])]
         return list(range(len(self.runs)))
 
     def _free(self) -> list[int]:
@@ -367,9 +416,9 @@ class Problem:
 
         points = [*((k, -1) for k in range(len(self.runs))), *steps]
         found = [passed.log_likelihood for passed in self._at_once(moved, points)]
-        values = found[:len(self.runs)]
+        values = found[: len(self.runs)]
         slopes = [np.zeros((len(v), len(x))) for v in values]
-        for (k, i), high in zip(steps, found[len(self.runs):], strict=True):
+        for (k, i), high in zip(steps, found[len(self.runs) :], strict=True):
             slopes[k][:, i] = (high - values[k]) / self.prior[i].step
         return values, slopes
 
@@ -411,7 +460,8 @@ class Problem:
             gained = 0.0
             while damping < 1e4 and gained <= 0.0:
                 move = np.linalg.solve(
-                    information + damping * np.diag(np.diag(information)), gradient)
+                    information + damping * np.diag(np.diag(information)), gradient
+                )
                 y = x.copy()
                 y[free] += np.clip(move, -reach, reach)
                 there = self.value_at(y)
@@ -454,8 +504,13 @@ class Problem:
 
 
 def fit(
-    runs: Sequence[Run], given: Given, *, own_offsets: bool, search: float,
-    useless: dict[str, float], held: frozenset[str] = frozenset(),
+    runs: Sequence[Run],
+    given: Given,
+    *,
+    own_offsets: bool,
+    search: float,
+    useless: dict[str, float],
+    held: frozenset[str] = frozenset(),
     tell: Callable[[str], Callable[[], None]],
 ) -> Fit:
     """
@@ -490,9 +545,14 @@ def fit(
         offsets = [float(grid[np.argmax(row)]) for row in profile]
     else:
         offsets = [float(grid[np.argmax(profile.sum(axis=0))])] * len(runs)
-    bank, problem = problem, Problem(
-        [_within(run, o, 2.0 * COARSE_STEP) for run, o in zip(runs, offsets, strict=True)],
-        given, own_offsets)
+    bank, problem = (
+        problem,
+        Problem(
+            [_within(run, o, 2.0 * COARSE_STEP) for run, o in zip(runs, offsets, strict=True)],
+            given,
+            own_offsets,
+        ),
+    )
     bank.take_best_bank(grid, offsets)
     problem.yaws = bank.yaws
     problem.tell = tell("fine")
@@ -509,17 +569,30 @@ def fit(
     problem.frozen = held
     x = problem.maximise(x)
     std = problem.uncertainty(x)
-    limits = np.array([
-        useless.get("offset" if name.startswith("offset") else name, math.inf)
-        for name in problem.names])
+    limits = np.array(
+        [
+            useless.get("offset" if name.startswith("offset") else name, math.inf)
+            for name in problem.names
+        ]
+    )
     keep = np.array([name in held for name in problem.names])
     while np.any((std > limits) & ~keep):  # held at its value, one may show another to be useless
         keep |= std > limits
         problem.frozen = frozenset(np.array(problem.names)[keep].tolist())
         x = problem.maximise(np.where(keep, first, x))
         std = np.where(keep, std, problem.uncertainty(x))
-    return Fit(problem.names, x, std, problem.prior, problem.frozen, tuple(problem.yaws),
-               tuple(problem.runs), grid, profile, first)
+    return Fit(
+        problem.names,
+        x,
+        std,
+        problem.prior,
+        problem.frozen,
+        tuple(problem.yaws),
+        tuple(problem.runs),
+        grid,
+        profile,
+        first,
+    )
 
 
 def passes(fitted: Fit, given: Given, x: Array) -> list[Pass]:
@@ -541,5 +614,3 @@ def mean_rotation(quats_xyzw: Array) -> tuple[Array, float]:
     C = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     away = rotvec_from_quat(quat_from_matrix(matrix_from_quat(quats_xyzw) @ C.T))
     return C, float(np.sqrt(np.mean(np.sum(away**2, axis=-1))))
-
-

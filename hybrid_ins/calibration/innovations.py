@@ -75,10 +75,17 @@ def innovations(  # type: ignore[no-untyped-def]
         if then > now:
             # Between two samples the reading lies on their line.
             s, a = samples[i], (then - now) / (t[i] - now)
-            step(nav, then - now,
-                 f[0] + a * (s[0] - f[0]), f[1] + a * (s[1] - f[1]), f[2] + a * (s[2] - f[2]),
-                 w[0] + a * (s[3] - w[0]), w[1] + a * (s[4] - w[1]), w[2] + a * (s[5] - w[2]),
-                 interval)
+            step(
+                nav,
+                then - now,
+                f[0] + a * (s[0] - f[0]),
+                f[1] + a * (s[1] - f[1]),
+                f[2] + a * (s[2] - f[2]),
+                w[0] + a * (s[3] - w[0]),
+                w[1] + a * (s[4] - w[1]),
+                w[2] + a * (s[5] - w[2]),
+                interval,
+            )
             now = then
         if not aiding:
             i += 1
@@ -131,9 +138,12 @@ def log_likelihood(z: Array, S: Array, nis: Array, tail: float) -> Array:
     square = np.where(used, nis, 0.0)
     if tail:
         scale = np.array([gaussian_scale(tail, k) for k in range(4)])
-        constant = np.array([
-            lgamma(0.5 * (tail + k)) - lgamma(0.5 * tail) - 0.5 * k * log(pi * scale[k])
-            for k in range(4)])
+        constant = np.array(
+            [
+                lgamma(0.5 * (tail + k)) - lgamma(0.5 * tail) - 0.5 * k * log(pi * scale[k])
+                for k in range(4)
+            ]
+        )
         value = constant[m] - half_log_det - 0.5 * (tail + m) * np.log1p(square / scale[m])
     else:
         value = -half_log_det - 0.5 * square - 0.5 * m * log(2.0 * pi)
@@ -152,8 +162,9 @@ def gaussian_scale(tail: float, m: int) -> float:
         return tail
     probability = (np.arange(4000) + 0.5) / 4000
     square = chi2.ppf(probability, m)
-    return float(brentq(
-        lambda b: np.mean((tail + m) * square / (b + square)) - m, 0.1 * tail, 2.0 * tail))
+    return float(
+        brentq(lambda b: np.mean((tail + m) * square / (b + square)) - m, 0.1 * tail, 2.0 * tail)
+    )
 
 
 def empty_rows(count: int = 0) -> Array:

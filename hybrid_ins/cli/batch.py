@@ -55,11 +55,19 @@ class Outcome:
 def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the options of work on many bags; return their group."""
     group = parser.add_argument_group("many bags")
-    group.add_argument("--jobs", metavar="N", type=_positive, default=os.cpu_count(),
-                       help="bags at a time [one for each of the %(default)s processors]")
-    group.add_argument("--dask", metavar="ADDRESS",
-                       help="work on a Dask cluster, e.g. tcp://10.0.0.1:8786, whose workers see "
-                       "the same files, instead of on this machine")
+    group.add_argument(
+        "--jobs",
+        metavar="N",
+        type=_positive,
+        default=os.cpu_count(),
+        help="bags at a time [one for each of the %(default)s processors]",
+    )
+    group.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="work on a Dask cluster, e.g. tcp://10.0.0.1:8786, whose workers see "
+        "the same files, instead of on this machine",
+    )
     return group
 
 
@@ -68,7 +76,8 @@ def is_bag(path: Path) -> bool:
     if not path.is_dir():
         return True
     return (path / METADATA).is_file() or any(
-        file.suffix in SUFFIXES for file in path.glob(f"{path.resolve().name}_*"))
+        file.suffix in SUFFIXES for file in path.glob(f"{path.resolve().name}_*")
+    )
 
 
 def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
@@ -104,8 +113,10 @@ def _bags_below(path: Path, out: Path | None) -> Iterator[tuple[Path, str]]:
         for name in [*inner, *sorted(files)]:
             bag = here / name
             if name in inner or (bag.suffix in SUFFIXES and not name.startswith(".")):
-                yield bag, str(bag.relative_to(path)).removesuffix(
-                    "" if name in inner else bag.suffix)
+                yield (
+                    bag,
+                    str(bag.relative_to(path)).removesuffix("" if name in inner else bag.suffix),
+                )
 
 
 def fingerprint(source: Path, settings: Mapping[str, Any]) -> str:
@@ -185,13 +196,19 @@ def table(outcomes: Iterable[Outcome]) -> str:
             rows.append([outcome.name, f"failed: {outcome.failure}"])
         else:
             rows.append([outcome.name, *(_cell(outcome.row.get(c)) for c in columns)])
-    widths = [max(len(row[k]) for row in rows if len(row) == len(rows[0]))
-              for k in range(len(rows[0]))]
+    widths = [
+        max(len(row[k]) for row in rows if len(row) == len(rows[0])) for k in range(len(rows[0]))
+    ]
     widths[0] = max(len(row[0]) for row in rows)
     return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *(
-            cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=False))]).rstrip()
-        for row in rows)
+        "  ".join(
+            [
+                row[0].ljust(widths[0]),
+                *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=False)),
+            ]
+        ).rstrip()
+        for row in rows
+    )
 
 
 def _cell(value: Any) -> str:
@@ -222,8 +239,11 @@ def _attempt(
         return Outcome(job.name, {}, f"{error.filename or job.source}: {error.strerror or error}")
     except Exception as error:  # a defect must not cost the other bags
         place = traceback.extract_tb(error.__traceback__)[-1]
-        return Outcome(job.name, {}, f"{type(error).__name__}: {error} "
-                       f"({Path(place.filename).name}:{place.lineno})")
+        return Outcome(
+            job.name,
+            {},
+            f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})",
+        )
     return Outcome(job.name, row)
 
 
@@ -245,8 +265,10 @@ def _outcomes(
         raise InputError("many bags at once need joblib: pip install joblib") from None
     with _cluster(args.dask):
         parallel = joblib.Parallel(
-            n_jobs=-1 if args.dask else min(args.jobs, len(jobs)), batch_size=1,
-            return_as="generator_unordered")
+            n_jobs=-1 if args.dask else min(args.jobs, len(jobs)),
+            batch_size=1,
+            return_as="generator_unordered",
+        )
         yield from parallel(joblib.delayed(attempt)(job) for job in jobs)
 
 

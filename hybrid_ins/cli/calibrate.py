@@ -90,9 +90,14 @@ class Calibration:
 
 
 def read_run(
-    path: Path, values: Mapping[str, Any], *, imu_topic: str = "/imu/data",
-    fix_topic: str = "/gnss/fix", velocity_topic: str = "/gnss/velocity",
-    use_truth: bool = False, longest: float = math.inf,
+    path: Path,
+    values: Mapping[str, Any],
+    *,
+    imu_topic: str = "/imu/data",
+    fix_topic: str = "/gnss/fix",
+    velocity_topic: str = "/gnss/velocity",
+    use_truth: bool = False,
+    longest: float = math.inf,
 ) -> Run:
     """
     Read one recording.
@@ -130,8 +135,14 @@ def read_run(
                 for _, _, message in bag.messages(velocity_topic):
                     velocity = gnss.velocity(message)
                     if not isinstance(velocity, Refused):
-                        aid.append((velocity.t_ns, VELOCITY_KIND, velocity.velocity_n,
-                                    velocity.covariance_n))
+                        aid.append(
+                            (
+                                velocity.t_ns,
+                                VELOCITY_KIND,
+                                velocity.velocity_n,
+                                velocity.covariance_n,
+                            )
+                        )
     aid.sort(key=lambda row: row[:2])
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     stamps = imu.stamp_ns
@@ -152,40 +163,49 @@ def read_run(
     if len(positions) < FEWEST_FIXES or (positions[-1][0] - positions[0][0]) < SHORTEST * 1e9:
         raise InputError(
             f"{path}: {len(positions)} usable fixes go with {t[-1]:.0f} s of IMU samples: "
-            f"calibration needs {FEWEST_FIXES} over {SHORTEST:g} s; are both clocks of one epoch?")
+            f"calibration needs {FEWEST_FIXES} over {SHORTEST:g} s; are both clocks of one epoch?"
+        )
     reference = None
     if attitude is not None:
         reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
     return Run(
-        path.name, t[keep], np.ascontiguousarray(samples[keep]),
+        path.name,
+        t[keep],
+        np.ascontiguousarray(samples[keep]),
         np.array([(row[0] - origin) * 1e-9 for row in rows]),
-        np.array([row[1] for row in rows], np.int64), np.array([row[2] for row in rows]),
+        np.array([row[1] for row in rows], np.int64),
+        np.array([row[2] for row in rows]),
         np.array([row[3] for row in rows]),
-        reference)
+        reference,
+    )
 
 
 def antenna_is_base(
     paths: Sequence[Path], values: Mapping[str, Any], fix_topic: str = "/gnss/fix"
 ) -> bool:
     """Whether the fixes are of base_frame itself, by their frame_id; a given antenna is not."""
+
     def frame(path: Path) -> str:
         with BagReader(path) as bag:
             return next((str(m.header.frame_id) for *_, m in bag.messages(fix_topic)), "")
 
     return not any(values["gnss.antenna_position"]) and all(
-        frame(path).lstrip("/") == values["base_frame"] for path in paths)
+        frame(path).lstrip("/") == values["base_frame"] for path in paths
+    )
 
 
-def _truth(bag: BagReader) -> tuple[
-        list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
+def _truth(
+    bag: BagReader,
+) -> tuple[list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
     """Positions of the truth as fixes, and its attitude: stamps [ns] and C_nb (K, 4)."""
     topic = bag.require("/truth/odometry", "nav_msgs/msg/Odometry", "a bag that holds truth")
     datum = next(bag.messages("/truth/datum"), None)
     if datum is None:
         raise InputError(f"{bag.path}: no /truth/datum: where the truth's map lies is not known")
     place = datum[2]
-    frame = LocalFrame(np.array([
-        math.radians(place.latitude), math.radians(place.longitude), place.altitude]))
+    frame = LocalFrame(
+        np.array([math.radians(place.latitude), math.radians(place.longitude), place.altitude])
+    )
     stamps, places, quats = [], [], []
     for _, _, message in bag.messages(topic):
         pose = message.pose.pose
@@ -213,8 +233,13 @@ def _longest_stretch(stamps: NDArray[np.int64], max_gap_ns: int) -> slice:
 
 
 def calibrate(
-    runs: Sequence[Run], values: Mapping[str, Any], *, own_offsets: bool = False,
-    search: float = 1.5, nose_first: bool = False, trust_fixes: bool = False,
+    runs: Sequence[Run],
+    values: Mapping[str, Any],
+    *,
+    own_offsets: bool = False,
+    search: float = 1.5,
+    nose_first: bool = False,
+    trust_fixes: bool = False,
     antenna_is_base: bool = False,
     tell: Callable[[str], Callable[[], None]] = lambda stage: lambda: None,
 ) -> Calibration:
@@ -242,12 +267,23 @@ def calibrate(
     period = float(np.median([run.period for run in runs]))
     lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
     given = Given(
-        values["gnss.time_offset.value"], lever_b, values["noise.q_accelerometer"] * period,
-        values["noise.q_gyroscope"] * period, max(values["imu.accelerometer_bias_walk"], 1e-6),
+        values["gnss.time_offset.value"],
+        lever_b,
+        values["noise.q_accelerometer"] * period,
+        values["noise.q_gyroscope"] * period,
+        max(values["imu.accelerometer_bias_walk"], 1e-6),
         max(values["imu.gyroscope_bias_walk"], 1e-8),
-        *conversions.first_biases(values))
-    fitted = fit(runs, given, own_offsets=own_offsets, search=search, useless=USELESS,
-                 held=frozenset({"gnss_scale"} if trust_fixes else ()), tell=tell)
+        *conversions.first_biases(values),
+    )
+    fitted = fit(
+        runs,
+        given,
+        own_offsets=own_offsets,
+        search=search,
+        useless=USELESS,
+        held=frozenset({"gnss_scale"} if trust_fixes else ()),
+        tell=tell,
+    )
     before, after = passes(fitted, given, fitted.first), passes(fitted, given, fitted.x)
     report = _Report(fitted, given, after, dict(values), period)
     report.offsets(own_offsets, search)
@@ -263,15 +299,17 @@ def calibrate(
 class _Report:
     """Turns a fit into findings, parameters and comments."""
 
-    def __init__(self, fitted: Fit, given: Given, after: list[Pass], values: dict[str, Any],
-                 period: float) -> None:
+    def __init__(
+        self, fitted: Fit, given: Given, after: list[Pass], values: dict[str, Any], period: float
+    ) -> None:
         self.fitted, self.given, self.after, self.period = fitted, given, after, period
         self.values = values
         self.findings: list[Finding] = []
         self.notes: dict[str, str] = {}
 
-    def _add(self, label: str, value: str, sigma: str, verdict: str, note: str,
-             *names: str) -> None:
+    def _add(
+        self, label: str, value: str, sigma: str, verdict: str, note: str, *names: str
+    ) -> None:
         self.findings.append(Finding(label, value, sigma, verdict, note))
         for name in names:
             spread = f" {sigma if sigma.startswith('×') else '± ' + sigma}" if sigma else ""
@@ -301,14 +339,16 @@ class _Report:
             self._add(label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note)
         value = float(np.mean([fitted.offset(k) for k in range(len(fitted.runs))]))
         self.values["gnss.time_offset.value"] = round(value, 4)
-        self.notes["gnss.time_offset.value"] = (
-            "; ".join(f"{f.verdict}: {f.label} {f.value} ± {f.sigma}" for f in self.findings)
-            + ("; the mean of them" if own and len(fitted.runs) > 1 else ""))
+        self.notes["gnss.time_offset.value"] = "; ".join(
+            f"{f.verdict}: {f.label} {f.value} ± {f.sigma}" for f in self.findings
+        ) + ("; the mean of them" if own and len(fitted.runs) > 1 else "")
 
     def mount(self, runs: Sequence[Run], nose_first: bool) -> Array:
         """Rotation of the IMU in the base frame; returns what turns the old b into the new."""
-        turns = [_turn_to_truth(run, rows, self.fitted.offset(k)) for k, (run, rows) in enumerate(
-            zip(self.fitted.runs, self.after, strict=True))]
+        turns = [
+            _turn_to_truth(run, rows, self.fitted.offset(k))
+            for k, (run, rows) in enumerate(zip(self.fitted.runs, self.after, strict=True))
+        ]
         quats = np.vstack([turn for turn in turns if turn is not None] or [np.empty((0, 4))])
         if len(quats) >= 20:
             turn, spread = mean_rotation(quats)
@@ -321,12 +361,16 @@ class _Report:
         mean = math.atan2(np.mean(np.sin(course)), np.mean(np.cos(course)))
         spread = float(np.sqrt(np.mean(np.angle(np.exp(1j * (course - mean))) ** 2)))
         if spread > NOSE_SPREAD:
-            self._no_mount(f"the vehicle does not move where it points (±{math.degrees(spread):.0f}"
-                           "° about its axes)")
+            self._no_mount(
+                f"the vehicle does not move where it points (±{math.degrees(spread):.0f}"
+                "° about its axes)"
+            )
             return np.eye(3)
         if not nose_first:
-            self._no_mount(f"it moves {math.degrees(-mean):+.1f}° from the IMU's axis within "
-                           f"±{math.degrees(spread):.1f}°: --nose-first takes this for its nose")
+            self._no_mount(
+                f"it moves {math.degrees(-mean):+.1f}° from the IMU's axis within "
+                f"±{math.degrees(spread):.1f}°: --nose-first takes this for its nose"
+            )
             return np.eye(3)
         c, s = math.cos(mean), math.sin(mean)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -338,9 +382,14 @@ class _Report:
         rpy = rpy_from_quat(quat_from_matrix(FLIP @ turn @ old))
         sigma = spread / math.sqrt(max(len(self.fitted.runs) * 4.0, 1.0))
         self.values["imu.mount_rpy"] = [round(float(a), 4) for a in rpy]
-        self._add("IMU mount", "[" + ", ".join(f"{math.degrees(a):+.1f}" for a in rpy) + "]°",
-                  f"{math.degrees(sigma):.1f}°",
-                  "identified" if sigma < IDENTIFIED["mount"] else "weak", note, "imu.mount_rpy")
+        self._add(
+            "IMU mount",
+            "[" + ", ".join(f"{math.degrees(a):+.1f}" for a in rpy) + "]°",
+            f"{math.degrees(sigma):.1f}°",
+            "identified" if sigma < IDENTIFIED["mount"] else "weak",
+            note,
+            "imu.mount_rpy",
+        )
 
     def _no_mount(self, why: str) -> None:
         self._add("IMU mount", "as given", "", "not identifiable", why, "imu.mount_rpy")
@@ -350,8 +399,10 @@ class _Report:
         lever_b = np.array([self.fitted.value(f"lever_{axis}") for axis in "xyz"])
         arm = FLIP @ turn @ lever_b
         sensor, parameter, place = (
-            ("IMU", "imu.position", -arm) if antenna_is_base else
-            ("antenna", "gnss.antenna_position", np.add(self.values["imu.position"], arm)))
+            ("IMU", "imu.position", -arm)
+            if antenna_is_base
+            else ("antenna", "gnss.antenna_position", np.add(self.values["imu.position"], arm))
+        )
         words = []
         for k, axis in enumerate("xyz"):
             name = f"lever_{axis}"
@@ -359,8 +410,11 @@ class _Report:
             label = f"{sensor} " + ("forward", "left", "up")[k]
             if name in self.fitted.frozen:
                 verdict = "not identifiable"
-                note = ("roll and pitch hardly change" if axis == "z" else
-                        "too few turns for its swing to show")
+                note = (
+                    "roll and pitch hardly change"
+                    if axis == "z"
+                    else "too few turns for its swing to show"
+                )
             elif sigma <= IDENTIFIED["lever"]:
                 verdict, note = "identified", ""
             else:
@@ -374,35 +428,61 @@ class _Report:
         """Biases at the next start, by those at the end of each recording."""
         (bias_a, std_a), (bias_g, std_g) = next_biases(self.after)
         for sensor, unit, b, std, prior, places in (
-                ("accelerometer", "m/s²", bias_a, std_a, self.given.bias_a_std, 3),
-                ("gyroscope", "rad/s", bias_g, std_g, self.given.bias_g_std, 5)):
+            ("accelerometer", "m/s²", bias_a, std_a, self.given.bias_a_std, 3),
+            ("gyroscope", "rad/s", bias_g, std_g, self.given.bias_g_std, 5),
+        ):
             mean = FLIP @ turn @ b
             known = std < 0.6 * prior
-            verdict = ("identified" if np.all(known) else
-                       "weak" if np.any(known) else "not identifiable")
-            note = "" if np.all(known) else "/".join(
-                axis for axis, k in zip(("forward", "left", "up"), known, strict=True)
-                if not k) + " not separable from tilt with this motion"
+            verdict = (
+                "identified" if np.all(known) else "weak" if np.any(known) else "not identifiable"
+            )
+            note = (
+                ""
+                if np.all(known)
+                else "/".join(
+                    axis for axis, k in zip(("forward", "left", "up"), known, strict=True) if not k
+                )
+                + " not separable from tilt with this motion"
+            )
             text = ", ".join(f"{v:+.{places}f}" for v in mean)
             name = f"imu.{sensor}_bias"
-            self._add(f"{sensor} bias", f"[{text}] {unit}", f"{np.max(std):.{places}f}", verdict,
-                      note, name, f"{name}_std")
+            self._add(
+                f"{sensor} bias",
+                f"[{text}] {unit}",
+                f"{np.max(std):.{places}f}",
+                verdict,
+                note,
+                name,
+                f"{name}_std",
+            )
             if np.any(known):
                 self.values[name] = [round(float(v), places + 1) for v in mean]
                 self.values[f"{name}_std"] = [
-                    float(f"{s:.2g}") for s in np.sqrt((FLIP @ turn) ** 2 @ std**2)]
+                    float(f"{s:.2g}") for s in np.sqrt((FLIP @ turn) ** 2 @ std**2)
+                ]
 
     def noise(self) -> None:
         """Noise floor, bias walks, and how far the fixes scatter."""
         for name, parameter, label, power, scale, unit in (
-                ("psd_a", "noise.q_accelerometer", "accelerometer noise", 1.0, 1.0 / self.period,
-                 "(m/s²)²"),
-                ("psd_g", "noise.q_gyroscope", "gyroscope noise", 1.0, 1.0 / self.period,
-                 "(rad/s)²"),
-                ("walk_a", "imu.accelerometer_bias_walk", "accelerometer bias walk", 1.0, 1.0,
-                 "m/s²/√s"),
-                ("walk_g", "imu.gyroscope_bias_walk", "gyroscope bias walk", 1.0, 1.0,
-                 "rad/s/√s")):
+            (
+                "psd_a",
+                "noise.q_accelerometer",
+                "accelerometer noise",
+                1.0,
+                1.0 / self.period,
+                "(m/s²)²",
+            ),
+            ("psd_g", "noise.q_gyroscope", "gyroscope noise", 1.0, 1.0 / self.period, "(rad/s)²"),
+            (
+                "walk_a",
+                "imu.accelerometer_bias_walk",
+                "accelerometer bias walk",
+                1.0,
+                1.0,
+                "m/s²/√s",
+            ),
+            ("walk_g", "imu.gyroscope_bias_walk", "gyroscope bias walk", 1.0, 1.0, "rad/s/√s"),
+        ):
             log_value, sigma = self.fitted.value(name), self.fitted.sigma(name)
             prior = next(p for p in self.fitted.prior if p.name == name)
             value = math.exp(log_value) ** power * scale
@@ -412,26 +492,43 @@ class _Report:
                 verdict, note = "weak", "order of magnitude only"
             else:
                 verdict = "not identifiable"
-                note = ("smaller than the rest of the errors" if name.startswith("psd") else
-                        f"would take longer than {self.fitted.runs[0].t[-1]:.0f} s")
+                note = (
+                    "smaller than the rest of the errors"
+                    if name.startswith("psd")
+                    else f"would take longer than {self.fitted.runs[0].t[-1]:.0f} s"
+                )
                 value = math.exp(prior.mean) ** power * scale
             self.values[parameter] = float(f"{value:.3g}")
-            self._add(label, f"{value:.2g} {unit}", f"×/÷ {math.exp(min(sigma, 9.0)):.1f}", verdict,
-                      note, parameter)
+            self._add(
+                label,
+                f"{value:.2g} {unit}",
+                f"×/÷ {math.exp(min(sigma, 9.0)):.1f}",
+                verdict,
+                note,
+                parameter,
+            )
 
     def background(self, runs: Sequence[Run]) -> None:
         """Levels that the regressor hardly exceeds in motion whose noise is now known."""
         levels = ordinary_levels(runs, self.values)
         if levels is None:
             return
-        for sensor, unit, background in (("accelerometer", "(m/s²)²", levels[:3]),
-                                         ("gyroscope", "(rad/s)²", levels[3:])):
+        for sensor, unit, background in (
+            ("accelerometer", "(m/s²)²", levels[:3]),
+            ("gyroscope", "(rad/s)²", levels[3:]),
+        ):
             name = f"noise.background_{sensor}"
             self.values[name] = [float(f"{level:.3g}") for level in background]
             text = ", ".join(f"{level:.2g}" for level in background)
-            self._add(f"{sensor} background", f"[{text}] {unit}", "", "identified",
-                      f"noise.model {self.values['noise.model']} reads less for "
-                      f"{100.0 * ORDINARY:g} % of the time", name)
+            self._add(
+                f"{sensor} background",
+                f"[{text}] {unit}",
+                "",
+                "identified",
+                f"noise.model {self.values['noise.model']} reads less for "
+                f"{100.0 * ORDINARY:g} % of the time",
+                name,
+            )
 
     def scatter(self) -> None:
         """How far the fixes scatter."""
@@ -439,11 +536,20 @@ class _Report:
             return
         scale, sigma = self.fitted.value("gnss_scale"), self.fitted.sigma("gnss_scale")
         factor = math.exp(0.5 * scale)
-        note = ("" if abs(scale) < max(3.0 * sigma, 0.4) else
-                "raise gnss.position_std_min" if scale > 0 else
-                "the receiver is better than it says")
-        self._add("fixes' scatter", f"{factor:.2f} × claimed σ", f"{0.5 * sigma * factor:.2f}",
-                  "identified" if sigma < 0.3 else "weak", note)
+        note = (
+            ""
+            if abs(scale) < max(3.0 * sigma, 0.4)
+            else "raise gnss.position_std_min"
+            if scale > 0
+            else "the receiver is better than it says"
+        )
+        self._add(
+            "fixes' scatter",
+            f"{factor:.2f} × claimed σ",
+            f"{0.5 * sigma * factor:.2f}",
+            "identified" if sigma < 0.3 else "weak",
+            note,
+        )
 
 
 def next_biases(after: Sequence[Pass]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -463,7 +569,9 @@ def next_biases(after: Sequence[Pass]) -> tuple[tuple[Array, Array], tuple[Array
     variances = np.array([row[COVARIANCE][DIAGONAL[9:15]] for row in last])
     found = []
     for part, axes, repeatability in (
-            (BIAS_A, slice(0, 3), REPEATABILITY[0]), (BIAS_G, slice(3, 6), REPEATABILITY[1])):
+        (BIAS_A, slice(0, 3), REPEATABILITY[0]),
+        (BIAS_G, slice(3, 6), REPEATABILITY[1]),
+    ):
         bias = np.array([row[part] for row in last])
         weight = 1.0 / variances[:, axes]
         mean = np.sum(weight * bias, axis=0) / np.sum(weight, axis=0)
@@ -486,7 +594,7 @@ def ordinary_levels(runs: Sequence[Run], values: Mapping[str, Any]) -> Array | N
         ring = ImuRing()
         count = max(1, round(values["noise.refresh_period"] / run.period))
         for start in range(0, len(samples), count):
-            ring.extend(samples[start:start + count])
+            ring.extend(samples[start : start + count])
             q = reader.read(ring, 0).q
             if q is not None:
                 levels.append(q)
@@ -535,25 +643,35 @@ def _heading_std(after: Pass) -> Array:
 
 def table(findings: Sequence[Finding]) -> str:
     """Lay the findings out for a terminal."""
-    rows = [("", "value", "σ", "verdict"), *(
-        (f.label, f.value, f.sigma, f.verdict + (f": {f.note}" if f.note else ""))
-        for f in findings)]
+    rows = [
+        ("", "value", "σ", "verdict"),
+        *(
+            (f.label, f.value, f.sigma, f.verdict + (f": {f.note}" if f.note else ""))
+            for f in findings
+        ),
+    ]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), row[1].rjust(widths[1]), row[2].rjust(widths[2]),
-                   row[3]]).rstrip() for row in rows)
+        "  ".join(
+            [row[0].ljust(widths[0]), row[1].rjust(widths[1]), row[2].rjust(widths[2]), row[3]]
+        ).rstrip()
+        for row in rows
+    )
 
 
 def innovation_lines(calibration: Calibration) -> str:
     """Say what calibration does to the innovations."""
+
     def figures(passes: Sequence[Pass]) -> tuple[float, float]:
         z = np.concatenate([p.z[np.isfinite(p.nis)] for p in passes])
         nis = np.concatenate([p.nis[np.isfinite(p.nis)] for p in passes])
         return float(np.sqrt(np.nanmean(z**2))), float(np.median(nis))
 
     before, after = figures(calibration.before), figures(calibration.after)
-    return (f"innovations: rms {before[0]:.3f} -> {after[0]:.3f} m, "
-            f"median NIS {before[1]:.1f} -> {after[1]:.1f} (2.4 expected)")
+    return (
+        f"innovations: rms {before[0]:.3f} -> {after[0]:.3f} m, "
+        f"median NIS {before[1]:.1f} -> {after[1]:.1f} (2.4 expected)"
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -564,23 +682,46 @@ def main(argv: Sequence[str] | None = None) -> int:
         "their clocks, the antenna's lever arm, the noise levels, with the uncertainty of each\n"
         "and whether the motion told it at all. Writes a parameter file for ins_node and\n"
         "ins_replay. Record half a minute or more with curves, speeding up and braking.",
-        "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot calibration.png")
+        "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot calibration.png",
+    )
     parser.add_argument("bags", metavar="BAG", nargs="+", help="recordings of one robot")
     parser.add_argument("--out", metavar="F", help="parameter file to write (YAML)")
-    parser.add_argument("--plot", metavar="F", help="picture to write (.png or .svg): likelihood "
-                        "against offset, innovations before and after")
+    parser.add_argument(
+        "--plot",
+        metavar="F",
+        help="picture to write (.png or .svg): likelihood "
+        "against offset, innovations before and after",
+    )
     options.add_parameters(
-        parser, "what is known: mount, antenna, GNSS floors; the search starts there")
-    parser.add_argument("--offset-per-bag", action="store_true",
-                        help="each recording has a clock offset of its own")
-    parser.add_argument("--search", type=options.positive, default=1.5, metavar="S",
-                        help="clock offsets within ±S s are searched (default: %(default)s)")
-    parser.add_argument("--longest", type=options.positive, default=300.0, metavar="S",
-                        help="use the first S s of each recording (default: %(default)g)")
-    parser.add_argument("--nose-first", action="store_true",
-                        help="the vehicle moves where it points: find the IMU's yaw in it")
-    parser.add_argument("--use-truth", action="store_true",
-                        help="take /truth/odometry for fixes and attitude (for comparison)")
+        parser, "what is known: mount, antenna, GNSS floors; the search starts there"
+    )
+    parser.add_argument(
+        "--offset-per-bag", action="store_true", help="each recording has a clock offset of its own"
+    )
+    parser.add_argument(
+        "--search",
+        type=options.positive,
+        default=1.5,
+        metavar="S",
+        help="clock offsets within ±S s are searched (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--longest",
+        type=options.positive,
+        default=300.0,
+        metavar="S",
+        help="use the first S s of each recording (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--nose-first",
+        action="store_true",
+        help="the vehicle moves where it points: find the IMU's yaw in it",
+    )
+    parser.add_argument(
+        "--use-truth",
+        action="store_true",
+        help="take /truth/odometry for fixes and attitude (for comparison)",
+    )
     options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the output files")
     return program.run(_body, parser.parse_args(argv))
@@ -592,19 +733,35 @@ def _body(args: argparse.Namespace) -> int:
         options.check_new(Path(args.out), args.overwrite)
     if args.plot:
         run.check(Path(args.plot))
-    runs = [read_run(
-        Path(bag), values, **options.topics(args), use_truth=args.use_truth, longest=args.longest)
-        for bag in args.bags]
+    runs = [
+        read_run(
+            Path(bag),
+            values,
+            **options.topics(args),
+            use_truth=args.use_truth,
+            longest=args.longest,
+        )
+        for bag in args.bags
+    ]
     with _Bar() as bar:
         found = calibrate(
-            runs, values, own_offsets=args.offset_per_bag and len(runs) > 1, search=args.search,
-            nose_first=args.nose_first, trust_fixes=args.use_truth, tell=bar.stage,
-            antenna_is_base=antenna_is_base(list(map(Path, args.bags)), values, args.fix_topic))
+            runs,
+            values,
+            own_offsets=args.offset_per_bag and len(runs) > 1,
+            search=args.search,
+            nose_first=args.nose_first,
+            trust_fixes=args.use_truth,
+            tell=bar.stage,
+            antenna_is_base=antenna_is_base(list(map(Path, args.bags)), values, args.fix_topic),
+        )
     print(table(found.findings))
     print(innovation_lines(found))
     if args.out:
-        chosen = {name: value for name, value in found.values.items()
-                  if name in found.notes or value != PARAMETERS[name].default}
+        chosen = {
+            name: value
+            for name, value in found.values.items()
+            if name in found.notes or value != PARAMETERS[name].default
+        }
         title = "Written by ins_calibrate from " + ", ".join(run.name for run in runs)
         Path(args.out).write_text(to_yaml(chosen, title, found.notes), encoding="utf-8")
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")

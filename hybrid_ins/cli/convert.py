@@ -194,14 +194,15 @@ def make_truth(
     roll_std, pitch_std, yaw_std = attitude_std
     horizontal = max(roll_std, pitch_std) ** 2
     attitude_cov = np.broadcast_to(
-        np.diag([horizontal, horizontal, yaw_std**2]), position_cov.shape)
+        np.diag([horizontal, horizontal, yaw_std**2]), position_cov.shape
+    )
     assert track.quat_xyzw is not None
     # Along the vehicle's axes, which the attitude's error turns.
     C_base_map = np.swapaxes(matrix_from_quat(track.quat_xyzw), -1, -2)
     turn = C_base_map @ skew(velocity)
-    velocity_cov = (
-        gain[:, None, None] ** 2 * (C_base_map @ position_cov @ np.swapaxes(C_base_map, -1, -2))
-        + turn @ attitude_cov @ np.swapaxes(turn, -1, -2))
+    velocity_cov = gain[:, None, None] ** 2 * (
+        C_base_map @ position_cov @ np.swapaxes(C_base_map, -1, -2)
+    ) + turn @ attitude_cov @ np.swapaxes(turn, -1, -2)
     track = replace(
         track,
         velocity_enu=velocity,

@@ -82,8 +82,10 @@ def replay(
     estimator = Estimator(values, log or _say)
     there = imu.has_reading
     estimator.foresee(stamps_ns[there], imu.specific_force[there], imu.angular_rate[there])
-    writers = [_OdometryWriter(out, values, topic, values[frame]) for topic, frame in
-               (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))]
+    writers = [
+        _OdometryWriter(out, values, topic, values[frame])
+        for topic, frame in (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))
+    ]
     handlers: dict[str, Callable[[Message, int], None]] = {fix_topic: estimator.fix}
     if bag.topics.get(velocity_topic) == VELOCITY:
         handlers[velocity_topic] = estimator.velocity
@@ -110,8 +112,11 @@ def replay(
             estimator.imu_without_reading()
         rows = rows[imu.has_reading[stretch]]
         for stamps, *values_by_frame in estimator.imu_block(
-                stamps_ns[rows], imu.specific_force[rows], imu.angular_rate[rows],
-                imu.orientation_xyzw[rows]):
+            stamps_ns[rows],
+            imu.specific_force[rows],
+            imu.angular_rate[rows],
+            imu.orientation_xyzw[rows],
+        ):
             for writer, odometry in zip(writers, values_by_frame, strict=True):
                 writer.write(stamps, odometry)
         flush(int(imu.stamp_ns[max(stretch.stop, 1) - 1]))
@@ -209,16 +214,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         "the node's own estimator, without middleware, faster than real time and repeatably.\n"
         "The output bag holds the node's topics, the fixes and any truth: ready for ins_evaluate.",
         "ins_replay flight.mcap estimate.mcap --params-file params.yaml\n"
-        "  ins_replay flights/ estimates/     all bags in a folder; again to resume")
-    parser.add_argument("input", metavar="IN", nargs="+", type=Path,
-                        help="bag with sensor_msgs/Imu and NavSatFix; several, or a folder of bags")
-    parser.add_argument("output", metavar="OUT", type=Path,
-                        help="bag to write (directory, or *.mcap file); the folder for several")
+        "  ins_replay flights/ estimates/     all bags in a folder; again to resume",
+    )
+    parser.add_argument(
+        "input",
+        metavar="IN",
+        nargs="+",
+        type=Path,
+        help="bag with sensor_msgs/Imu and NavSatFix; several, or a folder of bags",
+    )
+    parser.add_argument(
+        "output",
+        metavar="OUT",
+        type=Path,
+        help="bag to write (directory, or *.mcap file); the folder for several",
+    )
     options.add_parameters(parser, "parameter file, the same as the node's")
     options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
-    parser.add_argument("--plot", metavar="FILE", type=Path,
-                        help="draw the run, with errors where IN holds truth: .png or .svg")
+    parser.add_argument(
+        "--plot",
+        metavar="FILE",
+        type=Path,
+        help="draw the run, with errors where IN holds truth: .png or .svg",
+    )
     batch.add_options(parser)
     return program.run(_body, parser.parse_args(argv))
 
@@ -234,15 +253,20 @@ def _body(args: argparse.Namespace) -> int:
             raise InputError("--plot is for one bag at a time")
         kernels.prepare(partial(_say, "info"))
         return batch.run(
-            args, batch.find_jobs(args.input, args.output),
+            args,
+            batch.find_jobs(args.input, args.output),
             partial(_replay_one, values, topics, args.overwrite),
-            {"values": values, "topics": topics}, args.overwrite)
+            {"values": values, "topics": topics},
+            args.overwrite,
+        )
     [source] = args.input
     with BagReader(source) as bag, BagWriter(args.output, overwrite=args.overwrite) as out:
         estimator = replay(bag, out, values, **topics)
     if not estimator.ever_aligned:
-        raise InputError(f"{source}: the filter never started: it waited for "
-                         f"{estimator.navigator.waiting_for}; {args.output} holds no odometry")
+        raise InputError(
+            f"{source}: the filter never started: it waited for "
+            f"{estimator.navigator.waiting_for}; {args.output} holds no odometry"
+        )
     print(estimator.summary())
     if args.plot is not None:
         from hybrid_ins.cli import evaluate
@@ -263,14 +287,25 @@ def _replay_one(
     unfinished = target.with_name(f".{target.name}")
     remarks: list[str] = []
     with BagReader(job.source) as bag, BagWriter(unfinished, overwrite=True) as out:
-        estimator = replay(bag, out, values, **topics, progress=False,
-                           log=lambda level, text: remarks.append(level))
+        estimator = replay(
+            bag,
+            out,
+            values,
+            **topics,
+            progress=False,
+            log=lambda level, text: remarks.append(level),
+        )
         duration = (bag.end_ns - bag.start_ns) * 1e-9
     if not estimator.ever_aligned:
         unfinished.unlink()
-        raise InputError(f"the filter never started: it waited for "
-                         f"{estimator.navigator.waiting_for}")
+        raise InputError(
+            f"the filter never started: it waited for {estimator.navigator.waiting_for}"
+        )
     unfinished.replace(target)
     refused = sum(estimator.counts.values())
-    return {"duration [s]": duration, "fixes fused": estimator.fixes_fused,
-            "refused or remarkable": refused, "warnings": remarks.count("warn")}
+    return {
+        "duration [s]": duration,
+        "fixes fused": estimator.fixes_fused,
+        "refused or remarkable": refused,
+        "warnings": remarks.count("warn"),
+    }

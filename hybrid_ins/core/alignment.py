@@ -239,8 +239,9 @@ class Alignment:
         C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
         return quat_from_matrix(C_then @ C_then_now)
 
-    def _motion(self, fixes: list[PositionFix], now: int) -> (
-            tuple[Array, Array, Array, Array] | None):
+    def _motion(
+        self, fixes: list[PositionFix], now: int
+    ) -> tuple[Array, Array, Array, Array] | None:
         """Position and velocity now with covariances, from fixes (and a GNSS velocity)."""
         last = fixes[-1]
         lla = last.lla.copy()
@@ -277,8 +278,10 @@ class Alignment:
         if self._source == "course":
             speed = math.hypot(velocity_n[0], velocity_n[1])
             if speed < settings.course_min_speed:
-                self.waiting_for = (f"motion for the heading: {speed:.1f} m/s over ground, "
-                                    f"{settings.course_min_speed:g} needed")
+                self.waiting_for = (
+                    f"motion for the heading: {speed:.1f} m/s over ground, "
+                    f"{settings.course_min_speed:g} needed"
+                )
                 return None
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
             return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
@@ -326,8 +329,10 @@ def _relative(samples: NDArray[np.void]) -> Array:
 
 def _roll_pitch(down_b: Array) -> tuple[float, float]:
     """Roll and pitch [rad] of the b frame in which n's down axis is ``down_b``."""
-    return (math.atan2(down_b[1], down_b[2]),
-            math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])))
+    return (
+        math.atan2(down_b[1], down_b[2]),
+        math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])),
+    )
 
 
 def yaw_of(quat_xyzw: Array) -> float:

@@ -79,8 +79,15 @@ class ClockOffset(Snapshot):
         s, acceleration_n, C_nb = carry(self._s, nav, self._velocity_n, self._C_nb, T)
         if correction.fused:
             information, pull, nis = regress(
-                s, velocity_n, acceleration_n, correction.z, correction.H, correction.S,
-                correction.K, self.missing)
+                s,
+                velocity_n,
+                acceleration_n,
+                correction.z,
+                correction.H,
+                correction.S,
+                correction.K,
+                self.missing,
+            )
             self._misfit += (nis / len(correction.z) - self._misfit) / MEMORY
             gain = self._variance / (1.0 + self._variance * information)
             self.missing += gain * pull

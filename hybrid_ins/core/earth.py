@@ -64,8 +64,11 @@ def _gravity_polynomial(lat):  # type: ignore[no-untyped-def]
         GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin_sq) / np.sqrt(1.0 - ECCENTRICITY_SQ * sin_sq)
     )
     flattening = 1.0 + FLATTENING * (1.0 - 2.0 * sin_sq) + GRAVITY_RATIO
-    return surface, -2.0 * surface * flattening / SEMI_MAJOR_AXIS, 3.0 * surface / (
-        SEMI_MAJOR_AXIS**2)
+    return (
+        surface,
+        -2.0 * surface * flattening / SEMI_MAJOR_AXIS,
+        3.0 * surface / (SEMI_MAJOR_AXIS**2),
+    )
 
 
 @register_jitable
@@ -116,8 +119,7 @@ def ecef_to_lla(ecef: NDArray[np.float64]) -> NDArray[np.float64]:
         theta = np.arctan2((1.0 - FLATTENING) * np.sin(lat), np.cos(lat))
     transverse = radii(lat)[1]
     height = (
-        p * np.cos(lat) + z * np.sin(lat)
-        - transverse * (1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2)
+        p * np.cos(lat) + z * np.sin(lat) - transverse * (1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2)
     )
     return np.stack((lat, np.arctan2(y, x), height), axis=-1)
 

@@ -81,9 +81,16 @@ def system_matrix(lla, velocity, f_n, C, F):  # type: ignore[no-untyped-def]
     # velocity by position: v x (d w_en + 2 d w_ie) + d gravity
     k_n, k_e, k_d = g_n + rm * ie_d, g_e, g_d - rm * ie_n
     root = np.sqrt(w)
-    d_gravity = rm * GRAVITY_EQUATOR * sin_lat * cos_lat * (
-        2.0 * SOMIGLIANA / root
-        + (1.0 + SOMIGLIANA * sin_lat * sin_lat) * ECCENTRICITY_SQ / (root * w))
+    d_gravity = (
+        rm
+        * GRAVITY_EQUATOR
+        * sin_lat
+        * cos_lat
+        * (
+            2.0 * SOMIGLIANA / root
+            + (1.0 + SOMIGLIANA * sin_lat * sin_lat) * ECCENTRICITY_SQ / (root * w)
+        )
+    )
     gravity_n_per_h, gravity_d_per_h = gravity_gradient(lat, height)
     F[3, 0] = ve * k_d - vd * k_e
     F[3, 2] = ve * h_d - vd * h_e - gravity_n_per_h

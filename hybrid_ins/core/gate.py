@@ -111,7 +111,13 @@ class Gate(Snapshot):
         return twin
 
     def judge(
-        self, measurement: Measurement, z: Array, R: Array, S: Array, nis: float, age: float,
+        self,
+        measurement: Measurement,
+        z: Array,
+        R: Array,
+        S: Array,
+        nis: float,
+        age: float,
         interval: float = np.inf,
     ) -> Verdict:
         """
@@ -133,17 +139,33 @@ class Gate(Snapshot):
                 self._refusals.pop(kind, None)
                 return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
         elif not measurement.aiding or (
-                t_ns - agreeing_ns < patience_ns and t_ns - first_ns < 3 * patience_ns):
+            t_ns - agreeing_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
+        ):
             jump = last.jump if last else _jumps(kind, z, R, interval)
             self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z, jump)
             return Verdict(
-                measurement, False, "innovation beyond the gate", age, nis, threshold, sigma,
-                log_det, jump=jump)
+                measurement,
+                False,
+                "innovation beyond the gate",
+                age,
+                nis,
+                threshold,
+                sigma,
+                log_det,
+                jump=jump,
+            )
         self._refusals.pop(kind, None)
         return Verdict(
-            measurement, True,
+            measurement,
+            True,
             f"refused for {(t_ns - first_ns) * 1e-9:.1f} s: state opened to the measurement",
-            age, nis, threshold, sigma, log_det, reset=True)
+            age,
+            nis,
+            threshold,
+            sigma,
+            log_det,
+            reset=True,
+        )
 
 
 def _jumps(kind: str, z: Array, R: Array, interval: float) -> bool:

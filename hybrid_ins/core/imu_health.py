@@ -39,37 +39,50 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
     means, size, top, at_limit, off, frozen, turned = _survey(samples["t_ns"], readings)
     mean = float(np.linalg.norm(means[:3]))
     if mean < LEAST_FORCE and float(size[:3].mean()) < LEAST_FORCE:
-        remedy = ("the unit seems to be g: multiply by 9.80665" if 0.7 < mean < 1.3 else
-                  "gravity seems to be removed: let the driver publish specific force")
+        remedy = (
+            "the unit seems to be g: multiply by 9.80665"
+            if 0.7 < mean < 1.3
+            else "gravity seems to be removed: let the driver publish specific force"
+        )
         return NO_GRAVITY, f"mean acceleration is {mean:.2f} m/s², not 9.8: {remedy}"
     if mean > MOST_FORCE:
         return "imu: too much gravity", (
-            f"mean acceleration is {mean:.1f} m/s², not 9.8: check the unit (m/s² is meant)")
+            f"mean acceleration is {mean:.1f} m/s², not 9.8: check the unit (m/s² is meant)"
+        )
     steps = len(readings) - 1
     if frozen >= int(FROZEN * steps) and np.abs(readings[-1, 3:]).max() > 0.05:
-        return "imu: frozen", ("the same reading again and again while it shows a turn: restart "
-                               "the driver, check the cable")
+        return "imu: frozen", (
+            "the same reading again and again while it shows a turn: restart "
+            "the driver, check the cable"
+        )
     for sensor, least, name, unit in (
-            (FORCE, LIMIT_FORCE, "acceleration", "m/s²"), (RATE, LIMIT_RATE, "rate", "rad/s")):
+        (FORCE, LIMIT_FORCE, "acceleration", "m/s²"),
+        (RATE, LIMIT_RATE, "rate", "rad/s"),
+    ):
         for axis in np.flatnonzero(top[sensor] >= least):
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))
             if frozen < steps and at_limit[sensor][axis] >= most:
                 return f"imu: saturated {name}", (
                     f"{name} on axis {'xyz'[axis]} stays at {top[sensor][axis]:.2f} {unit}: "
-                    "choose a larger range, or dampen the mount")
+                    "choose a larger range, or dampen the mount"
+                )
     for sensor, least, name, unit in (
-            (FORCE, SPIKE_FORCE, "acceleration", "m/s²"), (RATE, SPIKE_RATE, "rate", "rad/s")):
+        (FORCE, SPIKE_FORCE, "acceleration", "m/s²"),
+        (RATE, SPIKE_RATE, "rate", "rad/s"),
+    ):
         if off[sensor].max() <= least:
             continue
         spike = _largest_spike(readings[:, sensor], least)
         if spike:
             return f"imu: spikes in {name}", (
                 f"single readings of {name} jump away by {spike:.1f} {unit} and back: check "
-                "plugs, cables, shielding")
+                "plugs, cables, shielding"
+            )
     if turned >= WINDMILL and _in_degrees(samples):
         return "imu: degrees", (
             f"rates of {top[RATE].max():.0f} do not fit the acceleration: they seem to be in "
-            "degrees per second; radians per second are meant")
+            "degrees per second; radians per second are meant"
+        )
     return None
 
 
@@ -107,8 +120,7 @@ def _survey(t_ns, readings):  # type: ignore[no-untyped-def]
                 continue
             same &= value == readings[k - 1, c]
             if c >= 3:
-                turned += abs(
-                    0.5 * (value + readings[k - 1, c]) * (t_ns[k] - t_ns[k - 1]) * 1e-9)
+                turned += abs(0.5 * (value + readings[k - 1, c]) * (t_ns[k] - t_ns[k - 1]) * 1e-9)
             if k > 1:
                 middle = readings[k - 1, c]
                 off[c] = max(off[c], abs(middle - 0.5 * (value + readings[k - 2, c])))
@@ -128,7 +140,7 @@ def _in_degrees(samples: NDArray[np.void]) -> bool:
     """Tell whether gravity turns as it would if the rates were in degrees, not radians."""
     force, rate = samples["f"], samples["w"]
     dt = np.diff(samples["t_ns"])[:, None] * 1e-9
-    turn = (0.5 * (rate[1:] + rate[:-1]) * dt)
+    turn = 0.5 * (rate[1:] + rate[:-1]) * dt
     part = max(len(force) // 5, 2)
     first, last = force[:part].mean(axis=0), force[-part:].mean(axis=0)
     middle = slice(part // 2, len(turn) - part // 2)
@@ -140,4 +152,3 @@ def _in_degrees(samples: NDArray[np.void]) -> bool:
         cosine = (C @ first) @ last / (np.linalg.norm(first) * np.linalg.norm(last) + 1e-9)
         angles.append(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return bool(angles[0] > 0.6 and angles[1] < 0.3)
-

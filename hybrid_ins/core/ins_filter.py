@@ -300,8 +300,7 @@ class InsFilter:
         readings = readings_of(samples)
         start = 0
         for k in np.flatnonzero(steps > self.long_step_ns).tolist():
-            propagation.run(self.nav, dt[start:k], readings[start:k], self._interval,
-                            rows[start:k])
+            propagation.run(self.nav, dt[start:k], readings[start:k], self._interval, rows[start:k])
             self._bridge(dt[k], readings[k])
             if len(rows):
                 rows[k] = self.nav[:N_NAV]
@@ -322,8 +321,11 @@ class InsFilter:
         unseen_f = UNSEEN_FORCE + 0.5 * jump[:3].max() + rate
         unseen_w = UNSEEN_RATE + 0.5 * jump[3:].max() + 0.2 * rate
         P = covariance(nav)
-        for block, std in ((DP, 0.25 * unseen_f * dt**2), (DV, 0.5 * unseen_f * dt),
-                           (EPS, 0.5 * unseen_w * dt)):
+        for block, std in (
+            (DP, 0.25 * unseen_f * dt**2),
+            (DV, 0.5 * unseen_f * dt),
+            (EPS, 0.5 * unseen_w * dt),
+        ):
             P[block, block] += std**2 * np.eye(3)
         pack(P, nav[COVARIANCE])
         self.noise.forget(evidence=False)
@@ -381,7 +383,8 @@ class InsFilter:
             return
         C_nb = matrix_from_quat(self.nav[QUAT])
         correction = Correction(
-            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted)
+            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
+        )
         self.clock.learn(correction)
         reseat = self.noise.learn(correction)
         if reseat is not None:
@@ -391,10 +394,17 @@ class InsFilter:
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""
-        self._points.append(Checkpoint(
-            self.t_ns, self._n_done, self.nav[:N_NAV].copy(), copy.copy(self.noise),
-            copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns,
-        ))
+        self._points.append(
+            Checkpoint(
+                self.t_ns,
+                self._n_done,
+                self.nav[:N_NAV].copy(),
+                copy.copy(self.noise),
+                copy.copy(self.gate),
+                copy.copy(self.clock),
+                self._corrected_ns,
+            )
+        )
         oldest = self.t_ns - self._horizon_ns
         while len(self._points) > 1 and self._points[1].t_ns < oldest:
             del self._points[0]

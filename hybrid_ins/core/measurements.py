@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 STANDING_SPEED_STD = 0.03  # m/s, of a vehicle that stands: it rocks
 STANDING_RATE_STD = 3e-4  # rad/s
 
+
 @kernel()
 def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
     """

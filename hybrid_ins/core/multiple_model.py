@@ -114,13 +114,21 @@ class MultipleModelBank:
         See ``clock``.
     """
 
-    def __init__(self, states: Sequence[NavState], begin: Begin, settings: FilterSettings,
-                 clock: bool = False) -> None:
+    def __init__(
+        self,
+        states: Sequence[NavState],
+        begin: Begin,
+        settings: FilterSettings,
+        clock: bool = False,
+    ) -> None:
         self._heading_open, self.clock_open = len(states) > 1, clock
         if clock:
             settings = replace(settings, clock_std=CLOCK_STD)
-            pairs = [(offset_ns, opened(state, offset_ns * 1e-9))
-                     for offset_ns in CLOCKS_NS for state in states]
+            pairs = [
+                (offset_ns, opened(state, offset_ns * 1e-9))
+                for offset_ns in CLOCKS_NS
+                for state in states
+            ]
         else:
             pairs = [(0, state) for state in states]
         self._offsets_ns = [offset_ns for offset_ns, _ in pairs]
@@ -146,8 +154,10 @@ class MultipleModelBank:
     def waiting_for(self) -> str:
         """What the user can do about it."""
         clock = f" and the clock offset (to {self.clock()[1]:.2f} s)" if self.clock_open else ""
-        return (f"motion that shows the heading (known to {math.degrees(self.heading()[1]):.0f}° "
-                f"so far){clock}: speed up, brake or turn, or give it by initialpose")
+        return (
+            f"motion that shows the heading (known to {math.degrees(self.heading()[1]):.0f}° "
+            f"so far){clock}: speed up, brake or turn, or give it by initialpose"
+        )
 
     def submit(self, event: Change) -> None:
         """See `InsFilter.submit`."""
@@ -165,8 +175,11 @@ class MultipleModelBank:
         self._waiting[measurement.kind, measurement.t_ns] = measurement
         for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True):
             t_ns = measurement.t_ns + (offset_ns if measurement.aiding else 0)
-            hypothesis.submit(replace(  # type: ignore[type-var]  # a record, see `measurements`
-                measurement, t_ns=t_ns))
+            hypothesis.submit(
+                replace(  # type: ignore[type-var]  # a record, see `measurements`
+                    measurement, t_ns=t_ns
+                )
+            )
         return True
 
     def advance(self, ring: ImuRing, now_ns: int) -> list[Verdict]:
@@ -176,7 +189,7 @@ class MultipleModelBank:
         Returns the likeliest hypothesis' verdicts on what has been weighed since.
         """
         samples = ring.after(self.best.t_ns)
-        samples = samples[:np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
+        samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
         if len(samples):
             for hypothesis in self.filters:
                 hypothesis.process_imu_block(samples)
@@ -185,7 +198,8 @@ class MultipleModelBank:
     def _weigh_decided(self) -> list[Verdict]:
         """Weigh what all have decided by now, by different clocks at different times."""
         for offset_ns, hypothesis, decided in zip(
-                self._offsets_ns, self.filters, self._decided, strict=True):
+            self._offsets_ns, self.filters, self._decided, strict=True
+        ):
             for verdict in hypothesis.verdicts:
                 measurement = verdict.measurement
                 t_ns = measurement.t_ns - (offset_ns if measurement.aiding else 0)
@@ -222,8 +236,10 @@ class MultipleModelBank:
 
     def clock(self) -> tuple[float, float]:
         """Return what is missing from the fixes' stamps, and its standard deviation [s]."""
-        missing = [offset_ns * 1e-9 + hypothesis.clock.missing for offset_ns, hypothesis
-                   in zip(self._offsets_ns, self.filters, strict=True)]
+        missing = [
+            offset_ns * 1e-9 + hypothesis.clock.missing
+            for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
+        ]
         return self._mixture(np.array(missing), np.array([f.clock.sigma**2 for f in self.filters]))
 
     def _mixture(self, means: Array, variances: Array) -> tuple[float, float]:
@@ -247,8 +263,10 @@ class MultipleModelBank:
         """Return the one filter that the mixture has become, wide enough for all; or None."""
         turn, turn_std = self.heading()
         missing, clock_std = self.clock()
-        heading_known = [self._has_lasted(("heading", std), turn_std <= std, lasting_ns)
-                         for std, lasting_ns in HEADING_KNOWN]
+        heading_known = [
+            self._has_lasted(("heading", std), turn_std <= std, lasting_ns)
+            for std, lasting_ns in HEADING_KNOWN
+        ]
         clock_known = self._has_lasted("clock", clock_std <= CLOCK_KNOWN[0], CLOCK_KNOWN[1])
         if (self._heading_open and not any(heading_known)) or (self.clock_open and not clock_known):
             return None

@@ -58,13 +58,17 @@ LONGEST_FALL_NS = 5_000_000_000  # without weight
 LAST_FIX_NS = 1_100_000_000  # age of the last fix that tells of a fall
 REOPENINGS, REOPENING_NS = 3, 30_000_000_000  # states opened that often are wrong in heading
 
-MISLEADING = {"imu: saturated acceleration": B_A, "imu: saturated rate": B_G,
-              "imu: spikes in acceleration": B_A, "imu: spikes in rate": B_G}
+MISLEADING = {
+    "imu: saturated acceleration": B_A,
+    "imu: saturated rate": B_G,
+    "imu: spikes in acceleration": B_A,
+    "imu: spikes in rate": B_G,
+}
 STAMP_FAULTS = {
     "imu: repeated stamp": "header.stamp repeats: a driver that stamps twice, or two publishers "
-                           "on one topic",
+    "on one topic",
     "imu: stamp out of order": "header.stamp goes back a little: a driver that stamps on receipt, "
-                               "or two publishers on one topic",
+    "or two publishers on one topic",
     "imu: stamp jumps": "header.stamp jumps; the filter starts anew if it stays there",
 }
 
@@ -301,7 +305,9 @@ class Navigator:
         """Return what has an open clock around filters of one time and one clock."""
         first = filters[0]
         begin = self._beginning(first.t_ns, first.sample, first.process)
-        return MultipleModelBank([known.state for known in filters], begin, self._settings, clock=True)
+        return MultipleModelBank(
+            [known.state for known in filters], begin, self._settings, clock=True
+        )
 
     def open_clock(self, unknown: bool) -> None:
         """Take the fixes' clock for unknown, or for known; it may be another than before."""
@@ -323,9 +329,18 @@ class Navigator:
 
     def _beginning(self, t_ns: int, sample: Array, process: ProcessNoise) -> Begin:
         """Return what starts a filter at an IMU sample."""
+
         def begin(state: NavState, settings: FilterSettings) -> InsFilter:
-            return InsFilter(state, t_ns, sample, self._make_noise(process), process,
-                             self._make_gate(), self.ring, settings)
+            return InsFilter(
+                state,
+                t_ns,
+                sample,
+                self._make_noise(process),
+                process,
+                self._make_gate(),
+                self.ring,
+                settings,
+            )
 
         return begin
 
@@ -341,8 +356,10 @@ class Navigator:
         if self.filter is not None:  # It has told of each fix already, but for those that wait.
             winner.withdraw()
             winner.verdicts.clear()
-            self.verdicts.extend(Verdict.refused(measurement, "clock offset found")
-                                 for measurement in self.filter.withdraw())
+            self.verdicts.extend(
+                Verdict.refused(measurement, "clock offset found")
+                for measurement in self.filter.withdraw()
+            )
         if bank.clock_open:
             self.clock_open = decision.at_edge
             self._seen.clear()
@@ -363,9 +380,13 @@ class Navigator:
             self.verdicts.append(Verdict.refused(measurement, "repeated stamp"))
             return
         if self.ring.count and measurement.t_ns - self.last_ns > self.max_gap_ns + AHEAD_NS:
-            self.verdicts.append(Verdict.refused(
-                measurement, "stamped ahead of the IMU",
-                (self.last_ns - measurement.t_ns) * 1e-9))
+            self.verdicts.append(
+                Verdict.refused(
+                    measurement,
+                    "stamped ahead of the IMU",
+                    (self.last_ns - measurement.t_ns) * 1e-9,
+                )
+            )
             return
         self._seen.append(key)
         if self._stands_still(measurement):
@@ -390,9 +411,12 @@ class Navigator:
         if not isinstance(measurement, PositionFix):
             return False
         last, self._last_lla = self._last_lla, measurement.lla
-        return (last is not None and np.array_equal(last, measurement.lla)
-                and self.filter is not None
-                and float(np.linalg.norm(self.filter.nav[VELOCITY])) > MOVING)
+        return (
+            last is not None
+            and np.array_equal(last, measurement.lla)
+            and self.filter is not None
+            and float(np.linalg.norm(self.filter.nav[VELOCITY])) > MOVING
+        )
 
     def look(self) -> None:
         """Look now and then how the IMU does, and whether the vehicle stands."""
@@ -429,8 +453,11 @@ class Navigator:
         if self.fault is None or self.fault[0] != NO_GRAVITY:
             self._weighed_ns = t_ns
             return False
-        return (self.filter is not None and t_ns - self._weighed_ns < LONGEST_FALL_NS
-                and t_ns - self._agreed_ns < LAST_FIX_NS)
+        return (
+            self.filter is not None
+            and t_ns - self._weighed_ns < LONGEST_FALL_NS
+            and t_ns - self._agreed_ns < LAST_FIX_NS
+        )
 
     def _doubted(self, fault: str) -> Array:
         """Standard deviations, (15,), of the errors that misleading readings leave behind."""
@@ -451,8 +478,11 @@ class Navigator:
         t_ns = verdict.measurement.t_ns
         self._opened.append(t_ns)
         speed = float(np.linalg.norm(self.filter.nav[VELOCITY]))
-        if (len(self._opened) == REOPENINGS and t_ns - self._opened[0] < REOPENING_NS
-                and speed > 1.0):
+        if (
+            len(self._opened) == REOPENINGS
+            and t_ns - self._opened[0] < REOPENING_NS
+            and speed > 1.0
+        ):
             self._biases.clear()
             self.give_up("the state did not fit the fixes: it was opened time and again")
 

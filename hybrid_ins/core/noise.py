@@ -273,7 +273,11 @@ class InnovationNoise:
     fix_factor = 1.0
 
     def __init__(
-        self, initial: Array, floor: Array, window: int, process: ProcessNoise,
+        self,
+        initial: Array,
+        floor: Array,
+        window: int,
+        process: ProcessNoise,
         literal: bool = False,
     ) -> None:
         self._q = np.array(initial, float)
@@ -294,14 +298,17 @@ class InnovationNoise:
         """Average the innovations and map them through the present gain."""
         if not correction.fused or correction.interval <= 0.0 or len(correction.z) != 3:
             return
-        self._innovations = (*self._innovations, correction.z)[-self._window:]
+        self._innovations = (*self._innovations, correction.z)[-self._window :]
         if len(self._innovations) < self._window:
             return
         moved = np.array(self._innovations) @ correction.K.T
         interval = self._process.period if self._literal else correction.interval
-        density = np.concatenate([
-            np.mean((moved[:, block] @ correction.C_nb) ** 2, axis=0) / interval
-            for block in (DV, EPS)])
+        density = np.concatenate(
+            [
+                np.mean((moved[:, block] @ correction.C_nb) ** 2, axis=0) / interval
+                for block in (DV, EPS)
+            ]
+        )
         self._q = np.maximum(self._process.q(density), self._floor)
 
     def forget(self, evidence: bool) -> None:

@@ -50,10 +50,16 @@ TAIL = 6.0  # degrees of freedom of an innovation, [2]_
 RESEAT = 3.0  # rise of a factor
 LONGEST = 3.0  # s without a fix: beyond it the mean motion does not stand for the IMU any more
 
-_A, _G, _R = (grid.ravel() for grid in np.meshgrid(
-    DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij"))
-_PRIOR = -sum((np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
-               for grid, cost in zip((_A, _G, _R), COST, strict=True)), np.zeros(_A.size))
+_A, _G, _R = (
+    grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")
+)
+_PRIOR = -sum(
+    (
+        np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
+        for grid, cost in zip((_A, _G, _R), COST, strict=True)
+    ),
+    np.zeros(_A.size),
+)
 _DECADES = np.stack((_A, _G, _R))
 _FACTORS = 10.0**_DECADES
 
@@ -122,8 +128,19 @@ class NoiseScale(Snapshot):
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
         R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
         self._P, self._lead, gained = advance(
-            self._P, self._lead, F, T, C_mean, psd, _FACTORS, correction.z, correction.H, R,
-            correction.dx, TAIL)
+            self._P,
+            self._lead,
+            F,
+            T,
+            C_mean,
+            psd,
+            _FACTORS,
+            correction.z,
+            correction.H,
+            R,
+            correction.dx,
+            TAIL,
+        )
         evidence = self._evidence * np.exp(-T / MEMORY) + gained
         self._evidence = evidence - evidence.max()
         self._t_ns = correction.t_ns

@@ -105,8 +105,8 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
                     P[place, h] += u * half[k, h] + v * half[k + 1, h] + w * half[k + 2, h]
             for h in range(count):
                 P[place, h] += (
-                    factors[0, h] * noise[0, i, j] + factors[1, h] * noise[1, i, j]
-                    + noise[2, i, j])
+                    factors[0, h] * noise[0, i, j] + factors[1, h] * noise[1, i, j] + noise[2, i, j]
+                )
 
     PHt, own = np.zeros((m, N_ERROR, count)), np.empty((m, count))
     for a in range(m):
@@ -116,8 +116,7 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
                     place = PLACES[i, k]
                     for h in range(count):
                         PHt[a, i, h] += H[a, k] * P[place, h]
-    S, white, weight, gained = (
-        np.empty((m, m)), np.empty(m), np.ones(count), np.empty(count))
+    S, white, weight, gained = (np.empty((m, m)), np.empty(m), np.ones(count), np.empty(count))
     for h in range(count):
         for repeat in range(2):
             for a in range(m):
@@ -182,8 +181,7 @@ def _transition_and_noise(F, T, C, psd):  # type: ignore[no-untyped-def]
         _sandwich(transition, density[s], square, cube, ahead)
         for i in range(n):
             for j in range(n):
-                noise[s, i, j] = T / 6.0 * (
-                    density[s, i, j] + 4.0 * noise[s, i, j] + ahead[i, j])
+                noise[s, i, j] = T / 6.0 * (density[s, i, j] + 4.0 * noise[s, i, j] + ahead[i, j])
     return transition, noise
 
 

@@ -30,9 +30,7 @@ def skew(vector: ArrayLike) -> Array:
 def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
     """Product (..., 4) of two quaternions (..., 4); [1]_ eq. 12."""
     a, b = np.asarray(left, float), np.asarray(right, float)
-    vector = (
-        a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
-    )
+    vector = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
     scalar = a[..., 3] * b[..., 3] - np.sum(a[..., :3] * b[..., :3], axis=-1)
     return np.concatenate((vector, scalar[..., None]), axis=-1)
 
@@ -66,7 +64,8 @@ def left_jacobian(rotvec: ArrayLike) -> Array:
     first = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     large = np.maximum(angle, 1e-2)
     second = np.where(
-        angle < 1e-2, (1.0 - angle**2 / 20.0) / 6.0, (large - np.sin(large)) / large**3)
+        angle < 1e-2, (1.0 - angle**2 / 20.0) / 6.0, (large - np.sin(large)) / large**3
+    )
     matrix: Array = np.eye(3) + first * cross + second * cross @ cross
     return matrix
 

@@ -60,20 +60,20 @@ class ImuRing:
 
     def extend(self, samples: NDArray[np.void]) -> None:
         """Append many samples, an array of ``SAMPLE_DTYPE``."""
-        kept = samples[-self.capacity:]
+        kept = samples[-self.capacity :]
         self.count += len(samples)
         start = (self.count - len(kept)) % self.capacity
         split = min(len(kept), self.capacity - start)
-        self._samples[start:start + split] = kept[:split]
-        self._samples[:len(kept) - split] = kept[split:]
+        self._samples[start : start + split] = kept[:split]
+        self._samples[: len(kept) - split] = kept[split:]
 
     def latest(self, n: int) -> NDArray[np.void]:
         """Copy of the last ``n`` samples (fewer if fewer came), oldest first."""
         n = min(n, self.count, self.capacity)
         start = (self.count - n) % self.capacity
         if start + n <= self.capacity:
-            return self._samples[start:start + n].copy()
-        return np.concatenate((self._samples[start:], self._samples[:start + n - self.capacity]))
+            return self._samples[start : start + n].copy()
+        return np.concatenate((self._samples[start:], self._samples[: start + n - self.capacity]))
 
     def after(self, t_ns: int) -> NDArray[np.void]:
         """Copy of the samples that are younger than ``t_ns``, oldest first."""
@@ -81,7 +81,7 @@ class ImuRing:
         while True:
             tail = self.latest(n)
             if len(tail) < n or tail["t_ns"][0] <= t_ns:
-                return tail[np.searchsorted(tail["t_ns"], t_ns, side="right"):]
+                return tail[np.searchsorted(tail["t_ns"], t_ns, side="right") :]
             n *= 4
 
     def clear(self) -> None:

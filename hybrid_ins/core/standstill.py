@@ -35,9 +35,8 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     if size < 2:
         return False
     readings = readings_of(samples)
-    noise, slow = _spread(readings[-MEANS * size:], size)
-    if np.any(noise > _STD) or np.any(
-            slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
+    noise, slow = _spread(readings[-MEANS * size :], size)
+    if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
     return bool(np.all(np.abs(readings[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
 
@@ -60,4 +59,3 @@ def _spread(readings, size):  # type: ignore[no-untyped-def]
         for part in range(parts):
             slow[c] += (means[part, c] - mean) ** 2 / parts
     return np.sqrt(noise), np.sqrt(slow)
-

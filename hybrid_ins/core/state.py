@@ -53,7 +53,8 @@ N_FLAT = SCRATCH.stop
 PACKED_ROWS, PACKED_COLUMNS = np.triu_indices(N_ERROR)
 PLACES = np.zeros((N_ERROR, N_ERROR), np.int64)  # of P's elements in its packed triangle
 PLACES[PACKED_ROWS, PACKED_COLUMNS] = PLACES[PACKED_COLUMNS, PACKED_ROWS] = np.arange(
-    len(PACKED_ROWS))
+    len(PACKED_ROWS)
+)
 DIAGONAL = np.array([i * N_ERROR - i * (i - 1) // 2 for i in range(N_ERROR)])
 
 
@@ -103,8 +104,12 @@ class NavState:
     def from_flat(cls, nav: Array) -> NavState:
         """Copy the state out of a flat vector."""
         return cls(
-            nav[LLA].copy(), nav[VELOCITY].copy(), nav[QUAT].copy(),
-            nav[BIAS_A].copy(), nav[BIAS_G].copy(), covariance(nav),
+            nav[LLA].copy(),
+            nav[VELOCITY].copy(),
+            nav[QUAT].copy(),
+            nav[BIAS_A].copy(),
+            nav[BIAS_G].copy(),
+            covariance(nav),
         )
 
     def to_flat(self) -> Array:

@@ -83,12 +83,21 @@ def mechanise(lla, velocity, quat, f0, w0, f1, w1, dt, C, f_n):  # type: ignore[
 
     # Velocity increment in the axes of the interval's start: rotation and sculling ([2] part 2).
     ux, uy, uz = half_dt * (f0[0] + f1[0]), half_dt * (f0[1] + f1[1]), half_dt * (f0[2] + f1[2])
-    dx = ux + 0.5 * (ay * uz - az * uy) + twelfth * (
-        w0[1] * f1[2] - w0[2] * f1[1] + f0[1] * w1[2] - f0[2] * w1[1])
-    dy = uy + 0.5 * (az * ux - ax * uz) + twelfth * (
-        w0[2] * f1[0] - w0[0] * f1[2] + f0[2] * w1[0] - f0[0] * w1[2])
-    dz = uz + 0.5 * (ax * uy - ay * ux) + twelfth * (
-        w0[0] * f1[1] - w0[1] * f1[0] + f0[0] * w1[1] - f0[1] * w1[0])
+    dx = (
+        ux
+        + 0.5 * (ay * uz - az * uy)
+        + twelfth * (w0[1] * f1[2] - w0[2] * f1[1] + f0[1] * w1[2] - f0[2] * w1[1])
+    )
+    dy = (
+        uy
+        + 0.5 * (az * ux - ax * uz)
+        + twelfth * (w0[2] * f1[0] - w0[0] * f1[2] + f0[2] * w1[0] - f0[0] * w1[2])
+    )
+    dz = (
+        uz
+        + 0.5 * (ax * uy - ay * ux)
+        + twelfth * (w0[0] * f1[1] - w0[1] * f1[0] + f0[0] * w1[1] - f0[1] * w1[0])
+    )
 
     rotation(quat, C)
     tn = C[0] * dx + C[1] * dy + C[2] * dz

@@ -105,11 +105,15 @@ def _consistency(result: Result) -> str:
         if consistency is None:
             return ""
         low, high = consistency.effective_band
-        return (f"{name} is {consistency.per_dof:.2f} per dimension, "
-                f"{consistency.verdict} ({low:.2f} to {high:.2f} would be expected).")
+        return (
+            f"{name} is {consistency.per_dof:.2f} per dimension, "
+            f"{consistency.verdict} ({low:.2f} to {high:.2f} would be expected)."
+        )
 
-    texts = [said("NEES of the position", result.nees_position),
-             said("NIS of the fixes", result.nis_position)]
+    texts = [
+        said("NEES of the position", result.nees_position),
+        said("NIS of the fixes", result.nis_position),
+    ]
     if result.nis_position is not None and result.nis_position.verdict == "overconfident":
         texts.append("Look at clock offset, lever arm and what the receiver claims, in this order.")
     return " ".join(filter(None, texts)) or "Neither covariances nor verdicts were recorded."
@@ -134,11 +138,16 @@ def _biases(recording: Recording, result: Result) -> str:
         if series is None or series.sigma is None or len(series.stamp_ns) < 2:
             continue
         axes = ", ".join(
-            f"{axis} " + (f"after {seconds:.0f} s to" if last < 0.5 * first else "not yet,")
+            f"{axis} "
+            + (f"after {seconds:.0f} s to" if last < 0.5 * first else "not yet,")
             + f" ±{scale * last:.2g}"
             for axis, seconds, first, last in zip(
-                "xyz", settling_times(series, result.origin_ns), series.sigma[0],
-                series.sigma[-1], strict=True)
+                "xyz",
+                settling_times(series, result.origin_ns),
+                series.sigma[0],
+                series.sigma[-1],
+                strict=True,
+            )
         )
         texts.append(f"{name.capitalize()}: {axes} {unit} (1σ).")
     return " ".join(texts) or "They were not recorded."

@@ -87,7 +87,8 @@ class NoiseReader:
         self._turn = mount**2
         limits = [
             (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
-            for sensor in ("accelerometer", "gyroscope")]
+            for sensor in ("accelerometer", "gyroscope")
+        ]
         self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
         self._ahead: tuple[NDArray[np.int64], Array] | None = None
@@ -146,10 +147,15 @@ class NoiseReader:
             self._ahead = None  # things went another way than foreseen
         windows = {end_ns: readings, **self._following(end_ns)}
         answers = self.regressor.estimate(
-            np.concatenate([window.T for window in windows.values()]), sampling_rate(t_ns))
+            np.concatenate([window.T for window in windows.values()]), sampling_rate(t_ns)
+        )
         if len(windows) > 1:
-            self._answers = {end: (window, answer) for (end, window), answer in zip(
-                windows.items(), answers.reshape(len(windows), -1), strict=True)}
+            self._answers = {
+                end: (window, answer)
+                for (end, window), answer in zip(
+                    windows.items(), answers.reshape(len(windows), -1), strict=True
+                )
+            }
         return answers[:6]
 
     def _following(self, end_ns: int) -> dict[int, Array]:
@@ -162,5 +168,5 @@ class NoiseReader:
                 if not self.regressor.window <= end <= len(t_ns):
                     break
                 end_ns = int(t_ns[end - 1])
-                found[end_ns] = readings[end - self.regressor.window:end]
+                found[end_ns] = readings[end - self.regressor.window : end]
         return found

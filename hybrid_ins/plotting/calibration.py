@@ -29,27 +29,37 @@ def figure(calibration: Calibration) -> Figure:
             top.plot(fitted.grid, row - np.max(row), color="0.75", lw=0.8)
     top.plot(fitted.grid, total - np.max(total), color=AFTER, label="all recordings together")
     for k in range(len(fitted.runs)):
-        top.axvline(fitted.offset(k), color=AFTER, lw=0.8, ls=":",
-                    label="found" if k == 0 else None)
-    top.set(xlabel="clock offset added to the fixes' stamps [s]",
-            ylabel="log-likelihood, from its best")
+        top.axvline(
+            fitted.offset(k), color=AFTER, lw=0.8, ls=":", label="found" if k == 0 else None
+        )
+    top.set(
+        xlabel="clock offset added to the fixes' stamps [s]", ylabel="log-likelihood, from its best"
+    )
     top.legend()
     for passes, colour, name in (
-            (calibration.before, BEFORE, "before"), (calibration.after, AFTER, "after")):
+        (calibration.before, BEFORE, "before"),
+        (calibration.after, AFTER, "after"),
+    ):
         first = passes[0]
         used = np.isfinite(first.nis)
-        axes["run"].plot(fitted.runs[0].aid_t[used], np.linalg.norm(first.z[used][:, :2], axis=1),
-                         color=colour, lw=0.9, label=name)
+        axes["run"].plot(
+            fitted.runs[0].aid_t[used],
+            np.linalg.norm(first.z[used][:, :2], axis=1),
+            color=colour,
+            lw=0.9,
+            label=name,
+        )
         nis = np.concatenate([p.nis[np.isfinite(p.nis)] for p in passes])
         share = (np.arange(len(nis)) + 0.5) / len(nis)
         axes["spread"].plot(np.sort(nis), share, color=colour, label=name)
-    axes["run"].set(xlabel=f"time in {fitted.runs[0].name} [s]",
-                    ylabel="horizontal innovation [m]")
+    axes["run"].set(xlabel=f"time in {fitted.runs[0].name} [s]", ylabel="horizontal innovation [m]")
     axes["run"].legend()
     from scipy.stats import chi2
+
     axis = np.geomspace(0.05, 100.0, 200)
     axes["spread"].plot(axis, chi2.cdf(axis, 3), color="0.4", ls="--", label="chi-square(3)")
-    axes["spread"].set(xscale="log", xlim=(0.05, 1000.0), xlabel="NIS of a fix",
-                       ylabel="share of fixes below")
+    axes["spread"].set(
+        xscale="log", xlim=(0.05, 1000.0), xlabel="NIS of a fix", ylabel="share of fixes below"
+    )
     axes["spread"].legend()
     return page

@@ -163,9 +163,14 @@ class StampedEncoder:
         """Serialise many, one a row: stamps (N,) [ns] and values (N, count)."""
         size, count = len(self._message), len(self.values)
         start = self.values.ctypes.data - np.frombuffer(self._message, np.uint8).ctypes.data
-        layout = np.dtype({
-            "names": ["seconds", "nanoseconds", "values"],
-            "formats": ["<i4", "<u4", ("<f8", count)], "offsets": [4, 8, start], "itemsize": size})
+        layout = np.dtype(
+            {
+                "names": ["seconds", "nanoseconds", "values"],
+                "formats": ["<i4", "<u4", ("<f8", count)],
+                "offsets": [4, 8, start],
+                "itemsize": size,
+            }
+        )
         rows = np.tile(np.frombuffer(self._message, np.uint8), (len(stamp_ns), 1))
         fields = rows.view(layout)[:, 0]
         fields["seconds"], fields["nanoseconds"] = np.divmod(stamp_ns, 1_000_000_000)

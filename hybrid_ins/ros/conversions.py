@@ -85,8 +85,9 @@ def mount_matrix(rpy: Sequence[float]) -> Array:
 def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
     """Accelerometer bias to begin with and its std [m/s²], gyroscope's [rad/s], (3,) each, b."""
     bias_a, bias_g = (FLIP @ values[f"imu.{s}_bias"] for s in ("accelerometer", "gyroscope"))
-    std_a, std_g = (np.broadcast_to(values[f"imu.{s}_bias_std"], 3)
-                    for s in ("accelerometer", "gyroscope"))
+    std_a, std_g = (
+        np.broadcast_to(values[f"imu.{s}_bias_std"], 3) for s in ("accelerometer", "gyroscope")
+    )
     return bias_a, std_a, bias_g, std_g
 
 
@@ -128,10 +129,14 @@ class GnssInput:
         """Read the ``gnss`` parameters."""
         lever = np.subtract(values["gnss.antenna_position"], values["imu.position"])
         return cls(
-            FLIP @ lever, np.array(values["gnss.position_std_default"]),
-            values["gnss.position_std_min"], values["gnss.position_std_max"],
-            values["gnss.velocity_std_default"], values["gnss.velocity_std_min"],
-            values["gnss.time_offset.value"])
+            FLIP @ lever,
+            np.array(values["gnss.position_std_default"]),
+            values["gnss.position_std_min"],
+            values["gnss.position_std_max"],
+            values["gnss.velocity_std_default"],
+            values["gnss.velocity_std_min"],
+            values["gnss.time_offset.value"],
+        )
 
     def position(self, message: Message, received_ns: int | None = None) -> PositionFix | Refused:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` takes its stamp's place if given."""
@@ -142,26 +147,37 @@ class GnssInput:
             return Refused("gnss: no fix", f"status {message.status.status} means no fix")
         lat, lon, height = message.latitude, message.longitude, message.altitude
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0) or math.isinf(height):
-            return Refused("gnss: impossible position",
-                           f"latitude {lat}, longitude {lon}, altitude {height} is no position")
+            return Refused(
+                "gnss: impossible position",
+                f"latitude {lat}, longitude {lon}, altitude {height} is no position",
+            )
         if lat == 0.0 and lon == 0.0:
-            return Refused("gnss: impossible position", "latitude and longitude are exactly zero: "
-                           "the receiver has no position, whatever its status says")
+            return Refused(
+                "gnss: impossible position",
+                "latitude and longitude are exactly zero: "
+                "the receiver has no position, whatever its status says",
+            )
         if abs(height) > 1e6:
             return Refused("gnss: impossible position", f"altitude {height:g} m is no position")
         if abs(lat) > 89.9:
-            return Refused("gnss: impossible position",
-                           f"latitude {lat:g}°: navigation in NED ends before the poles")
+            return Refused(
+                "gnss: impossible position",
+                f"latitude {lat:g}°: navigation in NED ends before the poles",
+            )
         covariance_enu = self._position_covariance(message)
         sigma = np.sqrt(np.diag(covariance_enu))
         if max(sigma[0], sigma[1]) > self.position_std_max:
-            return Refused("gnss: poor fix",
-                           f"σ {max(sigma[0], sigma[1]):.1f} m exceeds gnss.position_std_max "
-                           f"{self.position_std_max:g} m")
+            return Refused(
+                "gnss: poor fix",
+                f"σ {max(sigma[0], sigma[1]):.1f} m exceeds gnss.position_std_max "
+                f"{self.position_std_max:g} m",
+            )
         return PositionFix(
             t_ns + round(self.time_offset * 1e9),
             np.array([math.radians(lat), math.radians(lon), height]),
-            SWAP @ covariance_enu @ SWAP, self.lever_b)
+            SWAP @ covariance_enu @ SWAP,
+            self.lever_b,
+        )
 
     def _position_covariance(self, message: Message) -> Array:
         """Covariance (3, 3) [m², ENU] to use: the message's where it is one, with the floor."""
@@ -192,7 +208,9 @@ class GnssInput:
         return VelocityFix(
             t_ns + round(self.time_offset * 1e9),
             np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
-            SWAP @ covariance @ SWAP, self.lever_b)
+            SWAP @ covariance @ SWAP,
+            self.lever_b,
+        )
 
 
 def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array:
@@ -217,7 +235,11 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
 
 
 def fill_transform(
-    transform: Message, t_ns: int, parent: str, child: str, position: ArrayLike,
+    transform: Message,
+    t_ns: int,
+    parent: str,
+    child: str,
+    position: ArrayLike,
     quat_xyzw: ArrayLike,
 ) -> None:
     """Fill a geometry_msgs/TransformStamped: pose of ``child`` in ``parent``."""
@@ -247,10 +269,15 @@ def imu_fields(message: Message) -> ImuFields:
     """What the filter reads of a sensor_msgs/Imu message object."""
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     return ImuFields(
-        stamp_ns(message.header.stamp), message.header.frame_id,
-        (q.x, q.y, q.z, q.w), float(message.orientation_covariance[0]),
-        (w.x, w.y, w.z), float(message.angular_velocity_covariance[0]),
-        (a.x, a.y, a.z), float(message.linear_acceleration_covariance[0]))
+        stamp_ns(message.header.stamp),
+        message.header.frame_id,
+        (q.x, q.y, q.z, q.w),
+        float(message.orientation_covariance[0]),
+        (w.x, w.y, w.z),
+        float(message.angular_velocity_covariance[0]),
+        (a.x, a.y, a.z),
+        float(message.linear_acceleration_covariance[0]),
+    )
 
 
 def imu_yaw(orientation_xyzw: Sequence[float], mount: Array) -> float | None:
@@ -297,9 +324,15 @@ def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Me
 
 def status(name: str, level: int, text: str, values: Mapping[str, object]) -> Status:
     """Word a DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR."""
-    return Status(level, f"hybrid_ins: {name}", text, [
-        (key, f"{value:.6g}" if isinstance(value, float) else str(value))
-        for key, value in values.items()])
+    return Status(
+        level,
+        f"hybrid_ins: {name}",
+        text,
+        [
+            (key, f"{value:.6g}" if isinstance(value, float) else str(value))
+            for key, value in values.items()
+        ],
+    )
 
 
 def verdict_status(verdict: Verdict, time_offset: float) -> Status:
@@ -312,11 +345,22 @@ def verdict_status(verdict: Verdict, time_offset: float) -> Status:
         text = f"refused: {verdict.reason}"
     if not verdict.accepted and math.isfinite(verdict.nis):
         text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
-    return status("gnss", 0 if verdict.accepted and not verdict.reset else 1, text, {
-        "stamp": measurement.t_ns - round(time_offset * 1e9), "kind": measurement.kind,
-        "accepted": str(verdict.accepted).lower(), "reason": verdict.reason,
-        "nis": verdict.nis, "dof": len(verdict.sigma), "threshold": verdict.threshold,
-        "sigma_e": sigma.get("sigma_e", math.nan), "sigma_n": sigma.get("sigma_n", math.nan),
-        "sigma_u": sigma.get("sigma_u", math.nan), "time_offset": time_offset,
-        "age": verdict.age,
-    })
+    return status(
+        "gnss",
+        0 if verdict.accepted and not verdict.reset else 1,
+        text,
+        {
+            "stamp": measurement.t_ns - round(time_offset * 1e9),
+            "kind": measurement.kind,
+            "accepted": str(verdict.accepted).lower(),
+            "reason": verdict.reason,
+            "nis": verdict.nis,
+            "dof": len(verdict.sigma),
+            "threshold": verdict.threshold,
+            "sigma_e": sigma.get("sigma_e", math.nan),
+            "sigma_n": sigma.get("sigma_n", math.nan),
+            "sigma_u": sigma.get("sigma_u", math.nan),
+            "time_offset": time_offset,
+            "age": verdict.age,
+        },
+    )

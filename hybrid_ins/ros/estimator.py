@@ -107,12 +107,20 @@ class Estimator:
             AlignmentSettings(
                 values["alignment.heading_source"],
                 conversions.yaw_ned_from_enu(values["alignment.yaw"]),
-                values["alignment.yaw_std"], values["alignment.course_min_speed"],
+                values["alignment.yaw_std"],
+                values["alignment.course_min_speed"],
                 values["alignment.window"],
-                *conversions.first_biases(values)),
+                *conversions.first_biases(values),
+            ),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
-            self._make_process, self._make_noise, self._make_gate, values["imu.max_gap"],
-            values["imu.zero_updates"], self._start_over, self._add_to_stamps)
+            self._make_process,
+            self._make_noise,
+            self._make_gate,
+            values["imu.max_gap"],
+            values["imu.zero_updates"],
+            self._start_over,
+            self._add_to_stamps,
+        )
         self.navigator.open_clock(values["gnss.time_offset.estimate"])
         self.counts: Counter[str] = self.navigator.counts
         self._reader = self._make_reader()
@@ -135,21 +143,34 @@ class Estimator:
     def _make_noise(self, process: ProcessNoise) -> NoiseModel:
         mode = self.values["noise.mode"]
         constant = np.repeat(
-            (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3)
+            (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3
+        )
         if mode in PAPER_CONSTANTS:
             return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
         if mode == "learned":
-            learned = LearnedNoise(constant, np.concatenate(
-                (self.values["noise.background_accelerometer"],
-                 self.values["noise.background_gyroscope"])))
+            learned = LearnedNoise(
+                constant,
+                np.concatenate(
+                    (
+                        self.values["noise.background_accelerometer"],
+                        self.values["noise.background_gyroscope"],
+                    )
+                ),
+            )
             if self.values["noise.innovation_scale"]:
                 return ScaledNoise(learned, process, NoiseScale())
             return learned
         if mode in ("innovation", "innovation_literal"):
-            floor = np.repeat((self.values["noise.q_accelerometer_min"],
-                               self.values["noise.q_gyroscope_min"]), 3)
-            return InnovationNoise(constant, floor, self.values["noise.innovation_window"],
-                                   process, mode == "innovation_literal")
+            floor = np.repeat(
+                (self.values["noise.q_accelerometer_min"], self.values["noise.q_gyroscope_min"]), 3
+            )
+            return InnovationNoise(
+                constant,
+                floor,
+                self.values["noise.innovation_window"],
+                process,
+                mode == "innovation_literal",
+            )
         return ConstantNoise(constant)
 
     def _make_reader(self) -> NoiseReader | None:
@@ -170,13 +191,17 @@ class Estimator:
         walk_a = self.values["imu.accelerometer_bias_walk"]
         walk_g = self.values["imu.gyroscope_bias_walk"]
         return ProcessNoise(
-            np.array([walk_a**2] * 3 + [walk_g**2] * 3), period,
-            self.values["noise.units"] == "consistent")
+            np.array([walk_a**2] * 3 + [walk_g**2] * 3),
+            period,
+            self.values["noise.units"] == "consistent",
+        )
 
     def _make_gate(self) -> Gate:
         probability = self.values["gnss.gate_probability"]
-        return Gate({m: chi_square.quantile(probability, m) for m in (1, 2, 3, 6)},
-                    self.values["gnss.patience"])
+        return Gate(
+            {m: chi_square.quantile(probability, m) for m in (1, 2, 3, 6)},
+            self.values["gnss.patience"],
+        )
 
     def _place_sensors(self) -> None:
         """Take mount and lever arm from the parameters, or from fixed transforms without them."""
@@ -205,17 +230,28 @@ class Estimator:
         """Take the frame_id of the messages on ``imu/data`` or ``gnss/fix``."""
         known, self._frames[topic] = self._frames[topic], frame
         if known and frame != known:
-            self.remark(topic, Refused(
-                f"{topic}: frame_id changes", f"frame_id changes from '{known}' to '{frame}': two "
-                "publishers on one topic?"))
+            self.remark(
+                topic,
+                Refused(
+                    f"{topic}: frame_id changes",
+                    f"frame_id changes from '{known}' to '{frame}': two publishers on one topic?",
+                ),
+            )
         base = self.values["base_frame"]
-        names = ("imu.position", "imu.mount_rpy") if topic == "imu/data" else (
-            "gnss.antenna_position",)
-        if not known and frame not in ("", base) and not any(
-                any(self.values[name]) for name in names) and (
-                self._transforms.find(base, frame) is None):
-            self._log("info", f"{topic}: comes in frame '{frame}', which neither {names[0]} nor "
-                      f"/tf_static places in '{base}': taken to be there, with the same axes")
+        names = (
+            ("imu.position", "imu.mount_rpy") if topic == "imu/data" else ("gnss.antenna_position",)
+        )
+        if (
+            not known
+            and frame not in ("", base)
+            and not any(any(self.values[name]) for name in names)
+            and (self._transforms.find(base, frame) is None)
+        ):
+            self._log(
+                "info",
+                f"{topic}: comes in frame '{frame}', which neither {names[0]} nor "
+                f"/tf_static places in '{base}': taken to be there, with the same axes",
+            )
         self._move_sensors()
 
     def static_transforms(self, message: Message) -> None:
@@ -228,8 +264,10 @@ class Estimator:
         self._place_sensors()
         if all(map(np.array_equal, before, (self._mount, self._arm_b, self._gnss.lever_b))):
             return
-        self._log("info", "sensors placed by /tf_static: IMU and antenna in "
-                  f"'{self.values['base_frame']}'")
+        self._log(
+            "info",
+            f"sensors placed by /tf_static: IMU and antenna in '{self.values['base_frame']}'",
+        )
         self._reader = self._make_reader()
         if self.navigator.ring.count:
             self.navigator.reset()
@@ -274,9 +312,14 @@ class Estimator:
 
     def imu_without_reading(self) -> None:
         """Take an Imu message whose covariances say that it carries no reading."""
-        self.remark("imu/data", Refused(
-            "imu: no reading", "covariance[0] is -1: the message says that it carries no "
-            "acceleration or no angular rate"))
+        self.remark(
+            "imu/data",
+            Refused(
+                "imu: no reading",
+                "covariance[0] is -1: the message says that it carries no "
+                "acceleration or no angular rate",
+            ),
+        )
 
     def imu(
         self,
@@ -293,19 +336,29 @@ class Estimator:
         wx, wy, wz = rate
         most_f, most_w = self._limits
         # A NaN fails every comparison.
-        if not (-most_f <= fx <= most_f and -most_f <= fy <= most_f and -most_f <= fz <= most_f
-                and -most_w <= wx <= most_w and -most_w <= wy <= most_w
-                and -most_w <= wz <= most_w and t_ns > 0 and (fx or fy or fz)):
+        if not (
+            -most_f <= fx <= most_f
+            and -most_f <= fy <= most_f
+            and -most_f <= fz <= most_f
+            and -most_w <= wx <= most_w
+            and -most_w <= wy <= most_w
+            and -most_w <= wz <= most_w
+            and t_ns > 0
+            and (fx or fy or fz)
+        ):
             self._refuse_imu(t_ns, force, rate)
             return False
         xx, xy, xz, yx, yy, yz, zx, zy, zz = self._turn
         navigator = self.navigator
         if not navigator.imu(
-                t_ns,
-                xx * fx + xy * fy + xz * fz, yx * fx + yy * fy + yz * fz,
-                zx * fx + zy * fy + zz * fz,
-                xx * wx + xy * wy + xz * wz, yx * wx + yy * wy + yz * wz,
-                zx * wx + zy * wy + zz * wz):
+            t_ns,
+            xx * fx + xy * fy + xz * fz,
+            yx * fx + yy * fy + yz * fz,
+            zx * fx + zy * fy + zz * fz,
+            xx * wx + xy * wy + xz * wz,
+            yx * wx + yy * wy + yz * wz,
+            zx * wx + zy * wy + zz * wz,
+        ):
             name = navigator.refusal
             self.remark("imu/data", Refused(name, STAMP_FAULTS[name]))
             return False
@@ -313,8 +366,13 @@ class Estimator:
         if running is None or self._map is None:
             return False
         output.odometry_values(
-            running.nav, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance,
-            self.odometry)
+            running.nav,
+            self._map.origin_e,
+            self._map.C_me,
+            self._arm_b,
+            self._rate_variance,
+            self.odometry,
+        )
         if not math.isfinite(self.odometry.item(3) + self.odometry.item(7)):
             navigator.give_up("the state was lost: it is no number any more")
             return False
@@ -330,13 +388,17 @@ class Estimator:
         turn = (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
         first, second = transforms
         conversions.fill_transform(
-            first, self._local_ns, self.values["map_frame"], odom, origin, turn)
+            first, self._local_ns, self.values["map_frame"], odom, origin, turn
+        )
         conversions.fill_transform(
-            second, self._local_ns, odom, self.values["base_frame"],
-            self.local[:3], self.local[3:7])
+            second, self._local_ns, odom, self.values["base_frame"], self.local[:3], self.local[3:7]
+        )
 
     def imu_block(
-        self, t_ns: NDArray[np.int64], force: Array, rate: Array,
+        self,
+        t_ns: NDArray[np.int64],
+        force: Array,
+        rate: Array,
         orientation_xyzw: Array | None = None,
     ) -> list[Stretch]:
         """
@@ -358,8 +420,9 @@ class Estimator:
                 if orientation_xyzw is not None and self.wants_orientation:
                     self.orientation(tuple(orientation_xyzw[k].tolist()))
                 if self.imu(int(t_ns[k]), tuple(force[k].tolist()), tuple(rate[k].tolist())):
-                    done.append((
-                        t_ns[k:k + 1], self.odometry[None].copy(), self.local[None].copy()))
+                    done.append(
+                        (t_ns[k : k + 1], self.odometry[None].copy(), self.local[None].copy())
+                    )
                 self.tick()
                 k += 1
                 continue
@@ -394,7 +457,8 @@ class Estimator:
         self.navigator.imu_block(samples, rows)
         values = np.empty((len(t_ns), output.N_ODOMETRY))
         output.odometry_block(
-            rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values)
+            rows, self._map.origin_e, self._map.C_me, self._arm_b, self._rate_variance, values
+        )
         if not np.isfinite(values).all():
             self.navigator.give_up("the state was lost: it is no number any more")
             return t_ns[:0], values[:0], values[:0]
@@ -416,8 +480,7 @@ class Estimator:
     @property
     def wants_orientation(self) -> bool:
         """The Imu messages' orientation is of use now."""
-        return (self.navigator.filter is None
-                and self.values["alignment.heading_source"] == "imu")
+        return self.navigator.filter is None and self.values["alignment.heading_source"] == "imu"
 
     def _by_receipt(self, received_ns: int | None) -> int | None:
         return received_ns if self.values["use_receive_time"] else None
@@ -462,8 +525,11 @@ class Estimator:
         if fault:
             self.remark("gnss/fix", Refused("gnss: clock offset", fault))
             self._clock_settled = None
-        if (correcting and (fault or _imu_disagrees(running.noise))
-                and running.t_ns - self._searched_ns > CLOCK_AGAIN_NS):
+        if (
+            correcting
+            and (fault or _imu_disagrees(running.noise))
+            and running.t_ns - self._searched_ns > CLOCK_AGAIN_NS
+        ):
             self.navigator.open_clock(True)
 
     def _correct_clock(self, running: InsFilter) -> None:
@@ -484,8 +550,11 @@ class Estimator:
         self._place_sensors()
         self._searched_ns, self._clock_ns = self.navigator.last_ns, 0
         clock = decision.filter.clock
-        self._log("info", f"clock offset found: {self._gnss.time_offset + clock.missing:+.3f} ± "
-                  f"{clock.sigma:.3f} s")
+        self._log(
+            "info",
+            f"clock offset found: {self._gnss.time_offset + clock.missing:+.3f} ± "
+            f"{clock.sigma:.3f} s",
+        )
 
     def _clock_found(self) -> tuple[float, float] | None:
         """Return what is missing from the clock offset in force, and its uncertainty [s]."""
@@ -504,12 +573,16 @@ class Estimator:
         if self.values["gnss.time_offset.estimate"]:
             settled = self._clock_settled
             if settled is not None and abs(total - settled) > max(CLOCK_WRONG, 5.0 * sigma):
-                return (f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
-                        "and receiver stamp by one clock?")
+                return (
+                    f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
+                    "and receiver stamp by one clock?"
+                )
         elif abs(running.clock.missing) > max(CLOCK_WRONG, 5.0 * sigma):
-            return (f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
-                    f"{self._gnss.time_offset:+.3f} s: run ins_calibrate, or set "
-                    "gnss.time_offset.estimate")
+            return (
+                f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
+                f"{self._gnss.time_offset:+.3f} s: run ins_calibrate, or set "
+                "gnss.time_offset.estimate"
+            )
         return ""
 
     def initial_pose(self, message: Message) -> None:
@@ -547,16 +620,22 @@ class Estimator:
         elif not np.all(np.isfinite((*force, *rate))):
             refused = Refused("imu: not finite", "NaN or inf in the reading")
         elif not any(force):
-            refused = Refused("imu: no acceleration", "acceleration is exactly zero: not even a "
-                              "free fall reads so; does the driver fill it?")
+            refused = Refused(
+                "imu: no acceleration",
+                "acceleration is exactly zero: not even a "
+                "free fall reads so; does the driver fill it?",
+            )
         elif max(map(abs, force)) > self._limits[0]:
             refused = Refused(
                 "imu: absurd acceleration",
-                f"{max(map(abs, force)):.0f} m/s² exceeds imu.max_specific_force")
+                f"{max(map(abs, force)):.0f} m/s² exceeds imu.max_specific_force",
+            )
         else:
             refused = Refused(
-                "imu: absurd rate", f"{max(map(abs, rate)):.0f} rad/s exceeds "
-                "imu.max_angular_rate: is the rate given in degrees?")
+                "imu: absurd rate",
+                f"{max(map(abs, rate)):.0f} rad/s exceeds "
+                "imu.max_angular_rate: is the rate given in degrees?",
+            )
         self.remark("imu/data", refused)
 
     def remark(self, topic: str, remark: Refused) -> None:
@@ -597,9 +676,11 @@ class Estimator:
             else:
                 self.counts[f"gnss: {verdict.reason}"] += 1
             offset = self._offsets.pop(
-                (verdict.measurement.kind, verdict.measurement.t_ns), self._gnss.time_offset)
-            self.outbox.append(("gnss/verdict", cdr.encode_status(
-                conversions.verdict_status(verdict, offset))))
+                (verdict.measurement.kind, verdict.measurement.t_ns), self._gnss.time_offset
+            )
+            self.outbox.append(
+                ("gnss/verdict", cdr.encode_status(conversions.verdict_status(verdict, offset)))
+            )
 
     def tick(self) -> None:
         """Do what is not done with every sample; the owner calls it after each, once published."""
@@ -645,13 +726,18 @@ class Estimator:
                 self.outbox.append((topic, self._variances.message(t_ns)))
         if t_ns >= self._diagnostics_ns:
             self._diagnostics_ns = t_ns + DIAGNOSTICS_NS
-            self.outbox.append((
-                "/diagnostics", cdr.encode_diagnostics(t_ns, self.diagnostics(t_ns))))
+            self.outbox.append(
+                ("/diagnostics", cdr.encode_diagnostics(t_ns, self.diagnostics(t_ns)))
+            )
 
     def diagnostics(self, t_ns: int) -> list[Status]:
         """Say how the filter is at ``t_ns`` [ns]."""
-        return [self._filter_status(t_ns), self._input_status(), self._noise_status(),
-                self._clock_status()]
+        return [
+            self._filter_status(t_ns),
+            self._input_status(),
+            self._noise_status(),
+            self._clock_status(),
+        ]
 
     def _filter_status(self, t_ns: int) -> Status:
         running = self.navigator.filter
@@ -662,33 +748,42 @@ class Estimator:
                 heading_std = self.navigator.bank.heading()[1]
                 values["sigma_heading_deg"] = min(math.degrees(heading_std), 104.0)
                 values["hypotheses"] = len(self.navigator.bank.filters)
-            return conversions.status(
-                "filter", 1, f"aligning, {state}: it needs {waiting}", values)
+            return conversions.status("filter", 1, f"aligning, {state}: it needs {waiting}", values)
         since = (t_ns - max(self._fused_ns, 1)) * 1e-9 if self._fused_ns else math.inf
         sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
         outage = since > DEAD_RECKONING_AFTER
-        text = (f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m" if outage
-                else "aligned, GNSS fused")
-        return conversions.status("filter", int(outage), text, {
-            "state": "dead reckoning" if outage else "aligned",
-            "since_last_fix": since,
-            "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
-            "sigma_position_vertical": float(sigma[2]),
-            "sigma_heading_deg": math.degrees(sigma[8]),
-            "fixes_fused": self.fixes_fused,
-            "standing": str(self.navigator.standing).lower(),
-            "imu_samples": self.navigator.ring.count,
-        })
+        text = (
+            f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m"
+            if outage
+            else "aligned, GNSS fused"
+        )
+        return conversions.status(
+            "filter",
+            int(outage),
+            text,
+            {
+                "state": "dead reckoning" if outage else "aligned",
+                "since_last_fix": since,
+                "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
+                "sigma_position_vertical": float(sigma[2]),
+                "sigma_heading_deg": math.degrees(sigma[8]),
+                "fixes_fused": self.fixes_fused,
+                "standing": str(self.navigator.standing).lower(),
+                "imu_samples": self.navigator.ring.count,
+            },
+        )
 
     def _input_status(self) -> Status:
         fault = self.navigator.fault
         if fault is not None:
-            return conversions.status("input", 2, f"{fault[0]}: {fault[1]}",
-                                      dict(sorted(self.counts.items())))
+            return conversions.status(
+                "input", 2, f"{fault[0]}: {fault[1]}", dict(sorted(self.counts.items()))
+            )
         refused = sum(self.counts.values())
         text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
         return conversions.status(
-            "input", int(refused > 0), text, dict(sorted(self.counts.items())))
+            "input", int(refused > 0), text, dict(sorted(self.counts.items()))
+        )
 
     def _noise_status(self) -> Status:
         running = self.navigator.filter
@@ -700,34 +795,55 @@ class Estimator:
         text = f"source: {source}"
         factors = _factors(running.noise) if running else {}
         if running is not None and _imu_disagrees(running.noise):
-            text += ("; the IMU disagrees with GNSS by more than its noise: check clock offset, "
-                     "mount, lever arm")
+            text += (
+                "; the IMU disagrees with GNSS by more than its noise: check clock offset, "
+                "mount, lever arm"
+            )
         if factors.get("factor_fixes", 1.0) > DISAGREEMENT:
-            text += ("; fixes scatter by more than they claim: check the receiver, "
-                     "gnss.position_std_min")
+            text += (
+                "; fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+            )
         if reader is not None and reader.fault and running is not None:
             text += f"; last estimate refused: {reader.fault}"
         level = int(source == "fallback" or max(factors.values(), default=1.0) > DISAGREEMENT)
-        return conversions.status("process noise", level, text, {
-            "source": source, "mode": self.values["noise.mode"], **factors,
-            **({f"refused: {why}": n for why, n in sorted(reader.refusals.items())}
-               if reader is not None else {}),
-            **{f"q_{channel}": float(value) for channel, value in zip(
-                ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True)}})
+        return conversions.status(
+            "process noise",
+            level,
+            text,
+            {
+                "source": source,
+                "mode": self.values["noise.mode"],
+                **factors,
+                **(
+                    {f"refused: {why}": n for why, n in sorted(reader.refusals.items())}
+                    if reader is not None
+                    else {}
+                ),
+                **{
+                    f"q_{channel}": float(value)
+                    for channel, value in zip(
+                        ("ax", "ay", "az", "gx", "gy", "gz"), levels, strict=True
+                    )
+                },
+            },
+        )
 
     def _clock_status(self) -> Status:
         found, offset = self._clock_found(), self._gnss.time_offset
         values: dict[str, object] = {
             "time_offset": offset,
-            "estimated": str(self.values["gnss.time_offset.estimate"]).lower()}
+            "estimated": str(self.values["gnss.time_offset.estimate"]).lower(),
+        }
         if found is None:
             return conversions.status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
         missing, sigma = found
         values |= {"time_offset_found": offset + missing, "sigma": sigma}
         fault = self._clock_fault()
         searching = ", the search goes on" if self.navigator.clock_open else ""
-        text = fault or (f"fixes: {offset:+.3f} s in force, by the innovations "
-                         f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}")
+        text = fault or (
+            f"fixes: {offset:+.3f} s in force, by the innovations "
+            f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}"
+        )
         return conversions.status("clock", int(bool(fault)), text, values)
 
     def summary(self) -> str:
@@ -746,14 +862,20 @@ def _factors(noise: NoiseModel) -> dict[str, float]:
     if not isinstance(noise, ScaledNoise):
         return {}
     accelerometer, gyroscope = noise.scale.scale()
-    return {"factor_accelerometer": accelerometer, "factor_gyroscope": gyroscope,
-            "factor_fixes": noise.fix_factor}
+    return {
+        "factor_accelerometer": accelerometer,
+        "factor_gyroscope": gyroscope,
+        "factor_fixes": noise.fix_factor,
+    }
 
 
 def warm_up(new_message: NewMessage) -> None:
     """Go once through everything that runs at the IMU's rate; see also `kernels.prepare`."""
-    values = {**parameters.defaults(), "alignment.heading_source": "parameter",
-              "alignment.window": 0.05}
+    values = {
+        **parameters.defaults(),
+        "alignment.heading_source": "parameter",
+        "alignment.window": 0.05,
+    }
     estimator = Estimator(values, lambda level, text: None)
     fix = new_message("sensor_msgs/msg/NavSatFix")
     fix.status.status = conversions.STATUS_FIX

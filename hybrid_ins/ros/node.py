@@ -79,18 +79,27 @@ MESSAGES = {
     "diagnostic_msgs/msg/KeyValue": KeyValue,
 }
 IMU_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
+)
 GNSS_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT
+)
 OUTPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
+)
 LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 TRANSFORM_RATE = 50.0  # Hz, on /tf
 FIXED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 CROWD = 8  # waiting messages of which more than one goes out with a sample
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
@@ -123,28 +132,34 @@ class InsNode(Node):
         self._heard_poses: list[tuple[Callable[[bytes], None], OdometryEncoder]] = []
         self._publishers_by_topic = {
             topic: self.create_publisher(
-                MESSAGES[type_name], topic, LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
+                MESSAGES[type_name],
+                topic,
+                LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
                 event_callbacks=PublisherEventCallbacks(matched=self._find_listeners),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
-            for topic, type_name in conversions.OUTPUTS.items()}
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+            for topic, type_name in conversions.OUTPUTS.items()
+        }
         self._transforms: Any = None
         if TFMessage is None:
             if values["publish_tf"]:
-                self.get_logger().info("tf2_msgs is not installed: nothing is said on /tf, and "
-                                       "nothing heard on /tf_static")
+                self.get_logger().info(
+                    "tf2_msgs is not installed: nothing is said on /tf, and "
+                    "nothing heard on /tf_static"
+                )
         else:
             if values["publish_tf"]:
                 self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
                 self._publish_transforms = self.create_publisher(
-                    TFMessage, "/tf", OUTPUT_QOS).publish
+                    TFMessage, "/tf", OUTPUT_QOS
+                ).publish
             self.create_subscription(
-                TFMessage, "/tf_static", self._estimator.static_transforms, FIXED_QOS)
+                TFMessage, "/tf_static", self._estimator.static_transforms, FIXED_QOS
+            )
         self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, raw=True)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
-        self._subscribe(
-            TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
-        self._subscribe(
-            PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
+        self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
+        self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self._on_second, clock=rclpy.clock.Clock())
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -161,18 +176,25 @@ class InsNode(Node):
         gc.freeze()
         self.get_logger().info("ready: waiting for " + self._estimator.navigator.waiting_for)
 
-    def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile,
-                   raw: bool = False) -> None:
+    def _subscribe(
+        self, kind: Any, topic: str, callback: Any, qos: QoSProfile, raw: bool = False
+    ) -> None:
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
             self.get_logger().error(
                 f"{self.resolve_topic_name(topic)}: a publisher's QoS does not fit by its "
-                f"{policy}: nothing arrives from it; change it there, or ours by qos_overrides")
+                f"{policy}: nothing arrives from it; change it there, or ours by qos_overrides"
+            )
 
         self.create_subscription(
-            kind, topic, callback, qos, raw=raw,
+            kind,
+            topic,
+            callback,
+            qos,
+            raw=raw,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
 
     # Input.
 
@@ -217,19 +239,32 @@ class InsNode(Node):
             if topic not in self._crowded and self.count_publishers(topic) > 1:
                 self._crowded.add(topic)
                 nodes = [info.node_name for info in self.get_publishers_info_by_topic(topic)]
-                self._estimator.remark(name, conversions.Refused(
-                    f"{name}: several publishers", f"{topic} has {len(nodes)} publishers "
-                    f"({', '.join(nodes)}): stop or remap all but one"))
+                self._estimator.remark(
+                    name,
+                    conversions.Refused(
+                        f"{name}: several publishers",
+                        f"{topic} has {len(nodes)} publishers "
+                        f"({', '.join(nodes)}): stop or remap all but one",
+                    ),
+                )
         silent = time.monotonic() - self._last_imu
         if silent < SILENCE:
             return
         now = self.get_clock().now().nanoseconds
         topic = self.resolve_topic_name("imu/data")
-        self._publish_diagnostics(now, [*self._estimator.diagnostics(now), conversions.status(
-            "imu", 2,
-            f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
-            "remapped, the QoS compatible?",
-            {"topic": topic, "publishers": self.count_publishers(topic)})])
+        self._publish_diagnostics(
+            now,
+            [
+                *self._estimator.diagnostics(now),
+                conversions.status(
+                    "imu",
+                    2,
+                    f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
+                    "remapped, the QoS compatible?",
+                    {"topic": topic, "publishers": self.count_publishers(topic)},
+                ),
+            ],
+        )
 
     # Output.
 
@@ -255,12 +290,18 @@ class InsNode(Node):
     def _find_listeners(self, _event: object = None) -> None:
         """Publishing is worth its time only where somebody listens, or will: datum is latched."""
         self._heard = {
-            topic: publisher.publish for topic, publisher in self._publishers_by_topic.items()
-            if topic == "datum" or publisher.get_subscription_count()}
+            topic: publisher.publish
+            for topic, publisher in self._publishers_by_topic.items()
+            if topic == "datum" or publisher.get_subscription_count()
+        }
         self._heard_poses = [
-            (self._heard[topic], encoder) for topic, encoder in (
-                ("odometry", self._encoder), ("odometry/local", self._local_encoder))
-            if topic in self._heard]
+            (self._heard[topic], encoder)
+            for topic, encoder in (
+                ("odometry", self._encoder),
+                ("odometry/local", self._local_encoder),
+            )
+            if topic in self._heard
+        ]
 
     def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
         self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))
@@ -316,15 +357,20 @@ def _descriptor(parameter: parameters.Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
         additional_constraints=", ".join(parameter.choices),
-        read_only=False, dynamic_typing=True)
+        read_only=False,
+        dynamic_typing=True,
+    )
     bounded = abs(parameter.low) < 1e300 and abs(parameter.high) < 1e300
     if bounded and isinstance(parameter.default, float):
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.low, to_value=parameter.high)]
-    elif bounded and isinstance(parameter.default, int) and (
-            not isinstance(parameter.default, bool)):
+            FloatingPointRange(from_value=parameter.low, to_value=parameter.high)
+        ]
+    elif (
+        bounded and isinstance(parameter.default, int) and (not isinstance(parameter.default, bool))
+    ):
         descriptor.integer_range = [
-            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))]
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
+        ]
     return descriptor
 
 
@@ -387,7 +433,8 @@ def _help() -> str:
         "usage: ins_node --ros-args [--params-file F] [-p NAME:=VALUE] [-r FROM:=TO]\n\n"
         "INS/GNSS navigation: imu/data and gnss/fix in, odometry out.\n\n"
         "example:\n  ins_node --ros-args --params-file params.yaml -r imu/data:=/my_imu/data\n\n"
-        "parameters and their defaults:\n" + "\n".join(rows))
+        "parameters and their defaults:\n" + "\n".join(rows)
+    )
 
 
 if __name__ == "__main__":

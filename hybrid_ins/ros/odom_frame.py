@@ -62,26 +62,47 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     rate = odometry[46:49]
     half = 0.5 * dt
     quat, last_rate = state[_QUAT], state[_RATE]
-    _turn(quat, half * (rate[0] + last_rate[0]), half * (rate[1] + last_rate[1]),
-          half * (rate[2] + last_rate[2]))
+    _turn(
+        quat,
+        half * (rate[0] + last_rate[0]),
+        half * (rate[1] + last_rate[1]),
+        half * (rate[2] + last_rate[2]),
+    )
     rotation(quat, R)
     # The turn about the vertical that brings the map's attitude closest to the predicted one.
-    M = (R[0] * R_map[0] + R[1] * R_map[1] + R[2] * R_map[2]
-         + R[3] * R_map[3] + R[4] * R_map[4] + R[5] * R_map[5],
-         R[3] * R_map[0] + R[4] * R_map[1] + R[5] * R_map[2]
-         - R[0] * R_map[3] - R[1] * R_map[4] - R[2] * R_map[5])
+    M = (
+        R[0] * R_map[0]
+        + R[1] * R_map[1]
+        + R[2] * R_map[2]
+        + R[3] * R_map[3]
+        + R[4] * R_map[4]
+        + R[5] * R_map[5],
+        R[3] * R_map[0]
+        + R[4] * R_map[1]
+        + R[5] * R_map[2]
+        - R[0] * R_map[3]
+        - R[1] * R_map[4]
+        - R[2] * R_map[5],
+    )
     yaw = np.arctan2(M[1], M[0])
     c, s = np.cos(yaw), np.sin(yaw)
     hc, hs = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
     qx, qy, qz, qw = odometry[3], odometry[4], odometry[5], odometry[6]
     quat[0], quat[1], quat[2], quat[3] = (
-        hc * qx - hs * qy, hc * qy + hs * qx, hc * qz + hs * qw, hc * qw - hs * qz)
+        hc * qx - hs * qy,
+        hc * qy + hs * qx,
+        hc * qz + hs * qw,
+        hc * qw - hs * qz,
+    )
 
     v = odometry[43:46]
     east = R_map[0] * v[0] + R_map[1] * v[1] + R_map[2] * v[2]
     north = R_map[3] * v[0] + R_map[4] * v[1] + R_map[5] * v[2]
-    velocity = (c * east - s * north, s * east + c * north,
-                R_map[6] * v[0] + R_map[7] * v[1] + R_map[8] * v[2])
+    velocity = (
+        c * east - s * north,
+        s * east + c * north,
+        R_map[6] * v[0] + R_map[7] * v[1] + R_map[8] * v[2],
+    )
     for i in range(3):
         state[i] += half * (state[7 + i] + velocity[i])
         state[7 + i] = velocity[i]

@@ -54,7 +54,11 @@ def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
     """
     lla = nav[LLA]
     sin_lat, cos_lat, sin_lon, cos_lon = (
-        np.sin(lla[0]), np.cos(lla[0]), np.sin(lla[1]), np.cos(lla[1]))
+        np.sin(lla[0]),
+        np.cos(lla[0]),
+        np.sin(lla[1]),
+        np.cos(lla[1]),
+    )
     transverse = radii(lla[0])[1]
     horizontal = (transverse + lla[2]) * cos_lat
     ex = horizontal * cos_lon - origin_e[0]
@@ -72,8 +76,14 @@ def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
     for i in range(3):
         arm_n[i] = C[3 * i] * arm_b[0] + C[3 * i + 1] * arm_b[1] + C[3 * i + 2] * arm_b[2]
     for i in range(3):
-        out[i] = (C_me[i, 0] * ex + C_me[i, 1] * ey + C_me[i, 2] * ez
-                  - M[i, 0] * arm_n[0] - M[i, 1] * arm_n[1] - M[i, 2] * arm_n[2])
+        out[i] = (
+            C_me[i, 0] * ex
+            + C_me[i, 1] * ey
+            + C_me[i, 2] * ez
+            - M[i, 0] * arm_n[0]
+            - M[i, 1] * arm_n[1]
+            - M[i, 2] * arm_n[2]
+        )
     R = np.empty((3, 3))  # FLU to map
     for i in range(3):
         for j in range(3):
@@ -99,9 +109,11 @@ def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
     rate, linear = np.empty(3), np.empty(3)
     for i in range(3):
         rate[i] = nav[LAST_W][i] - nav[BIAS_G][i] - C[i] * ie_n - C[6 + i] * ie_d
-    swing = (rate[1] * arm_b[2] - rate[2] * arm_b[1],
-             rate[2] * arm_b[0] - rate[0] * arm_b[2],
-             rate[0] * arm_b[1] - rate[1] * arm_b[0])
+    swing = (
+        rate[1] * arm_b[2] - rate[2] * arm_b[1],
+        rate[2] * arm_b[0] - rate[0] * arm_b[2],
+        rate[0] * arm_b[1] - rate[1] * arm_b[0],
+    )
     for i in range(3):
         linear[i] = C[i] * v[0] + C[3 + i] * v[1] + C[6 + i] * v[2] - swing[i]
     for i in range(3):
@@ -157,8 +169,12 @@ def _write_covariance(J, T, P, out):  # type: ignore[no-untyped-def]
 def _write_quaternion(R, out):  # type: ignore[no-untyped-def]
     """Write the quaternion xyzw, w >= 0, of a rotation matrix into ``out[3:7]``."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
-    squares = (1.0 + 2.0 * R[0, 0] - trace, 1.0 + 2.0 * R[1, 1] - trace,
-               1.0 + 2.0 * R[2, 2] - trace, 1.0 + trace)
+    squares = (
+        1.0 + 2.0 * R[0, 0] - trace,
+        1.0 + 2.0 * R[1, 1] - trace,
+        1.0 + 2.0 * R[2, 2] - trace,
+        1.0 + trace,
+    )
     sx, sy, sz = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
     dx, dy, dz = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     if squares[3] >= max(squares[0], squares[1], squares[2]):

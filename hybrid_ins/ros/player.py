@@ -71,10 +71,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("bag", type=Path, metavar="IN", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
     add("--rate", type=options.positive, default=1.0, help="bag seconds per second (default 1)")
     add("--topics", nargs="+", metavar="T", help="publish these topics only")
-    add("--start", type=options.not_negative, default=0.0, metavar="S",
-        help="skip the first S seconds")
-    add("--duration", type=options.positive, default=math.inf, metavar="S",
-        help="play S seconds only")
+    add(
+        "--start",
+        type=options.not_negative,
+        default=0.0,
+        metavar="S",
+        help="skip the first S seconds",
+    )
+    add(
+        "--duration",
+        type=options.positive,
+        default=math.inf,
+        metavar="S",
+        help="play S seconds only",
+    )
     add(
         "--remap",
         nargs="+",

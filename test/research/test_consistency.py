@@ -91,8 +91,13 @@ def one_run(
 
     def true_state(k: int) -> NavState:
         return NavState(
-            truth.lla[k], truth.velocity_n[k], truth.quat_xyzw[k], biases[k, :3], biases[k, 3:],
-            np.diag(SIGMA_0**2))
+            truth.lla[k],
+            truth.velocity_n[k],
+            truth.quat_xyzw[k],
+            biases[k, :3],
+            biases[k, 3:],
+            np.diag(SIGMA_0**2),
+        )
 
     nav = true_state(0).to_flat()
     start_error = SIGMA_0 * rng.normal(size=N_ERROR)
@@ -100,8 +105,15 @@ def one_run(
     inject(nav, -start_error)
     ring = ImuRing()
     ins = InsFilter(
-        NavState.from_flat(nav), 0, readings[0], noise, ProcessNoise(BIAS_WALK, dt),
-        Gate({3: np.inf}, 1.0), ring, FilterSettings(interval))
+        NavState.from_flat(nav),
+        0,
+        readings[0],
+        noise,
+        ProcessNoise(BIAS_WALK, dt),
+        Gate({3: np.inf}, 1.0),
+        ring,
+        FilterSettings(interval),
+    )
     for at in np.arange(FIX_PERIOD, DURATION, FIX_PERIOD):
         k = round(at * rate)
         shift = np.sqrt(np.diag(R)) * rng.normal(size=3) / earth.curvature_scale(truth.lla[k])
@@ -206,8 +218,13 @@ def test_covariance_stays_positive_definite_over_a_million_steps() -> None:
     readings = np.hstack((truth.specific_force_b, truth.angular_rate_b))[1:]
     dt = np.full(200, 0.005)
     nav = NavState(
-        truth.lla[0], truth.velocity_n[0], truth.quat_xyzw[0], np.zeros(3), np.zeros(3),
-        np.diag((100.0 * SIGMA_0) ** 2)).to_flat()
+        truth.lla[0],
+        truth.velocity_n[0],
+        truth.quat_xyzw[0],
+        np.zeros(3),
+        np.zeros(3),
+        np.diag((100.0 * SIGMA_0) ** 2),
+    ).to_flat()
     nav[PSD] = np.concatenate((Q * 0.005, BIAS_WALK))
     H = np.eye(3, N_ERROR)
     smallest = np.inf

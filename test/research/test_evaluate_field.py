@@ -21,8 +21,17 @@ def rows() -> list[evaluate.Row]:
     for flight, session, best in (("H1", "a", "q 1"), ("H2", "b", "q 2")):
         for method in ("q 1", "q 2", OURS):
             prmse = 1.0 if method == best else 2.0
-            made.append({"condition": "5 Hz", "flight": flight, "session": session, "imu": 1,
-                         "seed": 0, "method": method, "prmse": prmse})
+            made.append(
+                {
+                    "condition": "5 Hz",
+                    "flight": flight,
+                    "session": session,
+                    "imu": 1,
+                    "seed": 0,
+                    "method": method,
+                    "prmse": prmse,
+                }
+            )
     return made
 
 

@@ -45,7 +45,10 @@ def test_quick_figures_are_marked_as_such(report: tuple[Path, str]) -> None:
 
 def test_a_bar_is_met_within_its_limits_only() -> None:
     for value, verdict in (
-        (1.0, "stretch"), (1.015, "yes"), (1.03, "**no**"), (float("nan"), "no"),
+        (1.0, "stretch"),
+        (1.015, "yes"),
+        (1.03, "**no**"),
+        (float("nan"), "no"),
     ):
         assert verdict in Bar("ratio", value, *at_most(1.02, 1.01)).row().rsplit("|", 2)[1]
     assert "≥ 20" in Bar("gain", 21.0, *at_least(20.0, 25.0)).row()
@@ -54,7 +57,8 @@ def test_a_bar_is_met_within_its_limits_only() -> None:
 
 def test_seeds_of_development_and_evaluation_do_not_meet() -> None:
     flown = {evaluate.FLIGHT_SEED + k for k in range(200)} | {
-        evaluate.ASIDE_SEED + k for k in range(200)}
+        evaluate.ASIDE_SEED + k for k in range(200)
+    }
 
     assert not flown & set(range(evaluate.DEVELOPMENT_SEED + 200))
 

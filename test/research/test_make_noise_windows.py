@@ -46,12 +46,15 @@ def test_the_same_options_give_the_same_bytes(tmp_path: Path) -> None:
     assert not np.array_equal(one["train_readings"], other["train_readings"])
 
 
-@pytest.mark.parametrize("words", [
-    ["--set", "paper", "--window", "10"],
-    ["--set", "paper", "--duration", "1"],
-    ["--set", "randomised", "--held-out", "agile"],
-    ["--set", "randomised", "--count", "0"],
-])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--set", "paper", "--window", "10"],
+        ["--set", "paper", "--duration", "1"],
+        ["--set", "randomised", "--held-out", "agile"],
+        ["--set", "randomised", "--count", "0"],
+    ],
+)
 def test_what_makes_no_sense_is_refused_in_one_line(
     tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

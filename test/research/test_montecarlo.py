@@ -59,7 +59,8 @@ def test_noise_switches_between_two_levels_and_the_readings_show_it() -> None:
     rough = factors > 50.0
     for part, std in ((rough, 0.2), (~rough, 0.02)):
         assert np.std(np.diff(run.samples["f"][part, 0])) == pytest.approx(
-            std * np.sqrt(2.0), rel=0.15)
+            std * np.sqrt(2.0), rel=0.15
+        )
 
 
 def test_no_epoch_is_scored_where_a_fix_was_fed(run: Run) -> None:
@@ -97,10 +98,18 @@ def test_a_minute_without_fixes_leaves_the_filter_consistent(
     """
     plain = ImuErrors()
     drive = Scenario(
-        "outage", car_drive, rate=100.0, duration=126.0, scored_from=119.7, outages=((60.0, 60.0),),
+        "outage",
+        car_drive,
+        rate=100.0,
+        duration=126.0,
+        scored_from=119.7,
+        outages=((60.0, 60.0),),
         errors=replace(
-            plain, accelerometer_std=accelerometer * plain.accelerometer_std,
-            accelerometer_bias_walk=accelerometer * plain.accelerometer_bias_walk))
+            plain,
+            accelerometer_std=accelerometer * plain.accelerometer_std,
+            accelerometer_bias_walk=accelerometer * plain.accelerometer_bias_walk,
+        ),
+    )
     flights = [fly(draw(drive, seed), ORACLE) for seed in range(9000, 9030)]
     nees = np.mean([flight.nees for flight in flights], axis=0) / 15.0
     t = flights[0].t

@@ -213,8 +213,11 @@ def test_biases_that_are_given_are_where_the_filter_begins() -> None:
         return float(np.max(np.abs((rpy_from_quat(navigator.filter.nav[QUAT]) - truth)[:2])))
 
     knowing = make_navigator(
-        "parameter", yaw=run.yaw(0.0), bias_a=errors.accelerometer_bias,
-        bias_g=errors.gyroscope_bias)
+        "parameter",
+        yaw=run.yaw(0.0),
+        bias_a=errors.accelerometer_bias,
+        bias_g=errors.gyroscope_bias,
+    )
     ignorant = make_navigator("parameter", yaw=run.yaw(0.0))
 
     # THEN the first state holds them, and is levelled by readings that are freed from them
@@ -234,8 +237,10 @@ def test_upside_down_is_an_attitude_like_any_other() -> None:
     assert run.errors(navigator, 5.0)[2] < 0.05
 
 
-@pytest.mark.parametrize(("factor", "words"), [
-    (0.001, "gravity seems to be removed"), (1 / 9.80665, "seems to be g"), (9.80665, "unit")])
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(0.001, "gravity seems to be removed"), (1 / 9.80665, "seems to be g"), (9.80665, "unit")],
+)
 def test_force_in_other_units_is_refused_loudly(factor: float, words: str) -> None:
     run = scene(static(4.0))
     run.force *= factor
@@ -262,8 +267,11 @@ def test_vibration_and_a_smooth_cruise_are_not_standing() -> None:
     cruise = scene(aircraft_flight(8.0, 0), seed=0)
     for run in (shaking, cruise):
         navigator = make_navigator("parameter", yaw=run.yaw(0.0))
-        play(run, navigator, after=lambda t, n=navigator: pytest.fail("stands") if n.standing
-             else None)
+        play(
+            run,
+            navigator,
+            after=lambda t, n=navigator: pytest.fail("stands") if n.standing else None,
+        )
 
 
 def test_one_fix_is_no_velocity() -> None:

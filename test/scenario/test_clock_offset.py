@@ -80,8 +80,16 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
 def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
     """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
     estimator = Estimator(
-        parameters.check_all({"alignment.heading_source": "parameter", "alignment.yaw_std": 0.5,
-                              "alignment.yaw": np.pi / 2, **values}), lambda level, text: None)
+        parameters.check_all(
+            {
+                "alignment.heading_source": "parameter",
+                "alignment.yaw_std": 0.5,
+                "alignment.yaw": np.pi / 2,
+                **values,
+            }
+        ),
+        lambda level, text: None,
+    )
     fix = new_message("sensor_msgs/msg/NavSatFix")
     fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
     fix.position_covariance_type = 2
@@ -89,8 +97,10 @@ def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimato
     for f in run.fixes:
         stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
         estimator.imu_block(
-            stamps[start:stop], run.samples["f"][start:stop] @ FLIP,
-            run.samples["w"][start:stop] @ FLIP)
+            stamps[start:stop],
+            run.samples["f"][start:stop] @ FLIP,
+            run.samples["w"][start:stop] @ FLIP,
+        )
         start = stop
         conversions.set_stamp(fix.header.stamp, f.t_ns)
         fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()

@@ -27,7 +27,8 @@ class Drive:
     def __init__(self, **values: Any) -> None:
         self.log: list[tuple[str, str]] = []
         self.estimator = Estimator(
-            {**parameters.defaults(), **values}, lambda level, text: self.log.append((level, text)))
+            {**parameters.defaults(), **values}, lambda level, text: self.log.append((level, text))
+        )
         motion = quadrotor_flight(60.0, 4, heading=0.7)
         self.truth = sample(motion, sample_times(60.0, 100.0))
         rng = np.random.default_rng(3)
@@ -35,8 +36,12 @@ class Drive:
         self.force, self.rate = imu.specific_force @ FLIP, imu.angular_rate @ FLIP
         self.gnss = fixes(sample(motion, sample_times(60.0, 5.0)), rng)
         self.track = Trajectory.from_navigation(
-            np.zeros(len(self.truth.t), np.int64), self.truth.lla, self.truth.velocity_n,
-            self.truth.quat_xyzw, datum_lla=self.gnss.lla[0])
+            np.zeros(len(self.truth.t), np.int64),
+            self.truth.lla,
+            self.truth.velocity_n,
+            self.truth.quat_xyzw,
+            datum_lla=self.gnss.lla[0],
+        )
         self.shift_ns = 0
         self.published = 0
 
@@ -49,7 +54,8 @@ class Drive:
             t = float(self.truth.t[i])
             f = self.force[i] if force is None else force(self.force[i])
             self.published += self.estimator.imu(
-                self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist()))
+                self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist())
+            )
             self.estimator.tick()
             while with_fixes and k < len(self.gnss.t) and self.gnss.t[k] <= t:
                 self.fix(k)
@@ -120,9 +126,14 @@ def test_a_pose_without_rotation_changes_nothing() -> None:
 def test_changes_while_it_runs_keep_the_state() -> None:
     drive = Drive(**GIVEN)
     drive.play(0.0, 20.0)
-    for changes in ({"noise.mode": "constant"}, {"gnss.gate_probability": 0.99},
-                    {"gnss.patience": 1.0}, {"gnss.position_std_min": 0.05},
-                    {"imu.accelerometer_bias_walk": 2e-3}, {"noise.mode": "learned"}):
+    for changes in (
+        {"noise.mode": "constant"},
+        {"gnss.gate_probability": 0.99},
+        {"gnss.patience": 1.0},
+        {"gnss.position_std_min": 0.05},
+        {"imu.accelerometer_bias_walk": 2e-3},
+        {"noise.mode": "learned"},
+    ):
         drive.estimator.change(parameters.check_change(drive.estimator.values, changes))
         assert drive.estimator.aligned
     drive.play(20.0, 30.0)

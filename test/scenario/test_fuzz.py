@@ -17,11 +17,35 @@ from hybrid_ins.ros.output import N_BIAS
 
 MESSAGES = 100_000
 EPOCH_NS = 1_700_000_000_000_000_000
-ODD = np.array([math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, 1e-12,
-                9.81, 1e3, -1e3, 1e9, 90.0, -180.0, 360.0])
+ODD = np.array(
+    [
+        math.nan,
+        math.inf,
+        -math.inf,
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        1e308,
+        -1e308,
+        5e-324,
+        1e-12,
+        9.81,
+        1e3,
+        -1e3,
+        1e9,
+        90.0,
+        -180.0,
+        360.0,
+    ]
+)
 FRAMES = ("", "imu_link", "base_link", "/odd//name", "é" * 40, "x" * 1000)
-DOUBLES = {"imu/bias": (N_BIAS, 0), "gnss/filtered": (12, 1), "q/accelerometer": (3, 0),
-           "q/gyroscope": (3, 0)}
+DOUBLES = {
+    "imu/bias": (N_BIAS, 0),
+    "gnss/filtered": (12, 1),
+    "q/accelerometer": (3, 0),
+    "q/gyroscope": (3, 0),
+}
 
 
 class Fuzzer:
@@ -60,20 +84,42 @@ class Fuzzer:
             return self.t_ns
         kind = rng.integers(6)
         if kind == 0:
-            self.t_ns = EPOCH_NS + int(rng.integers(-10**12, 10**12))  # for good
-        return [self.t_ns, 0, self.t_ns - step_ns, int(rng.integers(-2**31, 2**31)) * 10**9,
-                self.t_ns + int(rng.integers(-10**10, 10**10)), -1][kind]
+            self.t_ns = EPOCH_NS + int(rng.integers(-(10**12), 10**12))  # for good
+        return [
+            self.t_ns,
+            0,
+            self.t_ns - step_ns,
+            int(rng.integers(-(2**31), 2**31)) * 10**9,
+            self.t_ns + int(rng.integers(-(10**10), 10**10)),
+            -1,
+        ][kind]
 
     def frame(self) -> str:
         return FRAMES[self.rng.integers(len(FRAMES))] if self.rng.random() < 1e-3 else "imu_link"
 
     def imu(self) -> ImuFields:
-        v = self.odd(np.concatenate((
-            [0.0, 0.0, 0.0, 1.0, 0.0], self.rng.normal(0.0, 0.02, 3), [0.0],
-            self.rng.normal([0.3, 0.0, 9.8], 0.3), [0.0])))
+        v = self.odd(
+            np.concatenate(
+                (
+                    [0.0, 0.0, 0.0, 1.0, 0.0],
+                    self.rng.normal(0.0, 0.02, 3),
+                    [0.0],
+                    self.rng.normal([0.3, 0.0, 9.8], 0.3),
+                    [0.0],
+                )
+            )
+        )
         x = v.tolist()
-        return ImuFields(self.stamp(5_000_000), self.frame(), tuple(x[:4]), x[4], tuple(x[5:8]),
-                         x[8], tuple(x[9:12]), x[12])
+        return ImuFields(
+            self.stamp(5_000_000),
+            self.frame(),
+            tuple(x[:4]),
+            x[4],
+            tuple(x[5:8]),
+            x[8],
+            tuple(x[9:12]),
+            x[12],
+        )
 
     def navsat(self) -> Any:
         v = self.odd(np.concatenate(([32.0, 34.8, 20.0], np.eye(3).ravel())))
@@ -127,7 +173,7 @@ def feed(estimator: Estimator, fuzzer: Fuzzer, count: int) -> int:
             topic, data = estimator.outbox.popleft()
             if topic in DOUBLES:
                 number, behind = DOUBLES[topic]
-                values = np.frombuffer(data[len(data) - 8 * number - behind:], "<f8", number)
+                values = np.frombuffer(data[len(data) - 8 * number - behind :], "<f8", number)
                 assert np.isfinite(values).all(), topic
         if k % 200 == 0:
             for running in estimator.navigator.filters:
@@ -138,7 +184,8 @@ def feed(estimator: Estimator, fuzzer: Fuzzer, count: int) -> int:
 def run(seed: int, share: float, count: int, **values: Any) -> tuple[Estimator, int]:
     estimator = Estimator(
         {**parameters.defaults(), "alignment.heading_source": "parameter", **values},
-        lambda level, text: None)
+        lambda level, text: None,
+    )
     return estimator, feed(estimator, Fuzzer(seed, share), count)
 
 

@@ -30,9 +30,12 @@ def until(run: Run, seconds: float) -> Run:
 def jumping(run: Run, at: float, by: float) -> Run:
     """Stamp the fixes ``by`` [s] early from ``at`` [s] on."""
     since = int(run.samples["t_ns"][0]) + round(at * SECOND)
-    return replace(run, fixes=tuple(
-        replace(f, t_ns=f.t_ns - round(by * SECOND)) if f.t_ns > since else f
-        for f in run.fixes))
+    return replace(
+        run,
+        fixes=tuple(
+            replace(f, t_ns=f.t_ns - round(by * SECOND)) if f.t_ns > since else f for f in run.fixes
+        ),
+    )
 
 
 def estimating(run: Run, late: float = 0.0, **values: object) -> Estimator:
@@ -51,8 +54,11 @@ def found(estimator: Estimator) -> tuple[float, float]:
 
 def told_and_waiting(estimator: Estimator) -> list[int]:
     """Stamps [ns], as the receiver gave them, of all verdicts and of what is not decided yet."""
-    verdicts = [STORE.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticStatus")
-                for topic, data in estimator.outbox if topic == "gnss/verdict"]
+    verdicts = [
+        STORE.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticStatus")
+        for topic, data in estimator.outbox
+        if topic == "gnss/verdict"
+    ]
     stamps = [int(value.value) for v in verdicts for value in v.values if value.key == "stamp"]
     waiting = estimator.navigator.filter.withdraw()  # type: ignore[union-attr]
     return sorted([*stamps, *(m.t_ns - round(1e9 * offset(estimator)) for m in waiting)])
@@ -69,8 +75,10 @@ def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None
     assert abs(offset(estimator) + missing - true) < 4.0 * sigma
 
 
-@pytest.mark.parametrize(("seed", "value", "true"), [(0, 0.0, -0.35), (1, 0.0, 0.3), (2, 0.5, 0.1),
-                                                   (3, 0.0, 0.12), (5, -0.3, -0.2)])
+@pytest.mark.parametrize(
+    ("seed", "value", "true"),
+    [(0, 0.0, -0.35), (1, 0.0, 0.3), (2, 0.5, 0.1), (3, 0.0, 0.12), (5, -0.3, -0.2)],
+)
 def test_heading_and_clock_are_found_together(seed: int, value: float, true: float) -> None:
     # GIVEN a flight of which neither is known
     run = until(stamped_early(draw(SCENE, seed), true), 20.0)
@@ -101,8 +109,9 @@ def test_the_filter_that_takes_over_is_where_it_says() -> None:
         # WHEN its position is held against the truth at the next epoch that is scored
         k = int(np.searchsorted(run.samples["t_ns"][run.scored], running.t_ns))
         now = run.samples["t_ns"][run.scored[k]]
-        ahead = run.samples[np.searchsorted(run.samples["t_ns"], running.t_ns) + 1:
-                            run.scored[k] + 1]
+        ahead = run.samples[
+            np.searchsorted(run.samples["t_ns"], running.t_ns) + 1 : run.scored[k] + 1
+        ]
         if len(ahead):
             running.process_imu_block(ahead)
         assert running.t_ns == now
@@ -169,8 +178,10 @@ def standing(run: Run) -> Run:
     samples["f"] = [0.0, 0.0, -9.8] + 0.02 * rng.standard_normal(samples["f"].shape)
     samples["w"] = 0.002 * rng.standard_normal(samples["w"].shape)
     noise = 0.1 * rng.standard_normal((len(run.fixes), 3))
-    fixes = tuple(replace(f, lla=run.fixes[0].lla + dn / curvature_scale(f.lla))
-                  for f, dn in zip(run.fixes, noise, strict=True))
+    fixes = tuple(
+        replace(f, lla=run.fixes[0].lla + dn / curvature_scale(f.lla))
+        for f, dn in zip(run.fixes, noise, strict=True)
+    )
     return replace(run, samples=samples, fixes=fixes)
 
 
@@ -224,9 +235,14 @@ def test_another_value_while_both_are_open_begins_anew() -> None:
 
 
 def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
-    state = NavState(np.array([0.8, 0.2, 100.0]), np.array([10.0, -4.0, 1.0]),
-                     np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3),
-                     np.diag(np.full(15, 1e-4)))
+    state = NavState(
+        np.array([0.8, 0.2, 100.0]),
+        np.array([10.0, -4.0, 1.0]),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        np.zeros(3),
+        np.diag(np.full(15, 1e-4)),
+    )
     there = opened(state, 0.5)
 
     moved = (there.lla - state.lla) * curvature_scale(state.lla)

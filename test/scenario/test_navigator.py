@@ -34,9 +34,15 @@ def navigator(flight):
     return make_navigator("parameter", yaw=flight.yaw(0.0))
 
 
-@pytest.mark.parametrize(("step", "fault"), [
-    (0.0, "imu: repeated stamp"), (-0.05, "imu: stamp out of order"),
-    (900.0, "imu: stamp jumps"), (-900.0, "imu: stamp jumps")])
+@pytest.mark.parametrize(
+    ("step", "fault"),
+    [
+        (0.0, "imu: repeated stamp"),
+        (-0.05, "imu: stamp out of order"),
+        (900.0, "imu: stamp jumps"),
+        (-900.0, "imu: stamp jumps"),
+    ],
+)
 def test_a_stray_stamp_is_refused_by_name_and_changes_nothing(
     flight, navigator, step: float, fault: str
 ) -> None:
@@ -71,8 +77,7 @@ def test_short_gap_is_bridged_with_a_covariance_that_covers_it() -> None:
         run = scene(quadrotor_flight(32.0, seed), seed=seed)
         navigator = make_navigator("parameter", yaw=run.yaw(0.0))
         # WHEN 0.4 s of IMU samples are missing in a turn
-        play(run, navigator, stop=30.02, imu=lambda t: not 29.6 < t < 30.0,
-             fix=lambda t: t < 29.6)
+        play(run, navigator, stop=30.02, imu=lambda t: not 29.6 < t < 30.0, fix=lambda t: t < 29.6)
 
         assert navigator.counts["imu: gaps bridged"] == 1
         normalised.append(run.errors(navigator, 30.01)[1] / sigma(navigator)[3:6].max())
@@ -103,8 +108,9 @@ def test_heading_survives_a_gap_of_a_vehicle_that_stands() -> None:
     assert run.errors(navigator, 20.0)[2] < 0.05
 
 
-@pytest.mark.parametrize("delay", [
-    lambda t: 0.3, lambda t: 0.5 * abs(np.sin(1e4 * t))], ids=["constant", "reordering"])
+@pytest.mark.parametrize(
+    "delay", [lambda t: 0.3, lambda t: 0.5 * abs(np.sin(1e4 * t))], ids=["constant", "reordering"]
+)
 def test_late_fixes_end_where_punctual_ones_do(flight, delay) -> None:
     states = []
     for late in (lambda t: 0.0, delay):
@@ -178,8 +184,12 @@ def test_wild_fixes_for_a_while_do_not_move_the_state() -> None:
     navigator = make_navigator("parameter", yaw=run.yaw(0.0))
     rng = np.random.default_rng(0)
 
-    play(run, navigator, stop=36.0,
-         shift=lambda t: rng.normal(0.0, 200.0) if 30.0 <= t < 36.0 else 0.0)
+    play(
+        run,
+        navigator,
+        stop=36.0,
+        shift=lambda t: rng.normal(0.0, 200.0) if 30.0 <= t < 36.0 else 0.0,
+    )
     # WHEN for twice the patience each contradicts the others
     assert not any(v.reset for v in run.verdicts)
     assert run.errors(navigator, 36.0)[0] < 2.0
@@ -190,7 +200,8 @@ def test_wrong_heading_is_found_out_and_given_up() -> None:
     reasons: list[str] = []
     run = scene(quadrotor_flight(60.0, 4), seed=4)
     navigator = make_navigator(
-        "parameter", yaw=run.yaw(0.0) + 2.0, yaw_std=0.02, on_restart=reasons.append)
+        "parameter", yaw=run.yaw(0.0) + 2.0, yaw_std=0.02, on_restart=reasons.append
+    )
 
     play(run, navigator)
 
@@ -216,8 +227,10 @@ def test_stop_in_an_outage_is_noticed_by_the_filter() -> None:
 
     play(run, navigator, after=lambda t: standing.append((t, navigator.standing)))
 
-    moving = {t: float(np.linalg.norm(v)) for t, v in
-              zip(run.truth.t.round(3), run.truth.velocity_n, strict=True)}
+    moving = {
+        t: float(np.linalg.norm(v))
+        for t, v in zip(run.truth.t.round(3), run.truth.velocity_n, strict=True)
+    }
     assert not [t for t, stands in standing if stands and moving[round(t, 3)] > 0.3]
 
 
@@ -278,9 +291,14 @@ def test_missing_gravity_is_no_free_fall(fix_rate: float) -> None:
 
 def test_covariance_stays_positive_through_everything(flight, navigator) -> None:
     rng = np.random.default_rng(1)
-    play(flight, navigator, imu=lambda t: rng.random() > 0.2,
-         fix=lambda t: not 20.0 < t < 35.0, delay=lambda t: 0.7 * rng.random(),
-         shift=lambda t: 30.0 * (rng.random() > 0.9))
+    play(
+        flight,
+        navigator,
+        imu=lambda t: rng.random() > 0.2,
+        fix=lambda t: not 20.0 < t < 35.0,
+        delay=lambda t: 0.7 * rng.random(),
+        shift=lambda t: 30.0 * (rng.random() > 0.9),
+    )
 
     assert np.linalg.eigvalsh(covariance(navigator.filter.nav)).min() > 0.0
     assert np.all(np.isfinite(navigator.filter.nav))
@@ -296,8 +314,13 @@ def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_a
     largest = []
 
     play(run, navigator, stop=12.0)
-    play(run, navigator, start=12.0, stop=18.0,
-         after=lambda t: largest.append(run.errors(navigator, t)[0]))
+    play(
+        run,
+        navigator,
+        start=12.0,
+        stop=18.0,
+        after=lambda t: largest.append(run.errors(navigator, t)[0]),
+    )
 
     # THEN fixes go on to be fused, and hold the state
     assert max(largest) < 1.5

@@ -26,9 +26,15 @@ def begin(run: Run) -> InsFilter:
     ring = ImuRing()
     ring.extend(run.samples[:1])
     return InsFilter(
-        run.start, int(stamps[0]), np.concatenate((run.samples["f"][0], run.samples["w"][0])),
-        ScaledNoise(ConstantNoise(Q), process, NoiseScale()), process,
-        Gate({3: 25.0}, 3.0), ring, FilterSettings(max_delay=1.0))
+        run.start,
+        int(stamps[0]),
+        np.concatenate((run.samples["f"][0], run.samples["w"][0])),
+        ScaledNoise(ConstantNoise(Q), process, NoiseScale()),
+        process,
+        Gate({3: 25.0}, 3.0),
+        ring,
+        FilterSettings(max_delay=1.0),
+    )
 
 
 def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
@@ -38,22 +44,21 @@ def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
     for fix in run.fixes:
         stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))
         if stop > at + 1:
-            ins.ring.extend(run.samples[at + 1:stop])
-            ins.process_imu_block(run.samples[at + 1:stop])
+            ins.ring.extend(run.samples[at + 1 : stop])
+            ins.process_imu_block(run.samples[at + 1 : stop])
             at = stop - 1
         ins.submit(fix)
         factors.append((*ins.noise.scale.scale(), ins.noise.fix_factor))  # type: ignore[attr-defined]
     if at + 1 < len(stamps):
-        ins.ring.extend(run.samples[at + 1:])
-        ins.process_imu_block(run.samples[at + 1:])
+        ins.ring.extend(run.samples[at + 1 :])
+        ins.process_imu_block(run.samples[at + 1 :])
     return ins, np.array(factors)
 
 
 def moved(run: Run, change: np.ndarray) -> Run:
     """Move the fixes by so many metres, (M, 3) north, east, down."""
     scale = np.array([1.0 / 6.37e6, 1.0 / 5.35e6, -1.0])
-    fixes = tuple(replace(f, lla=f.lla + d * scale)
-                  for f, d in zip(run.fixes, change, strict=True))
+    fixes = tuple(replace(f, lla=f.lla + d * scale) for f, d in zip(run.fixes, change, strict=True))
     return replace(run, fixes=fixes)
 
 
@@ -76,8 +81,11 @@ def test_an_outage_is_no_evidence_against_the_imu(seed: int) -> None:
 def test_a_clock_offset_raises_the_noise_of_the_imu() -> None:
     # GIVEN fixes stamped 0.4 s wrong, which no look at the IMU can tell
     run = draw(SCENE, 1)
-    fixes = tuple(PositionFix(f.t_ns - 400_000_000, f.lla, f.covariance_n, f.lever_b)
-                  for f in run.fixes if f.t_ns > int(run.samples["t_ns"][0]) + 500_000_000)
+    fixes = tuple(
+        PositionFix(f.t_ns - 400_000_000, f.lla, f.covariance_n, f.lever_b)
+        for f in run.fixes
+        if f.t_ns > int(run.samples["t_ns"][0]) + 500_000_000
+    )
     # WHEN the filter runs
     ins, factors = fly(replace(run, fixes=fixes))
     # THEN its noise is taken to be many times larger, and the fixes are taken

@@ -85,7 +85,11 @@ class Truth:
     def state(self, k: int = 0, P: Array | None = None) -> NavState:
         """Return the state at epoch ``k``, without biases."""
         return NavState(
-            self.lla[k], self.velocity_n[k], self.quat_xyzw[k], np.zeros(3), np.zeros(3),
+            self.lla[k],
+            self.velocity_n[k],
+            self.quat_xyzw[k],
+            np.zeros(3),
+            np.zeros(3),
             np.zeros((N_ERROR, N_ERROR)) if P is None else P,
         )
 
@@ -105,9 +109,7 @@ def C_en_along(lla: Array) -> Array:
     return np.moveaxis(np.array((north, east, down)), 2, 0).swapaxes(1, 2)
 
 
-def travel(
-    t: Array, displacement: Series, rpy: Series, datum_lla: Array = TEL_AVIV
-) -> Truth:
+def travel(t: Array, displacement: Series, rpy: Series, datum_lla: Array = TEL_AVIV) -> Truth:
     """
     Move along ``displacement`` [m] with attitude ``rpy`` [rad], both in NED axes at the datum.
 
@@ -136,8 +138,11 @@ def travel(
     rate_b += EARTH_RATE_E @ C_eb
     f_b = np.einsum("nij,ni->nj", C_eb, f_e)
     return Truth(
-        t, lla, np.einsum("nij,ni->nj", C_en, v_e),
-        quat_from_matrix(np.swapaxes(C_en, 1, 2) @ C_eb), np.hstack((f_b, rate_b)),
+        t,
+        lla,
+        np.einsum("nij,ni->nj", C_en, v_e),
+        quat_from_matrix(np.swapaxes(C_en, 1, 2) @ C_eb),
+        np.hstack((f_b, rate_b)),
     )
 
 

@@ -26,19 +26,34 @@ Q = np.repeat([4e-4, 4e-6], 3)
 
 
 def make_navigator(
-    source: str = "auto", *, yaw: float = 0.0, yaw_std: float = 0.05, max_gap: float = 0.5,
-    bias_a: ArrayLike = (0.0, 0.0, 0.0), bias_g: ArrayLike = (0.0, 0.0, 0.0),
+    source: str = "auto",
+    *,
+    yaw: float = 0.0,
+    yaw_std: float = 0.05,
+    max_gap: float = 0.5,
+    bias_a: ArrayLike = (0.0, 0.0, 0.0),
+    bias_g: ArrayLike = (0.0, 0.0, 0.0),
     on_restart: Callable[[str], None] = lambda reason: None,
 ) -> Navigator:
     return Navigator(
         AlignmentSettings(
-            source, yaw, yaw_std, 1.0, 1.0, np.array(bias_a), np.full(3, 0.3),
-            np.array(bias_g), np.full(3, 0.01)),
+            source,
+            yaw,
+            yaw_std,
+            1.0,
+            1.0,
+            np.array(bias_a),
+            np.full(3, 0.3),
+            np.array(bias_g),
+            np.full(3, 0.01),
+        ),
         FilterSettings(),
         lambda period: ProcessNoise(np.repeat([1e-6, 1e-8], 3), period),
         lambda process: ConstantNoise(Q),
-        lambda: Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0), max_gap,
-        on_restart=on_restart)
+        lambda: Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
+        max_gap,
+        on_restart=on_restart,
+    )
 
 
 @dataclass
@@ -66,24 +81,42 @@ class Scene:
         metres = (running.nav[LLA] - self.truth.lla[k]) * curvature_scale(self.truth.lla[k])
         velocity = running.nav[VELOCITY] - self.truth.velocity_n[k]
         yaw = yaw_of(running.nav[QUAT]) - self.yaw(t)
-        return (float(np.hypot(*metres[:2])), float(np.linalg.norm(velocity)),
-                abs(float(np.angle(np.exp(1j * yaw)))))
+        return (
+            float(np.hypot(*metres[:2])),
+            float(np.linalg.norm(velocity)),
+            abs(float(np.angle(np.exp(1j * yaw)))),
+        )
 
 
 def scene(
-    trajectory: Motion, *, rate: float = 100.0, fix_rate: float = 5.0, seed: int = 0,
+    trajectory: Motion,
+    *,
+    rate: float = 100.0,
+    fix_rate: float = 5.0,
+    seed: int = 0,
     errors: ImuErrors | None = None,
 ) -> Scene:
     rng = np.random.default_rng(seed)
     truth = sample(trajectory, sample_times(trajectory.duration, rate))
     imu = corrupt(truth, errors or ImuErrors(), rng)
     gnss = fixes(sample(trajectory, sample_times(trajectory.duration, fix_rate)), rng)
-    return Scene(truth, imu.t, imu.specific_force, imu.angular_rate, gnss.t, gnss.lla,
-                 np.diag(gnss.position_std**2))
+    return Scene(
+        truth,
+        imu.t,
+        imu.specific_force,
+        imu.angular_rate,
+        gnss.t,
+        gnss.lla,
+        np.diag(gnss.position_std**2),
+    )
 
 
 def play(
-    run: Scene, navigator: Navigator, start: float = 0.0, stop: float = np.inf, *,
+    run: Scene,
+    navigator: Navigator,
+    start: float = 0.0,
+    stop: float = np.inf,
+    *,
     delay: Callable[[float], float] = lambda t: 0.0,
     imu: Callable[[float], bool] = lambda t: True,
     fix: Callable[[float], bool] = lambda t: True,
@@ -96,8 +129,9 @@ def play(
     ``delay`` is how late a fix arrives [s], ``imu`` and ``fix`` tell which are not lost, ``shift``
     is how far north a fix lies beside the truth [m], ``after`` is called after each sample.
     """
-    pending = sorted((t + delay(t), t, k) for k, t in enumerate(run.fix_t)
-                     if start <= t < stop and fix(t))
+    pending = sorted(
+        (t + delay(t), t, k) for k, t in enumerate(run.fix_t) if start <= t < stop and fix(t)
+    )
     for k in np.flatnonzero((run.t >= start) & (run.t < stop)):
         t = float(run.t[k])
         if imu(t):

@@ -17,9 +17,23 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
     data, report = tmp_path / "benchmark.json", tmp_path / "benchmark.md"
 
     done = subprocess.run(
-        [sys.executable, ROOT / "tools" / "benchmark.py", "--quick", "--only", "kernel", "replay",
-         "--json", data, "--report", report],
-        capture_output=True, text=True, timeout=280, check=False)
+        [
+            sys.executable,
+            ROOT / "tools" / "benchmark.py",
+            "--quick",
+            "--only",
+            "kernel",
+            "replay",
+            "--json",
+            data,
+            "--report",
+            report,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
 
     assert done.returncode == 0, done.stdout + done.stderr
     kernel, replay = json.loads(data.read_text())["sections"]
@@ -36,7 +50,11 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
 def test_node_section_runs() -> None:
     done = subprocess.run(
         [sys.executable, ROOT / "tools" / "benchmark.py", "--quick", "--only", "node"],
-        capture_output=True, text=True, timeout=280, check=False)
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
 
     assert done.returncode == 0, done.stdout + done.stderr
     assert "latency p99 at 100 Hz" in done.stdout
@@ -44,8 +62,14 @@ def test_node_section_runs() -> None:
 
 @pytest.mark.parametrize(
     ("values", "higher", "verdict"),
-    [([5.0, 6.0, 7.0], True, "stretch"), ([4.0], True, "yes"), ([2.0], True, "NO"),
-     ([2.0], False, "stretch"), ([4.0], False, "NO")])
+    [
+        ([5.0, 6.0, 7.0], True, "stretch"),
+        ([4.0], True, "yes"),
+        ([2.0], True, "NO"),
+        ([2.0], False, "stretch"),
+        ([4.0], False, "NO"),
+    ],
+)
 def test_verdicts(values: list[float], higher: bool, verdict: str) -> None:
     figure = Figure("speed", "×", values, 3.0, 5.0 if higher else 2.5, higher)
 
@@ -55,4 +79,8 @@ def test_verdicts(values: list[float], higher: bool, verdict: str) -> None:
 
 def test_numbers_have_three_digits() -> None:
     assert [number(v) for v in (0.1234, 12.34, 1234.5, float("nan"))] == [
-        "0.123", "12.3", "1234", "-"]
+        "0.123",
+        "12.3",
+        "1234",
+        "-",
+    ]

@@ -30,8 +30,12 @@ def flights_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fleet") / "flights"
     (folder / "monday").mkdir(parents=True)
     for name, seed in (("one.mcap", 1), ("monday/two", 2)):
-        assert simulate.main([
-            str(folder / name), "--duration", "8", "--imu-rate", "100", "--seed", str(seed)]) == 0
+        assert (
+            simulate.main(
+                [str(folder / name), "--duration", "8", "--imu-rate", "100", "--seed", str(seed)]
+            )
+            == 0
+        )
     (folder / "broken.mcap").write_bytes(b"no bag at all")
     (folder / "notes.txt").write_text("not a bag")
     return folder
@@ -126,8 +130,10 @@ def test_a_strangers_file_is_not_replaced(
     out.mkdir()
     (out / "one.mcap").write_bytes(b"precious")
 
-    assert replay.main([str(folder / "one.mcap"), str(folder / "monday" / "two"), str(out),
-                        *HEADING]) == 2
+    assert (
+        replay.main([str(folder / "one.mcap"), str(folder / "monday" / "two"), str(out), *HEADING])
+        == 2
+    )
 
     assert "--overwrite to replace it" in capsys.readouterr().out
     assert (out / "one.mcap").read_bytes() == b"precious"
@@ -150,12 +156,30 @@ def test_an_interrupted_fleet_goes_on_where_it_was(tmp_path: Path) -> None:
     folder, out = tmp_path / "flights", tmp_path / "out"
     folder.mkdir()
     for seed in range(4):
-        assert simulate.main([
-            str(folder / f"{seed}.mcap"), "--duration", "20", "--imu-rate", "200", "--seed",
-            str(seed)]) == 0
-    command = [sys.executable, "-c",
-               "import sys; from hybrid_ins.cli.replay import main; sys.exit(main())",
-               str(folder), str(out), *HEADING, "--jobs", "1"]
+        assert (
+            simulate.main(
+                [
+                    str(folder / f"{seed}.mcap"),
+                    "--duration",
+                    "20",
+                    "--imu-rate",
+                    "200",
+                    "--seed",
+                    str(seed),
+                ]
+            )
+            == 0
+        )
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from hybrid_ins.cli.replay import main; sys.exit(main())",
+        str(folder),
+        str(out),
+        *HEADING,
+        "--jobs",
+        "1",
+    ]
     with Processes() as processes:
         running = processes.start(command, subprocess.PIPE, ENVIRONMENT)
         end = time.monotonic() + 120.0
@@ -169,8 +193,14 @@ def test_an_interrupted_fleet_goes_on_where_it_was(tmp_path: Path) -> None:
     assert 0 < len(finished) < 4
     assert {path.stem for path in out.glob("[0-9].mcap")} == set(finished)
 
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False,
-                          env=os.environ | ENVIRONMENT)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+        env=os.environ | ENVIRONMENT,
+    )
 
     assert done.returncode == 0, done.stderr
     assert f"{len(finished)} of 4 bags were finished before" in done.stdout
@@ -184,7 +214,10 @@ def cluster() -> Iterator[str]:
     distributed = pytest.importorskip("distributed", reason="dask is not installed")
     environment = os.environ | ENVIRONMENT
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
         env={"PYTHONPATH": environment["PYTHONPATH"]},
     ) as running:
         yield running.scheduler_address

@@ -18,9 +18,11 @@ STEP = "from hybrid_ins import kernels; kernels._compile_output()"
 
 
 def compiled() -> dict[str, int]:
-    return {str(kernel.py_func.__qualname__) + kernel.py_func.__module__: len(kernel.signatures)
-            for kernel in compilation.KERNELS if kernel.py_func.__module__.startswith(
-                "hybrid_ins.core")}
+    return {
+        str(kernel.py_func.__qualname__) + kernel.py_func.__module__: len(kernel.signatures)
+        for kernel in compilation.KERNELS
+        if kernel.py_func.__module__.startswith("hybrid_ins.core")
+    }
 
 
 def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
@@ -28,9 +30,22 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     kernels.prepare()
     before = compiled()
     bag = tmp_path / "flight.mcap"
-    assert simulate.main([
-        str(bag), "--duration", "30", "--imu-rate", "200", "--gnss-velocity", "--outage", "15",
-        "8"]) == 0
+    assert (
+        simulate.main(
+            [
+                str(bag),
+                "--duration",
+                "30",
+                "--imu-rate",
+                "200",
+                "--gnss-velocity",
+                "--outage",
+                "15",
+                "8",
+            ]
+        )
+        == 0
+    )
 
     with BagReader(bag) as source, BagWriter(tmp_path / "out.mcap") as out:
         estimator = replay.replay(source, out, parameters.defaults(), progress=False)
@@ -42,8 +57,10 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
 
 def test_no_kernel_needs_a_linear_algebra_library() -> None:
     """SciPy's would take longer to load than everything else that starts."""
-    text = ("import sys; from hybrid_ins import kernels; kernels.prepare(); "
-            "sys.exit('scipy.linalg' in sys.modules)")
+    text = (
+        "import sys; from hybrid_ins import kernels; kernels.prepare(); "
+        "sys.exit('scipy.linalg' in sys.modules)"
+    )
 
     assert subprocess.run([sys.executable, "-c", text], cwd=ROOT, check=False).returncode == 0
 
@@ -62,9 +79,15 @@ def run(site: Path, home: Path) -> float:
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     before = os.times()
     done = subprocess.run(
-        [sys.executable, "-c", STEP], capture_output=True, text=True, check=False, cwd=home,
-        timeout=250, env=environment | {
-            "PYTHONPATH": str(site), "HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")})
+        [sys.executable, "-c", STEP],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=home,
+        timeout=250,
+        env=environment
+        | {"PYTHONPATH": str(site), "HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")},
+    )
     assert done.returncode == 0, done.stderr
     after = os.times()
     return after.children_user - before.children_user
@@ -91,8 +114,13 @@ def test_a_changed_source_is_compiled_anew(tmp_path: Path) -> None:
 
     def cache() -> str:
         return subprocess.run(
-            [sys.executable, "-c", name], cwd=tmp_path, capture_output=True, text=True, check=True,
-            env=os.environ | {"PYTHONPATH": str(tmp_path)}).stdout
+            [sys.executable, "-c", name],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        ).stdout
 
     before = cache()
     with (package / "core" / "earth.py").open("a") as file:

@@ -36,7 +36,9 @@ def start_node(processes: Processes, log: Path, *words: str) -> subprocess.Popen
     with log.open("w") as output:
         node = processes.start(
             [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *parameters, *words],
-            output, ENVIRONMENT)
+            output,
+            ENVIRONMENT,
+        )
     until(lambda: "ready" in log.read_text() or node.poll() is not None, 90.0)
     assert "ready" in log.read_text(), log.read_text()
     return node
@@ -68,8 +70,19 @@ def recorded(folder: Path, flight: Path) -> tuple[Path, str, int]:
     with Processes() as processes:
         node = start_node(processes, log)
         player = processes.start(
-            [sys.executable, "-m", "hybrid_ins.ros.player", str(flight), "--record", str(out),
-             "--rate", str(RATE)], subprocess.PIPE, ENVIRONMENT)
+            [
+                sys.executable,
+                "-m",
+                "hybrid_ins.ros.player",
+                str(flight),
+                "--record",
+                str(out),
+                "--rate",
+                str(RATE),
+            ],
+            subprocess.PIPE,
+            ENVIRONMENT,
+        )
         text, _ = player.communicate(timeout=90)
         assert player.returncode == 0, text
         status = processes.stop(node)
@@ -80,7 +93,8 @@ def odometry(bag: Path) -> dict[int, Any]:
     with BagReader(bag) as reader:
         return {
             m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec: m
-            for _, _, m in reader.messages("/odometry")}
+            for _, _, m in reader.messages("/odometry")
+        }
 
 
 def vector(v: Any) -> np.ndarray[Any, Any]:
@@ -108,8 +122,8 @@ def test_live_odometry_is_that_of_the_replay(
         a, b = live[stamp], replayed[stamp]
         away = vector(a.pose.pose.position) - vector(b.pose.pose.position)
         turn = quat_multiply(
-            quat_conjugate(quaternion(a.pose.pose.orientation)),
-            quaternion(b.pose.pose.orientation))
+            quat_conjugate(quaternion(a.pose.pose.orientation)), quaternion(b.pose.pose.orientation)
+        )
         assert np.linalg.norm(away) < 0.01
         assert np.linalg.norm(rotvec_from_quat(turn)) < math.radians(0.1)
         assert np.allclose(a.pose.covariance, b.pose.covariance, rtol=0.05, atol=1e-6)
@@ -122,7 +136,8 @@ def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
     said: list[bytes] = []
     outbox = deque([("imu/bias", b"1"), ("q/gyroscope", b"2"), ("imu/bias", b"3")])
     node: Any = SimpleNamespace(
-        _estimator=SimpleNamespace(outbox=outbox), _heard={"imu/bias": said.append})
+        _estimator=SimpleNamespace(outbox=outbox), _heard={"imu/bias": said.append}
+    )
 
     InsNode._flush(node, 1)
     assert said == [b"1"]
@@ -168,8 +183,7 @@ class Client:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnostics: list[Any] = []
-        self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
 
     def spin_until(self, condition: Any, patience: float = 15.0) -> None:
         end = time.monotonic() + patience
@@ -188,8 +202,9 @@ class Client:
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
-        request = SetParameters.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg()])
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
         return self.call(SetParameters, "/ins_node/set_parameters", request).results[0]
 
     def close(self) -> None:
@@ -204,9 +219,7 @@ def client() -> Iterator[Client]:
     asking.close()
 
 
-def test_control_of_an_idle_node(
-    processes: Processes, folder: Path, client: Client
-) -> None:
+def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Client) -> None:
     """GIVEN a node without data THEN it says so, answers, and refuses nonsense with a reason."""
     from std_srvs.srv import Trigger
 
@@ -231,8 +244,9 @@ def test_control_of_an_idle_node(
     assert client.call(Trigger, "/ins_node/reset", Trigger.Request()).success
     before = len(client.diagnostics)
     node.terminate()
-    client.spin_until(lambda: any(
-        "shut down" in d.status[0].message for d in client.diagnostics[before:]))
+    client.spin_until(
+        lambda: any("shut down" in d.status[0].message for d in client.diagnostics[before:])
+    )
     assert node.wait(10.0) == 0
     assert "Traceback" not in log.read_text()
 
@@ -243,19 +257,32 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     """GIVEN a flight WHEN another node publishes on imu/data, too THEN both are named."""
     from sensor_msgs.msg import Imu
 
-    log, out, offline = (folder / name for name in (
-        "crowded.log", "crowded.mcap", "crowded_replayed.mcap"))
+    log, out, offline = (
+        folder / name for name in ("crowded.log", "crowded.mcap", "crowded_replayed.mcap")
+    )
     overrides = [word for value in HEADING for word in ("-p", value)]
     assert replay.main([str(flight), str(offline), *overrides]) == 0
     node = start_node(processes, log)
     player = processes.start(
-        [sys.executable, "-m", "hybrid_ins.ros.player", str(flight), "--record", str(out),
-         "--rate", str(RATE)], subprocess.PIPE, ENVIRONMENT)
+        [
+            sys.executable,
+            "-m",
+            "hybrid_ins.ros.player",
+            str(flight),
+            "--record",
+            str(out),
+            "--rate",
+            str(RATE),
+        ],
+        subprocess.PIPE,
+        ENVIRONMENT,
+    )
     intruder = client.node.create_publisher(Imu, "/imu/data", 10)
     yesterday = Imu()
     yesterday.header.stamp.sec, yesterday.linear_acceleration.z = 1000, 99.0
     client.spin_until(
-        lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0")
+        lambda: client.diagnostics and client.diagnostics[-1].status[0].level == b"\0"
+    )
     end = time.monotonic() + 60.0
     while player.poll() is None and time.monotonic() < end:
         intruder.publish(yesterday)
@@ -271,9 +298,15 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     live, replayed = odometry(out), odometry(offline)
     common = live.keys() & replayed.keys()
     assert len(common) > 0.98 * len(replayed)
-    assert max(
-        np.linalg.norm(vector(live[k].pose.pose.position) - vector(replayed[k].pose.pose.position))
-        for k in common) < 0.01
+    assert (
+        max(
+            np.linalg.norm(
+                vector(live[k].pose.pose.position) - vector(replayed[k].pose.pose.position)
+            )
+            for k in common
+        )
+        < 0.01
+    )
     assert processes.stop(node) == 0
 
 
@@ -285,10 +318,10 @@ def test_publisher_whose_qos_does_not_fit_is_told(
     from sensor_msgs.msg import Imu
 
     log = folder / "unfit.log"
-    start_node(processes, log, "-p",
-               "qos_overrides./imu/data.subscription.reliability:=reliable")
+    start_node(processes, log, "-p", "qos_overrides./imu/data.subscription.reliability:=reliable")
     client.node.create_publisher(
-        Imu, "/imu/data", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+        Imu, "/imu/data", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
 
     until(lambda: "QoS" in log.read_text())
     told = next(line for line in log.read_text().splitlines() if "QoS" in line)
@@ -297,8 +330,11 @@ def test_publisher_whose_qos_does_not_fit_is_told(
     assert "RELIABILITY" in told
     assert "qos_overrides" in told
 
-    client.spin_until(lambda: any(
-        "no messages on /imu/data" in s.message for d in client.diagnostics for s in d.status))
+    client.spin_until(
+        lambda: any(
+            "no messages on /imu/data" in s.message for d in client.diagnostics for s in d.status
+        )
+    )
 
 
 def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) -> None:
@@ -307,7 +343,12 @@ def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) ->
 
     done = subprocess.run(
         [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", "--params-file", str(file)],
-        capture_output=True, text=True, timeout=90, env=os.environ | ENVIRONMENT, check=False)
+        capture_output=True,
+        text=True,
+        timeout=90,
+        env=os.environ | ENVIRONMENT,
+        check=False,
+    )
 
     assert done.returncode == 2
     assert "noise.mode" in done.stderr

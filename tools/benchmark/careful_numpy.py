@@ -71,7 +71,8 @@ class CarefulFilter:
         """Views of P: its velocity and attitude blocks, shape (2, 3, 3), and biases' variances."""
         row, column = self.P.strides
         self._white = np.lib.stride_tricks.as_strided(
-            self.P[3:, 3:], (2, 3, 3), (3 * (row + column), row, column))
+            self.P[3:, 3:], (2, 3, 3), (3 * (row + column), row, column)
+        )
         self._bias_variance = self.P.reshape(-1)[9 * 16 :: 16]
 
     def step(self, dt: float, reading: list[float]) -> None:
@@ -106,12 +107,21 @@ class CarefulFilter:
         ay = half * (w0y + w1y) + twelfth * (w0z * w1x - w0x * w1z)
         az = half * (w0z + w1z) + twelfth * (w0x * w1y - w0y * w1x)
         ux, uy, uz = half * (f0x + f1x), half * (f0y + f1y), half * (f0z + f1z)
-        dx = ux + 0.5 * (ay * uz - az * uy) + twelfth * (
-            w0y * f1z - w0z * f1y + f0y * w1z - f0z * w1y)
-        dy = uy + 0.5 * (az * ux - ax * uz) + twelfth * (
-            w0z * f1x - w0x * f1z + f0z * w1x - f0x * w1z)
-        dz = uz + 0.5 * (ax * uy - ay * ux) + twelfth * (
-            w0x * f1y - w0y * f1x + f0x * w1y - f0y * w1x)
+        dx = (
+            ux
+            + 0.5 * (ay * uz - az * uy)
+            + twelfth * (w0y * f1z - w0z * f1y + f0y * w1z - f0z * w1y)
+        )
+        dy = (
+            uy
+            + 0.5 * (az * ux - ax * uz)
+            + twelfth * (w0z * f1x - w0x * f1z + f0z * w1x - f0x * w1z)
+        )
+        dz = (
+            uz
+            + 0.5 * (ax * uy - ay * ux)
+            + twelfth * (w0x * f1y - w0y * f1x + f0x * w1y - f0y * w1x)
+        )
 
         x, y, z, s = self.quat
         c00, c01, c02 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - s * z), 2.0 * (x * z + s * y)
@@ -144,8 +154,10 @@ class CarefulFilter:
         mean_n, mean_e = 0.5 * (vn + new_n), 0.5 * (ve + new_e)
         turn = dt * mean_n / meridian
         self.lla = [
-            lat + turn, lon + dt * mean_e / (transverse * (cos_lat - 0.5 * turn * sin_lat)),
-            height - half * (vd + new_d)]
+            lat + turn,
+            lon + dt * mean_e / (transverse * (cos_lat - 0.5 * turn * sin_lat)),
+            height - half * (vd + new_d),
+        ]
 
         en_n = mean_e / transverse
         rn, re, rd = dt * (ie_n + en_n), -turn, dt * (ie_d - en_n * tan_lat)
@@ -186,21 +198,77 @@ class CarefulFilter:
         g_d = rm * (-ie_n - en_n / (cos_lat * cos_lat) + h_n * tan_lat * d_transverse)
         k_n, k_e, k_d = g_n + rm * ie_d, g_e, g_d - rm * ie_n
         sin_sq = sin_lat * sin_lat
-        d_gravity = rm * earth.GRAVITY_EQUATOR * sin_lat * cos_lat / sqrt(w) * (
-            2.0 * earth.SOMIGLIANA + (1.0 + earth.SOMIGLIANA * sin_sq) * earth.ECCENTRICITY_SQ / w)
+        d_gravity = (
+            rm
+            * earth.GRAVITY_EQUATOR
+            * sin_lat
+            * cos_lat
+            / sqrt(w)
+            * (
+                2.0 * earth.SOMIGLIANA
+                + (1.0 + earth.SOMIGLIANA * sin_sq) * earth.ECCENTRICITY_SQ / w
+            )
+        )
         c00, c01, c02, c10, c11, c12, c20, c21, c22 = self._rotation
         self._F_flat[self._entries] = (
-            -vd * rm, vn * rm, ve * tan_lat * rt, -(vd + vn * tan_lat) * rt, ve * rt,
-            ve * k_d - vd * k_e, ve * h_d - vd * h_e - self._tilt,
-            vd * rm, kd - ve * tan_lat * rt, -en_e, -fd, fe, -c00, -c01, -c02,
-            vd * k_n - vn * k_d, vd * h_n - vn * h_d,
-            -kd, (vd + vn * tan_lat) * rt, kn, fd, -fn, -c10, -c11, -c12,
+            -vd * rm,
+            vn * rm,
+            ve * tan_lat * rt,
+            -(vd + vn * tan_lat) * rt,
+            ve * rt,
+            ve * k_d - vd * k_e,
+            ve * h_d - vd * h_e - self._tilt,
+            vd * rm,
+            kd - ve * tan_lat * rt,
+            -en_e,
+            -fd,
+            fe,
+            -c00,
+            -c01,
+            -c02,
+            vd * k_n - vn * k_d,
+            vd * h_n - vn * h_d,
+            -kd,
+            (vd + vn * tan_lat) * rt,
+            kn,
+            fd,
+            -fn,
+            -c10,
+            -c11,
+            -c12,
             vn * k_e - ve * k_n + d_gravity,
             vn * h_e - ve * h_n - self._slope - 2.0 * self._curve * height,
-            en_e - vn * rm, -kn - ve * rt, -fe, fn, -c20, -c21, -c22,
-            g_n, h_n, rt, in_d, -en_e, c00, c01, c02,
-            g_e, h_e, -rm, -in_d, in_n, c10, c11, c12,
-            g_d, h_d, -tan_lat * rt, en_e, -in_n, c20, c21, c22,
+            en_e - vn * rm,
+            -kn - ve * rt,
+            -fe,
+            fn,
+            -c20,
+            -c21,
+            -c22,
+            g_n,
+            h_n,
+            rt,
+            in_d,
+            -en_e,
+            c00,
+            c01,
+            c02,
+            g_e,
+            h_e,
+            -rm,
+            -in_d,
+            in_n,
+            c10,
+            c11,
+            c12,
+            g_d,
+            h_d,
+            -tan_lat * rt,
+            en_e,
+            -in_n,
+            c20,
+            c21,
+            c22,
         )
         self._C.flat = self._rotation
         self._propagate(dt)
@@ -224,9 +292,16 @@ class CarefulFilter:
         x, y, z, s = self.quat
         C = self._C
         C.flat = (
-            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - s * z), 2.0 * (x * z + s * y),
-            2.0 * (x * y + s * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - s * x),
-            2.0 * (x * z - s * y), 2.0 * (y * z + s * x), 1.0 - 2.0 * (x * x + y * y))
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - s * z),
+            2.0 * (x * z + s * y),
+            2.0 * (x * y + s * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - s * x),
+            2.0 * (x * z - s * y),
+            2.0 * (y * z + s * x),
+            1.0 - 2.0 * (x * x + y * y),
+        )
         lever_n = C @ lever_b
         innovation = (lla_fix - self.lla) * metres - lever_n
         H = np.zeros((3, 15))
@@ -241,8 +316,11 @@ class CarefulFilter:
         self.bias = [v + d for v, d in zip(self.bias, dx[9:].tolist(), strict=True)]
         ex, ey, ez = (-0.5 * dx[6:9]).tolist()
         x, y, z, s = (
-            x + ex * s + ey * z - ez * y, y - ex * z + ey * s + ez * x,
-            z + ex * y - ey * x + ez * s, s - ex * x - ey * y - ez * z)
+            x + ex * s + ey * z - ez * y,
+            y - ex * z + ey * s + ez * x,
+            z + ex * y - ey * x + ez * s,
+            s - ex * x - ey * y - ez * z,
+        )
         norm = 1.0 / sqrt(x * x + y * y + z * z + s * s)
         self.quat = [x * norm, y * norm, z * norm, s * norm]
 

@@ -96,7 +96,8 @@ def take(out: Path, times: bool) -> None:
         add(data[4:12])
 
     node.create_subscription(
-        Odometry, "odometry", with_time if times else without_time, reliable, raw=True)
+        Odometry, "odometry", with_time if times else without_time, reliable, raw=True
+    )
     # The faster executor does not hand over when a message was published.
     executor = SingleThreadedExecutor() if times else EventsExecutor()
     executor.add_node(node)
@@ -110,16 +111,23 @@ def take(out: Path, times: bool) -> None:
         pass
     seconds = np.frombuffer(b"".join(stamps), "<i4")[::2].astype(np.int64)
     nanoseconds = np.frombuffer(b"".join(stamps), "<u4")[1::2]
-    np.save(out, np.stack((
-        seconds * 1_000_000_000 + nanoseconds,
-        np.array(published if times else np.zeros(len(stamps)), np.int64))))
+    np.save(
+        out,
+        np.stack(
+            (
+                seconds * 1_000_000_000 + nanoseconds,
+                np.array(published if times else np.zeros(len(stamps)), np.int64),
+            )
+        ),
+    )
     rclpy.try_shutdown()
 
 
 def main() -> int:
     """Run one of the two."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     sending = commands.add_parser("send")
     sending.add_argument("rate", type=float)

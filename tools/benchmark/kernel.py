@@ -116,7 +116,8 @@ class Careful:
     def __init__(self, run: Run) -> None:
         start = run.start
         self.filter = self._make(
-            start.lla, start.velocity_n, start.quat_xyzw, start.P, reading(run, 0), psd(run))
+            start.lla, start.velocity_n, start.quat_xyzw, start.P, reading(run, 0), psd(run)
+        )
 
     _make: Callable[..., CarefulFilter] = CarefulFilter
 
@@ -197,8 +198,11 @@ class Gtsam:
         std = np.sqrt(np.diag(start.P))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         noise = gtsam.noiseModel.Diagonal.Sigmas
-        graph.add(gtsam.PriorFactorPose3(
-            self._key("x", 0), pose, noise(np.concatenate((std[6:9], std[:3])))))
+        graph.add(
+            gtsam.PriorFactorPose3(
+                self._key("x", 0), pose, noise(np.concatenate((std[6:9], std[:3])))
+            )
+        )
         graph.add(gtsam.PriorFactorVector(self._key("v", 0), start.velocity_n, noise(std[3:6])))
         graph.add(gtsam.PriorFactorConstantBias(self._key("b", 0), bias, noise(std[9:])))
         values.insert(self._key("x", 0), pose)
@@ -224,12 +228,23 @@ class Gtsam:
         """See `Contender`."""
         gtsam, k = self._gtsam, self._count + 1
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        graph.add(gtsam.CombinedImuFactor(
-            self._key("x", k - 1), self._key("v", k - 1), self._key("x", k), self._key("v", k),
-            self._key("b", k - 1), self._key("b", k), self._between))
+        graph.add(
+            gtsam.CombinedImuFactor(
+                self._key("x", k - 1),
+                self._key("v", k - 1),
+                self._key("x", k),
+                self._key("v", k),
+                self._key("b", k - 1),
+                self._key("b", k),
+                self._between,
+            )
+        )
         position = (fix.lla - self._origin) * self._metres
-        graph.add(gtsam.GPSFactor(
-            self._key("x", k), position, gtsam.noiseModel.Gaussian.Covariance(fix.covariance_n)))
+        graph.add(
+            gtsam.GPSFactor(
+                self._key("x", k), position, gtsam.noiseModel.Gaussian.Covariance(fix.covariance_n)
+            )
+        )
         guess = self._between.predict(self._state, self._bias)
         values.insert(self._key("x", k), guess.pose())
         values.insert(self._key("v", k), guess.velocity())
@@ -238,7 +253,8 @@ class Gtsam:
         best = self._isam.calculateEstimate
         self._state = gtsam.NavState(
             self._isam.calculateEstimatePose3(self._key("x", k)),
-            self._isam.calculateEstimateVector(self._key("v", k)))
+            self._isam.calculateEstimateVector(self._key("v", k)),
+        )
         self._bias = best().atConstantBias(self._key("b", k))
         self._between.resetIntegrationAndSetBias(self._bias)
         self._count = k
@@ -281,8 +297,7 @@ class Flights:
         stepping = stepping_cpu = updating = 0.0
         errors, nees = [], []
         samples = 0
-        for (dt, values, dt_list, values_list), (kind, k) in zip(
-                blocks, _order(run), strict=True):
+        for (dt, values, dt_list, values_list), (kind, k) in zip(blocks, _order(run), strict=True):
             given = (dt, values) if self.arrays else (dt_list, values_list)
             cpu, wall = time.process_time(), time.perf_counter()
             contender.block(*given)
@@ -336,9 +351,13 @@ def _available() -> tuple[list[Flights], list[str]]:
         Flights("live step", lambda run: Compiled(run, False, 0.0)),
         Flights("live step, covariance every 10 ms", lambda run: Compiled(run, False, 0.01 - 1e-6)),
         Flights("batch step", lambda run: Compiled(run, True, 0.0), arrays=True),
-        Flights("batch step, covariance every 10 ms",
-                lambda run: Compiled(run, True, 0.01 - 1e-6), arrays=True),
-        Flights("careful NumPy", Careful)]
+        Flights(
+            "batch step, covariance every 10 ms",
+            lambda run: Compiled(run, True, 0.01 - 1e-6),
+            arrays=True,
+        ),
+        Flights("careful NumPy", Careful),
+    ]
     missing = []
     peers = (("filterpy", Filterpy, "filterpy.kalman"), ("GTSAM", Gtsam, "gtsam"))
     for name, kind, module in peers:
@@ -354,8 +373,16 @@ def _available() -> tuple[list[Flights], list[str]]:
 def measure(quick: bool) -> Section:
     """Fly all contenders in turn, again and again; then the calls around the filter."""
     section = Section("Filter kernel")
-    run = draw(Scenario("benchmark", rate=RATE, fix_rate=FIX_RATE, scored_from=5.0,
-                        duration=12.0 if quick else 60.0), seed=1)
+    run = draw(
+        Scenario(
+            "benchmark",
+            rate=RATE,
+            fix_rate=FIX_RATE,
+            scored_from=5.0,
+            duration=12.0 if quick else 60.0,
+        ),
+        seed=1,
+    )
     blocks = _blocks(run)
     contenders, missing = _available()
     for contender in contenders:  # compiles, and fills caches
@@ -373,24 +400,48 @@ def measure(quick: bool) -> Section:
     for c in contenders:
         if c is not careful:
             bar, stretch = bars.get(c.name, (None, None))
-            section.add(f"careful NumPy / {c.name}", "×", ratios(careful.step, c.step),
-                        bar, stretch, higher=True)
+            section.add(
+                f"careful NumPy / {c.name}",
+                "×",
+                ratios(careful.step, c.step),
+                bar,
+                stretch,
+                higher=True,
+            )
         if c.name in bars:
-            section.add(f"careful NumPy / {c.name}, CPU", "×",
-                        ratios(careful.step_cpu, c.step_cpu), *bars[c.name], higher=True)
+            section.add(
+                f"careful NumPy / {c.name}, CPU",
+                "×",
+                ratios(careful.step_cpu, c.step_cpu),
+                *bars[c.name],
+                higher=True,
+            )
     rows = [["", "step [µs]", "fix [µs]", "position RMSE [m]", "position NEES (3)"]]
-    rows += [[c.name, f"{np.median(c.step):.3g}", f"{np.median(c.update):.3g}", f"{c.rmse:.4f}",
-              f"{c.nees:.2f}" if np.isfinite(c.nees) else "-"] for c in contenders]
-    section.tables.append((
-        f"The same {run.samples['t_ns'].size / RATE:.0f} s flight, {RATE:.0f} Hz IMU, "
-        f"{FIX_RATE:.0f} Hz fixes, scored midway between fixes", rows))
+    rows += [
+        [
+            c.name,
+            f"{np.median(c.step):.3g}",
+            f"{np.median(c.update):.3g}",
+            f"{c.rmse:.4f}",
+            f"{c.nees:.2f}" if np.isfinite(c.nees) else "-",
+        ]
+        for c in contenders
+    ]
+    section.tables.append(
+        (
+            f"The same {run.samples['t_ns'].size / RATE:.0f} s flight, {RATE:.0f} Hz IMU, "
+            f"{FIX_RATE:.0f} Hz fixes, scored midway between fixes",
+            rows,
+        )
+    )
     section.remarks += missing
     section.remarks += [
         "A step is mechanisation, F, Q and covariance of 15 states, called from Python; a batch "
         "takes the samples between two fixes (20 here) in one call.",
         "filterpy has no navigation: its Kalman filter runs inside the careful mechanisation. "
         "GTSAM preintegrates (combined IMU factor, flat Earth without its rotation) and solves "
-        "with ISAM2 at every fix."]
+        "with ISAM2 at every fix.",
+    ]
     _around(section, run, quick)
     return section
 
@@ -398,17 +449,31 @@ def measure(quick: bool) -> Section:
 def _around(section: Section, run: Run, quick: bool) -> None:
     """GNSS update, rewind, regressor, and all that the node computes for one sample."""
     repetitions, calls = (2, 20) if quick else (15, 100)
-    section.add("GNSS update", "µs", _timed(_update_call(run), repetitions, calls),
-                note="gate, noise model and rewind point included")
+    section.add(
+        "GNSS update",
+        "µs",
+        _timed(_update_call(run), repetitions, calls),
+        note="gate, noise model and rewind point included",
+    )
     for rate in (RATE, 1000.0):
-        section.add(f"rewind of 0.5 s at {rate:.0f} Hz", "µs",
-                    _rewinds(rate, repetitions, 3 if quick else 10))
+        section.add(
+            f"rewind of 0.5 s at {rate:.0f} Hz",
+            "µs",
+            _rewinds(rate, repetitions, 3 if quick else 10),
+        )
     for name, call in _regressor_calls():
-        section.add(f"regressor call, {name}", "µs", _timed(call, repetitions, calls),
-                    note="six channels, window checked")
-    section.add("one sample through the node without DDS", "µs",
-                _timed(_sample_call(), repetitions, 10 * calls),
-                note="bytes in, both odometries out as bytes")
+        section.add(
+            f"regressor call, {name}",
+            "µs",
+            _timed(call, repetitions, calls),
+            note="six channels, window checked",
+        )
+    section.add(
+        "one sample through the node without DDS",
+        "µs",
+        _timed(_sample_call(), repetitions, 10 * calls),
+        note="bytes in, both odometries out as bytes",
+    )
 
 
 def _timed(call: Callable[[], object], repetitions: int, calls: int) -> list[float]:
@@ -429,8 +494,15 @@ def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
     ring.extend(run.samples[:1])
     process = ProcessNoise(run.bias_walk, 1.0 / rate)
     ins = InsFilter(
-        run.start, int(run.samples["t_ns"][0]), np.array(reading(run, 0)),
-        ConstantNoise(run.q[0]), process, Gate({3: np.inf}, 3.0), ring, FilterSettings())
+        run.start,
+        int(run.samples["t_ns"][0]),
+        np.array(reading(run, 0)),
+        ConstantNoise(run.q[0]),
+        process,
+        Gate({3: np.inf}, 3.0),
+        ring,
+        FilterSettings(),
+    )
     return ins, ring
 
 
@@ -477,14 +549,18 @@ def _regressor_calls() -> Iterator[tuple[str, Callable[[], object]]]:
     ring.extend(run.samples)
     t_ns = int(run.samples["t_ns"][-1])
     for model in ("paper", "plateau", "spectral"):
-        reader = NoiseReader({**parameters.defaults(), "noise.model": model}, np.eye(3),
-                             lambda level, text: None)
+        reader = NoiseReader(
+            {**parameters.defaults(), "noise.model": model}, np.eye(3), lambda level, text: None
+        )
         yield reader.regressor.name, lambda reader=reader: reader.read(ring, t_ns)
 
 
 def _sample_call() -> Callable[[], None]:
-    values = {**parameters.defaults(), "alignment.heading_source": "parameter",
-              "noise.mode": "constant"}
+    values = {
+        **parameters.defaults(),
+        "alignment.heading_source": "parameter",
+        "noise.mode": "constant",
+    }
     estimator = Estimator(values, lambda level, text: None)
     decode = ImuDecoder().decode
     imu = StampedEncoder(("imu_link",), 37)

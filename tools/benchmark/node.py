@@ -27,8 +27,14 @@ from tools.processes import Processes, claim_ros_domain
 
 TOOLS = Path(__file__).resolve().parent
 NAIVE = [sys.executable, TOOLS / "naive_node.py"]
-OURS = [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args",
-        "-p", "alignment.heading_source:=imu"]
+OURS = [
+    sys.executable,
+    "-m",
+    "hybrid_ins.ros.node",
+    "--ros-args",
+    "-p",
+    "alignment.heading_source:=imu",
+]
 LOAD = [sys.executable, TOOLS / "imu_load.py"]
 TICKS = os.sysconf("SC_CLK_TCK")
 SETTLING = 3.5  # s, until the filter runs
@@ -82,12 +88,15 @@ class Node:
         return time.monotonic() - start
 
 
-def start(processes: Processes, name: str, command: Sequence[str | Path],
-          environment: dict[str, str]) -> Node:
+def start(
+    processes: Processes, name: str, command: Sequence[str | Path], environment: dict[str, str]
+) -> Node:
     """Start a process and collect its lines."""
     process = processes.start(
-        command, subprocess.PIPE,
-        {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path), **environment})
+        command,
+        subprocess.PIPE,
+        {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path), **environment},
+    )
     node = Node(name, process, environment)
 
     def listen() -> None:
@@ -104,16 +113,24 @@ def domain() -> dict[str, str]:
     return {"ROS_DOMAIN_ID": str(claim_ros_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
-def drive(processes: Processes, node: Node, rate: float, duration: float, folder: Path,
-          times: bool) -> Passage:
+def drive(
+    processes: Processes, node: Node, rate: float, duration: float, folder: Path, times: bool
+) -> Passage:
     """Send a stream through a node; the time after the filter has started counts."""
     sent_file, taken_file = folder / "sent.npy", folder / "taken.npy"
-    taker = start(processes, "imu_load.py", [*LOAD, "take", taken_file,
-                                             *(["--times"] if times else [])], node.environment)
+    taker = start(
+        processes,
+        "imu_load.py",
+        [*LOAD, "take", taken_file, *(["--times"] if times else [])],
+        node.environment,
+    )
     taker.wait_for("ready", 30.0)
-    sender = start(processes, "imu_load.py", [*LOAD, "send", str(rate),
-                                              str(SETTLING + duration + 1.0), sent_file],
-                   node.environment)
+    sender = start(
+        processes,
+        "imu_load.py",
+        [*LOAD, "send", str(rate), str(SETTLING + duration + 1.0), sent_file],
+        node.environment,
+    )
     idle = node.cpu_seconds()
     end = time.monotonic() + 30.0
     while node.cpu_seconds() - idle < 0.03 and time.monotonic() < end:
@@ -135,8 +152,12 @@ def drive(processes: Processes, node: Node, rate: float, duration: float, folder
     when = published if times else stamps
     answers = int(np.sum((when >= began_ns) & (when < ended_ns)))
     return Passage(
-        (after - before) / ((ended_ns - began_ns) * 1e-9), (after - before) / max(answers, 1),
-        int(counted.sum()), len(np.unique(stamps[there])), latency)
+        (after - before) / ((ended_ns - began_ns) * 1e-9),
+        (after - before) / max(answers, 1),
+        int(counted.sum()),
+        len(np.unique(stamps[there])),
+        latency,
+    )
 
 
 @contextmanager
@@ -160,15 +181,19 @@ def measure(quick: bool) -> Section:
     per_message: dict[tuple[str, float], list[float]] = {}
     latency: dict[tuple[str, float], list[tuple[float, float]]] = {}
     lost: dict[float, int] = dict.fromkeys(rates, 0)
-    with Processes() as processes, tempfile.TemporaryDirectory() as folder, \
-            nodes(processes) as both:
+    with (
+        Processes() as processes,
+        tempfile.TemporaryDirectory() as folder,
+        nodes(processes) as both,
+    ):
         for repetition in range(repetitions):
             for rate in rates:
                 for node in both if repetition % 2 == 0 else both[::-1]:
                     passage = drive(processes, node, rate, duration, Path(folder), True)
                     if passage.answered == 0:
-                        raise RuntimeError(f"{node.name} published nothing:\n"
-                                           + "".join(node.lines[-20:]))
+                        raise RuntimeError(
+                            f"{node.name} published nothing:\n" + "".join(node.lines[-20:])
+                        )
                     key = node.name, rate
                     cpu.setdefault(key, []).append(100.0 * passage.cpu)
                     per_message.setdefault(key, []).append(passage.per_message)
@@ -181,18 +206,30 @@ def measure(quick: bool) -> Section:
     bars = {1000.0: (0.45, 0.35), 200.0: (0.6, 0.5)}
     for rate in rates:
         bar, stretch = bars.get(rate, (None, None))
-        section.add(f"CPU ratio at {rate:.0f} Hz", "×",
-                    ratios(per_message[ours, rate], per_message[naive, rate]), bar, stretch)
+        section.add(
+            f"CPU ratio at {rate:.0f} Hz",
+            "×",
+            ratios(per_message[ours, rate], per_message[naive, rate]),
+            bar,
+            stretch,
+        )
     for rate in rates:
-        section.add(f"CPU at {rate:.0f} Hz", "%", cpu[ours, rate],
-                    note=f"naive {number(float(np.median(cpu[naive, rate])))} %")
+        section.add(
+            f"CPU at {rate:.0f} Hz",
+            "%",
+            cpu[ours, rate],
+            note=f"naive {number(float(np.median(cpu[naive, rate])))} %",
+        )
     for rate in rates:
         for k, (name, bar, stretch) in enumerate((("p50", 0.25, 0.15), ("p99", 0.6, 0.35))):
             naive_median = float(np.median([v[k] for v in latency[naive, rate]]))
             section.add(
-                f"latency {name} at {rate:.0f} Hz", "ms", [v[k] for v in latency[ours, rate]],
+                f"latency {name} at {rate:.0f} Hz",
+                "ms",
+                [v[k] for v in latency[ours, rate]],
                 *((bar, stretch) if rate == 1000.0 else ()),
-                note=f"naive {number(naive_median)} ms")
+                note=f"naive {number(naive_median)} ms",
+            )
     section.add("memory", "MB", [memory[0]], 250.0, 180.0, note=f"naive {memory[1]:.0f} MB")
     section.remarks += [
         "In: Imu at the rate, NavSatFix at 5 Hz. Out: odometry at the IMU's rate and all else, "
@@ -201,7 +238,8 @@ def measure(quick: bool) -> Section:
         "CPU: of the process, in percent of a core; the ratio is that of the CPU times for a "
         "message answered, since a node that is starved answers less. Latency: stamp to "
         "publication.",
-        f"IMU messages without odometry: {sum(lost.values())}."]
+        f"IMU messages without odometry: {sum(lost.values())}.",
+    ]
     return section
 
 
@@ -220,12 +258,14 @@ def measure_rate(quick: bool) -> Section:
                 highest = max(highest, reached)
             section.remarks.append(
                 f"{rate:.0f} Hz asked for, {reached:.0f} Hz sent: {lost} of {passage.sent} lost, "
-                f"CPU of the node {100.0 * passage.cpu:.0f} %.")
+                f"CPU of the node {100.0 * passage.cpu:.0f} %."
+            )
     section.add("IMU rate without loss", "Hz", [highest], 3990.0, 7900.0, higher=True)
     section.remarks.append(
         f"For {duration:.0f} s, with odometry at every sample: a message counts as lost when no "
         "odometry of its stamp reached the other process. Sender, node and taker share the "
-        "processors.")
+        "processors."
+    )
     return section
 
 
@@ -247,12 +287,17 @@ def measure_start(quick: bool) -> Section:
                 alone[name].append(_start_between(processes, Path(folder), name, command, {})[1])
         for _ in range(0 if quick else 2):
             with tempfile.TemporaryDirectory() as cache:
-                node = start(processes, "ins_node", OURS,
-                             {**domain(), "NUMBA_CACHE_DIR": cache})
+                node = start(processes, "ins_node", OURS, {**domain(), "NUMBA_CACHE_DIR": cache})
                 cold.append(node.wait_for("ready", 300.0))
                 processes.stop(node.process)
-    section.add("cached start to first odometry", "s", first, 2.5, 1.5,
-                note="default parameters, heading given; 1 s of it is levelling")
+    section.add(
+        "cached start to first odometry",
+        "s",
+        first,
+        2.5,
+        1.5,
+        note="default parameters, heading given; 1 s of it is levelling",
+    )
     section.add("cached start to ready", "s", ready)
     for name, seconds in alone.items():
         section.add(f"{name} to first odometry, peers announced every 3 s", "s", seconds)
@@ -263,19 +308,30 @@ def measure_start(quick: bool) -> Section:
         "one and the IMU's ran before. A process that is new to Fast DDS and one that is there "
         "find each other either at once or when the older one announces itself next, every 3 s: "
         "that lottery is left out by peers that announce themselves every 0.2 s. With the "
-        "middleware's defaults it hits an empty node alike, as the last lines show.")
+        "middleware's defaults it hits an empty node alike, as the last lines show."
+    )
     return section
 
 
-def _start_between(processes: Processes, folder: Path, name: str, command: Sequence[str | Path],
-                   peers: dict[str, str]) -> tuple[float, float]:
+def _start_between(
+    processes: Processes,
+    folder: Path,
+    name: str,
+    command: Sequence[str | Path],
+    peers: dict[str, str],
+) -> tuple[float, float]:
     """Start a node between a sender and a taker; return when it was ready, and first heard [s]."""
     environment, taken = domain(), folder / "taken.npy"
-    taker = start(processes, "imu_load.py", [*LOAD, "take", taken, "--times"],
-                  {**environment, **peers})
+    taker = start(
+        processes, "imu_load.py", [*LOAD, "take", taken, "--times"], {**environment, **peers}
+    )
     taker.wait_for("ready", 30.0)
-    sender = start(processes, "imu_load.py", [*LOAD, "send", "200", "8", folder / "sent.npy"],
-                   {**environment, **peers})
+    sender = start(
+        processes,
+        "imu_load.py",
+        [*LOAD, "send", "200", "8", folder / "sent.npy"],
+        {**environment, **peers},
+    )
     # The stream is there before the node: it waits for a listener to discover.
     time.sleep(1.0)
     began_ns = time.time_ns()

@@ -19,15 +19,35 @@ from tools.benchmark.table import Section
 
 RUN = "import sys; from hybrid_ins.cli.replay import main; sys.exit(main())"
 PARTS = {  # what a function's module belongs to
-    "mcap_file": "bags", "bags": "bags", "wire": "encoding", "conversions": "encoding",
-    "replay": "replay", "estimator": "estimator", "navigator": "estimator",
-    "propagation": "kernel", "output": "kernel", "local_frame": "kernel", "kalman": "kernel",
-    "measurements": "kernel", "ins_filter": "filter", "gate": "filter", "samples": "filter",
-    "state": "filter", "attitude": "filter", "time_offset": "clock offset",
-    "health": "IMU health", "standstill": "IMU health", "noise": "noise", "noise_scale": "noise",
+    "mcap_file": "bags",
+    "bags": "bags",
+    "wire": "encoding",
+    "conversions": "encoding",
+    "replay": "replay",
+    "estimator": "estimator",
+    "navigator": "estimator",
+    "propagation": "kernel",
+    "output": "kernel",
+    "local_frame": "kernel",
+    "kalman": "kernel",
+    "measurements": "kernel",
+    "ins_filter": "filter",
+    "gate": "filter",
+    "samples": "filter",
+    "state": "filter",
+    "attitude": "filter",
+    "time_offset": "clock offset",
+    "health": "IMU health",
+    "standstill": "IMU health",
+    "noise": "noise",
+    "noise_scale": "noise",
     "noise_bank": "noise",
-    "noise_reader": "regressor", "regressor": "regressor", "window": "regressor",
-    "spectral": "regressor", "onnxruntime_inference_collection": "regressor"}
+    "noise_reader": "regressor",
+    "regressor": "regressor",
+    "window": "regressor",
+    "spectral": "regressor",
+    "onnxruntime_inference_collection": "regressor",
+}
 
 
 def measure(quick: bool) -> Section:
@@ -36,8 +56,9 @@ def measure(quick: bool) -> Section:
     duration = 20.0 if quick else 600.0
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "drive.mcap"
-        status = simulate.main([
-            str(bag), "--trajectory", "car", "--duration", str(duration), "--imu-rate", "200"])
+        status = simulate.main(
+            [str(bag), "--trajectory", "car", "--duration", str(duration), "--imu-rate", "200"]
+        )
         if status != 0:
             raise RuntimeError("ins_simulate failed")
         faster, faster_cpu, inside = [], [], []
@@ -47,12 +68,16 @@ def measure(quick: bool) -> Section:
             start = time.perf_counter()
             subprocess.run(
                 [sys.executable, "-c", RUN, str(bag), str(out)],
-                check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+                check=True,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+            )
             faster.append(duration / (time.perf_counter() - start))
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            faster_cpu.append(duration / (
-                after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime))
+            faster_cpu.append(
+                duration / (after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
+            )
             out.unlink()
         out = Path(folder) / "inside.mcap"
         for _ in range(1 if quick else 5):
@@ -61,22 +86,32 @@ def measure(quick: bool) -> Section:
             inside.append(duration / (time.perf_counter() - start))
         profiler = cProfile.Profile()
         profiler.runcall(_replay, bag, out)
-    section.add("ins_replay, bag to bag", "× real time", faster, 150.0, 400.0, higher=True,
-                note="the whole process, its start included")
+    section.add(
+        "ins_replay, bag to bag",
+        "× real time",
+        faster,
+        150.0,
+        400.0,
+        higher=True,
+        note="the whole process, its start included",
+    )
     section.add("ins_replay, by its CPU time", "× real time", faster_cpu, higher=True)
     section.add("without the process's start", "× real time", inside, higher=True)
-    section.tables.append(("Where the time goes (share of the run, under a profiler)",
-                           _profile(profiler)))
+    section.tables.append(
+        ("Where the time goes (share of the run, under a profiler)", _profile(profiler))
+    )
     section.remarks.append(
         f"{duration / 60.0:.3g} minutes of a simulated drive with 200 Hz IMU, 5 Hz fixes and "
-        "100 Hz truth, default parameters; both odometries are written at the IMU's rate.")
+        "100 Hz truth, default parameters; both odometries are written at the IMU's rate."
+    )
     return section
 
 
 def _replay(source: Path, target: Path) -> None:
     with BagReader(source) as bag, BagWriter(target, overwrite=True) as out:
-        replay.replay(bag, out, parameters.check_all({}), progress=False,
-                      log=lambda level, text: None)
+        replay.replay(
+            bag, out, parameters.check_all({}), progress=False, log=lambda level, text: None
+        )
 
 
 def _profile(profiler: cProfile.Profile) -> list[list[str]]:
@@ -92,6 +127,10 @@ def _profile(profiler: cProfile.Profile) -> list[list[str]]:
             part = PARTS.get(Path(caller_file).stem, "other")
             shares[part] = shares.get(part, 0.0) + own_from_caller
     total = sum(shares.values())
-    return [["part", "share"], *(
-        [part, f"{100.0 * share / total:.0f} %"]
-        for part, share in sorted(shares.items(), key=lambda item: -item[1]))]
+    return [
+        ["part", "share"],
+        *(
+            [part, f"{100.0 * share / total:.0f} %"]
+            for part, share in sorted(shares.items(), key=lambda item: -item[1])
+        ),
+    ]

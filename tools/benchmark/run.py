@@ -46,11 +46,21 @@ SECTIONS: dict[str, Callable[[bool], Section]] = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the sections that are asked for, and write what they gave."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=list(SECTIONS), default=list(SECTIONS),
-                        metavar="SECTION", help=f"of {', '.join(SECTIONS)} [all]")
-    parser.add_argument("--quick", action="store_true",
-                        help="few and short repetitions: shows that it works, not how fast")
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=list(SECTIONS),
+        default=list(SECTIONS),
+        metavar="SECTION",
+        help=f"of {', '.join(SECTIONS)} [all]",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="few and short repetitions: shows that it works, not how fast",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every repetition")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the tables as Markdown")
     args = parser.parse_args(argv)
@@ -74,14 +84,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     about["minutes"] = round((time.monotonic() - start) / 60.0, 1)
     about["load_after"] = round(os.getloadavg()[0], 2)
     if args.json:
-        args.json.write_text(json.dumps({"machine": about, "sections": [
-            {"title": s.title, "figures": [f.as_dict() for f in s.figures], "tables": s.tables,
-             "remarks": s.remarks} for s in done]}, indent=1))
+        args.json.write_text(
+            json.dumps(
+                {
+                    "machine": about,
+                    "sections": [
+                        {
+                            "title": s.title,
+                            "figures": [f.as_dict() for f in s.figures],
+                            "tables": s.tables,
+                            "remarks": s.remarks,
+                        }
+                        for s in done
+                    ],
+                },
+                indent=1,
+            )
+        )
     if args.report:
         args.report.write_text(report(about, done))
     missed = [f.name for s in done for f in s.figures if f.verdict == "NO"]
-    print(f"\n{about['minutes']} minutes, load {about['load']} before and {about['load_after']} "
-          f"after; bars missed: {', '.join(missed) or 'none'}")
+    print(
+        f"\n{about['minutes']} minutes, load {about['load']} before and {about['load_after']} "
+        f"after; bars missed: {', '.join(missed) or 'none'}"
+    )
     return 0 if all(section.figures for section in done) else 1
 
 
@@ -90,12 +116,16 @@ def report(about: dict[str, object], sections: Sequence[Section]) -> str:
     packages = about["packages"]
     assert isinstance(packages, dict)
     lines = [
-        "# Benchmark", "",
-        "Written by `tools/benchmark/run.py --report docs/benchmark.md`; do not edit.", "",
+        "# Benchmark",
+        "",
+        "Written by `tools/benchmark/run.py --report docs/benchmark.md`; do not edit.",
+        "",
         f"{about['time']}, {about['processor']} ({about['processors']} processors), Python "
         f"{about['python']}, {', '.join(f'{k} {v}' for k, v in packages.items())}. Load average "
         f"{about['load']} before and {about['load_after']} after the run of {about['minutes']} "
-        "minutes; what the machine's noise does to a figure shows in its quartiles.", ""]
+        "minutes; what the machine's noise does to a figure shows in its quartiles.",
+        "",
+    ]
     for section in sections:
         lines += [f"## {section.title}", "", markdown(section.rows()), ""]
         for caption, rows in section.tables:

@@ -68,8 +68,12 @@ class Figure:
 
     def as_dict(self) -> dict[str, Any]:
         """For the JSON file."""
-        return {**asdict(self), "median": self.median, "quartiles": self.quartiles,
-                "verdict": self.verdict}
+        return {
+            **asdict(self),
+            "median": self.median,
+            "quartiles": self.quartiles,
+            "verdict": self.verdict,
+        }
 
 
 @dataclass
@@ -105,10 +109,17 @@ class Section:
         rows = [["", "median", "quartiles", "n", "bar", "stretch", "met"]]
         for f in self.figures:
             name = f.name + (f" ({f.note})" if f.note else "")
-            rows.append([
-                name, f"{number(f.median)} {f.unit}".strip(),
-                "–".join(number(q) for q in f.quartiles), str(len(f.values)),
-                _bound(f.bar, f.higher), _bound(f.stretch, f.higher), f.verdict])
+            rows.append(
+                [
+                    name,
+                    f"{number(f.median)} {f.unit}".strip(),
+                    "–".join(number(q) for q in f.quartiles),
+                    str(len(f.values)),
+                    _bound(f.bar, f.higher),
+                    _bound(f.stretch, f.higher),
+                    f.verdict,
+                ]
+            )
         return rows
 
 
@@ -134,9 +145,13 @@ def _bound(value: float | None, higher: bool) -> str:
 def plain(rows: Sequence[Sequence[str]]) -> str:
     """Return a table for a terminal."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join("  ".join(
-        cell.ljust(w) if k == 0 else cell.rjust(w)
-        for k, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip() for row in rows)
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
@@ -151,8 +166,11 @@ def machine() -> dict[str, Any]:
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        names = [line.partition(":")[2].strip() for line in info.read_text().splitlines()
-                 if line.startswith("model name")]
+        names = [
+            line.partition(":")[2].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
+        ]
         model = names[0] if names else model
     versions = {}
     for name in PACKAGES:
@@ -160,7 +178,12 @@ def machine() -> dict[str, Any]:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return {"processor": model, "processors": os.cpu_count(), "system": platform.platform(),
-            "python": platform.python_version(), "packages": versions,
-            "load": round(os.getloadavg()[0], 2),
-            "time": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())}
+    return {
+        "processor": model,
+        "processors": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "packages": versions,
+        "load": round(os.getloadavg()[0], 2),
+        "time": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()),
+    }

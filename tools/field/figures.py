@@ -32,10 +32,19 @@ def path_and_levels(
         axes[0].plot(track[:, 0], track[:, 1], color=colour, linewidth=1.0, label=name)
         t = (errors.stamp_ns - errors.stamp_ns[0]) * 1e-9
         axes[1].plot(t, np.linalg.norm(errors.position_enu, axis=1), color=colour, label=name)
-    axes[0].plot(errors.truth.position_enu[:, 0], errors.truth.position_enu[:, 1], "k--",
-                 linewidth=0.8, label="reference")
-    axes[0].set(xlabel="east [m]", ylabel="north [m]", aspect="equal",
-                title=f"{flight.name}, IMU {flight.imu}")
+    axes[0].plot(
+        errors.truth.position_enu[:, 0],
+        errors.truth.position_enu[:, 1],
+        "k--",
+        linewidth=0.8,
+        label="reference",
+    )
+    axes[0].set(
+        xlabel="east [m]",
+        ylabel="north [m]",
+        aspect="equal",
+        title=f"{flight.name}, IMU {flight.imu}",
+    )
     axes[1].set(xlabel="time [s]", ylabel="position error [m]", ylim=(0.0, None))
     axes[0].legend(loc="best")
     _save(figure, path_file)
@@ -43,8 +52,10 @@ def path_and_levels(
     figure, axes = _axes(2, sharex=True)
     for (name, run), colour in zip(flown.items(), COLOURS, strict=False):
         t, q = np.array(run.estimator.levels_t), np.array(run.estimator.levels)
-        for axis, channel, title in ((axes[0], 0, "accelerometer x: q [(m/s²)²]"),
-                                     (axes[1], 3, "gyroscope x: q [(rad/s)²]")):
+        for axis, channel, title in (
+            (axes[0], 0, "accelerometer x: q [(m/s²)²]"),
+            (axes[1], 3, "gyroscope x: q [(rad/s)²]"),
+        ):
             axis.semilogy(t, q[:, channel], color=colour, label=name)
             axis.set(title=title, xlabel="time [s]")
     axes[0].legend(loc="best")
@@ -71,23 +82,41 @@ def spectra(
     """
     figure, axes = _axes(2)
     found = []
-    for axis, sensor, q, unit in ((axes[0], "force", needed[0], "(m/s²)²"),
-                                  (axes[1], "rate", needed[1], "(rad/s)²")):
+    for axis, sensor, q, unit in (
+        (axes[0], "force", needed[0], "(m/s²)²"),
+        (axes[1], "rate", needed[1], "(rad/s)²"),
+    ):
         densities = []
         for flight in flights:
             rate = 1e9 / float(np.median(np.diff(flight.stamp_ns)))
             readings = getattr(flight, sensor)
             for start in range(0, len(readings) - SPECTRUM_WINDOW, SPECTRUM_WINDOW // 2):
                 f, density = signal.periodogram(
-                    readings[start:start + SPECTRUM_WINDOW], rate, "hann", detrend="linear", axis=0)
+                    readings[start : start + SPECTRUM_WINDOW],
+                    rate,
+                    "hann",
+                    detrend="linear",
+                    axis=0,
+                )
                 densities.extend(density.T[:, 1:] * rate / 2.0)
         low, middle, high = np.percentile(densities, [5, 50, 95], axis=0)
-        axis.fill_between(f[1:], low, high, color=run.BLUE, alpha=0.25, linewidth=0,
-                          label="5 to 95 % of all windows and axes")
+        axis.fill_between(
+            f[1:],
+            low,
+            high,
+            color=run.BLUE,
+            alpha=0.25,
+            linewidth=0,
+            label="5 to 95 % of all windows and axes",
+        )
         axis.plot(f[1:], middle, color=run.BLUE, label="median")
         axis.axhline(q, color=run.ORANGE, label="noise that navigation needs")
-        axis.set(xscale="log", yscale="log", xlabel="frequency [Hz]",
-                 title={"force": "accelerometer", "rate": "gyroscope"}[sensor] + f" [{unit}]")
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="frequency [Hz]",
+            title={"force": "accelerometer", "rate": "gyroscope"}[sensor] + f" [{unit}]",
+        )
         found.append((float(low.min()), float(middle.min())))
     axes[0].legend(loc="best")
     _save(figure, file)
@@ -101,8 +130,14 @@ def distributions(file: Path, prmse: Mapping[str, np.ndarray]) -> None:
     colours = plt.get_cmap("tab20").colors
     for k, (name, values) in enumerate(prmse.items()):
         values = np.sort(values)
-        axis.step(values, (np.arange(len(values)) + 1) / len(values), where="post", label=name,
-                  color=colours[k % len(colours)], linewidth=2.4 if k == 0 else 1.2)
+        axis.step(
+            values,
+            (np.arange(len(values)) + 1) / len(values),
+            where="post",
+            label=name,
+            color=colours[k % len(colours)],
+            linewidth=2.4 if k == 0 else 1.2,
+        )
     axis.set(xscale="log", xlabel="PRMSE of a run [m]", ylabel="share of runs")
     figure.legend(loc="outside right center")
     _save(figure, file)

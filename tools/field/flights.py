@@ -76,22 +76,39 @@ def load(data: Path, number: int, imu: int) -> Flight:
         position = read_position(directory, layout.position, faults)
         attitude = read_attitude(directory, layout.attitude, faults)
     first = GnssRecord(stamps(position.t[:1], layout.epoch), position.lla[:1], np.ones(3))
-    truth = make_truth(position, layout.position.std, attitude, layout.attitude.orientation.std,
-                       first, layout.epoch).track
+    truth = make_truth(
+        position,
+        layout.position.std,
+        attitude,
+        layout.attitude.orientation.std,
+        first,
+        layout.epoch,
+    ).track
     session = next(name for name, numbers in SESSIONS.items() if number in numbers)
     return Flight(
-        f"H{number}", imu, session, stamps(series.t, layout.epoch),
-        series.specific_force_b @ FLIP, series.angular_rate_b @ FLIP, position,
-        replace(truth, datum_lla=position.lla[0]), layout.epoch)
+        f"H{number}",
+        imu,
+        session,
+        stamps(series.t, layout.epoch),
+        series.specific_force_b @ FLIP,
+        series.angular_rate_b @ FLIP,
+        position,
+        replace(truth, datum_lla=position.lla[0]),
+        layout.epoch,
+    )
 
 
 def fixes(flight: Flight, rate: float, seed: int, outages: Sequence[tuple[float, float]]) -> Fixes:
     """Make fixes with the paper's noise; outages (start, duration) [s] from the first sample."""
     start = (int(flight.stamp_ns[0]) - int(flight.epoch) * 10**9) * 1e-9
     t, lla, std = make_fixes(
-        flight.position, np.array([0.02, 0.02, 0.05]), rate, np.array(RTK_STD),
+        flight.position,
+        np.array([0.02, 0.02, 0.05]),
+        rate,
+        np.array(RTK_STD),
         np.random.default_rng([seed, int(flight.name[1:]), flight.imu]),
-        [(start + s, duration) for s, duration in outages])
+        [(start + s, duration) for s, duration in outages],
+    )
     return Fixes(stamps(t, flight.epoch), lla, std)
 
 
@@ -108,7 +125,10 @@ class _Told(NoiseReader):
     """Answers with levels that it is told."""
 
     def __init__(
-        self, values: Mapping[str, Any], mount: Array, log: Callable[[str, str], None],
+        self,
+        values: Mapping[str, Any],
+        mount: Array,
+        log: Callable[[str, str], None],
         levels: Callable[[int], Array],
     ) -> None:
         super().__init__(values, mount, log)
@@ -141,11 +161,22 @@ class Recorded(Estimator):
         for v in self.navigator.verdicts:
             if v.measurement.aiding:
                 offset = self._offsets.get(
-                    (v.measurement.kind, v.measurement.t_ns), self._gnss.time_offset)
+                    (v.measurement.kind, v.measurement.t_ns), self._gnss.time_offset
+                )
                 # The stamp as the receiver gave it.
                 stamp = v.measurement.t_ns - round(offset * 1e9)
-                self.rows.append((stamp, "position", v.accepted, v.reason, v.nis,
-                                  float(len(v.sigma)), v.threshold, offset))
+                self.rows.append(
+                    (
+                        stamp,
+                        "position",
+                        v.accepted,
+                        v.reason,
+                        v.nis,
+                        float(len(v.sigma)),
+                        v.threshold,
+                        offset,
+                    )
+                )
         running = self.navigator.filter
         if running is not None:
             self.levels_t.append((running.t_ns - self.first_ns) * 1e-9)
@@ -162,9 +193,16 @@ class Flown:
 
 
 def fly(
-    flight: Flight, aid: Fixes, values: Mapping[str, Any], *, offset: float,
-    heading: float | None = 0.0, skip: float = 5.0, force: Array | None = None,
-    rate: Array | None = None, told: Callable[[int], Array] | None = None,
+    flight: Flight,
+    aid: Fixes,
+    values: Mapping[str, Any],
+    *,
+    offset: float,
+    heading: float | None = 0.0,
+    skip: float = 5.0,
+    force: Array | None = None,
+    rate: Array | None = None,
+    told: Callable[[int], Array] | None = None,
 ) -> Flown:
     """
     Run the node's estimator over a flight and judge it on epochs that it was not given.
@@ -187,10 +225,13 @@ def fly(
     """
     values = dict(values)
     if heading is not None:
-        values.update({
-            "alignment.heading_source": "parameter",
-            "alignment.yaw": first_yaw(flight, offset) + heading,
-            "alignment.yaw_std": max(0.1, abs(heading))})
+        values.update(
+            {
+                "alignment.heading_source": "parameter",
+                "alignment.yaw": first_yaw(flight, offset) + heading,
+                "alignment.yaw_std": max(0.1, abs(heading)),
+            }
+        )
     estimator = Recorded(values, int(flight.stamp_ns[0]), told)
     force = flight.force if force is None else force
     rate = flight.rate if rate is None else rate
@@ -204,21 +245,32 @@ def fly(
     for k in range(len(due)):
         stop = int(np.searchsorted(flight.stamp_ns, due[k], side="right"))
         if stop > start:
-            done += [(t, v) for t, v, _ in estimator.imu_block(
-                flight.stamp_ns[start:stop], force[start:stop], rate[start:stop])]
+            done += [
+                (t, v)
+                for t, v, _ in estimator.imu_block(
+                    flight.stamp_ns[start:stop], force[start:stop], rate[start:stop]
+                )
+            ]
             start = stop
         conversions.set_stamp(message.header.stamp, int(aid.stamp_ns[k]))
         message.latitude, message.longitude = np.degrees(aid.lla[k, :2]).tolist()
         message.altitude = float(aid.lla[k, 2])
         estimator.fix(message)
         estimator.outbox.clear()
-    done += [(t, v) for t, v, _ in estimator.imu_block(
-        flight.stamp_ns[start:], force[start:], rate[start:])]
+    done += [
+        (t, v)
+        for t, v, _ in estimator.imu_block(flight.stamp_ns[start:], force[start:], rate[start:])
+    ]
     track, _ = track_from_odometry(
-        np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done]))
+        np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])
+    )
     result = evaluate(
-        replace(track, datum_lla=aid.lla[0]), flight.truth, fix_stamp_ns=aid.stamp_ns,
-        verdicts=Verdicts.of(estimator.rows), scoring=Scoring(skip=skip))
+        replace(track, datum_lla=aid.lla[0]),
+        flight.truth,
+        fix_stamp_ns=aid.stamp_ns,
+        verdicts=Verdicts.of(estimator.rows),
+        scoring=Scoring(skip=skip),
+    )
     return Flown(result, estimator)
 
 
@@ -227,7 +279,11 @@ def as_run(flight: Flight, aid: Fixes) -> Run:
     origin = int(flight.stamp_ns[0])
     count = len(aid.stamp_ns)
     return Run(
-        f"{flight.name}/{flight.imu}", (flight.stamp_ns - origin) * 1e-9,
+        f"{flight.name}/{flight.imu}",
+        (flight.stamp_ns - origin) * 1e-9,
         np.ascontiguousarray(np.hstack((flight.force @ FLIP, flight.rate @ FLIP))),
-        (aid.stamp_ns - origin) * 1e-9, np.full(count, POSITION), aid.lla,
-        np.tile(np.diag(aid.std**2), (count, 1, 1)))
+        (aid.stamp_ns - origin) * 1e-9,
+        np.full(count, POSITION),
+        aid.lla,
+        np.tile(np.diag(aid.std**2), (count, 1, 1)),
+    )

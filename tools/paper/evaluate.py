@@ -40,8 +40,13 @@ ASIDE_SEED = 1_700_000
 LENGTHS = (50, 100, 150, 200, 300, 400)
 PAPER_RMSE = 0.0032
 PAPER_TABLE = {  # PMAE and PRMSE [m] of the paper's flight
-    "paper's network": (1.7, 1.2), "AQ1": (2.3, 1.6), "AQ2": (2.0, 1.4), "AQ3": (1.8, 1.3),
-    "CQ1": (2.4, 1.8), "CQ2": (2.4, 1.7), "CQ3": (2.2, 1.6),
+    "paper's network": (1.7, 1.2),
+    "AQ1": (2.3, 1.6),
+    "AQ2": (2.0, 1.4),
+    "AQ3": (1.8, 1.3),
+    "CQ1": (2.4, 1.8),
+    "CQ2": (2.4, 1.7),
+    "CQ3": (2.2, 1.6),
 }
 
 ORACLE = Method("oracle", "oracle")
@@ -49,16 +54,23 @@ OURS = Method("ours", "learned")
 PAPER = Method("paper's network", "learned", model="paper")
 AQ = tuple(Method(f"AQ{k}", "innovation", window=xi) for k, xi in ((1, 1), (2, 3), (3, 5)))
 METHODS = (
-    ORACLE, OURS, replace(OURS, name="ours × innovation scale", kind="scaled"),
-    Method("spectral", "learned", model="spectral"), PAPER, *AQ, *CONSTANTS,
+    ORACLE,
+    OURS,
+    replace(OURS, name="ours × innovation scale", kind="scaled"),
+    Method("spectral", "learned", model="spectral"),
+    PAPER,
+    *AQ,
+    *CONSTANTS,
 )
 AS_PRINTED = (
     replace(CONSTANTS[2], name="CQ3 as printed", as_printed=True),
     *(replace(m, name=f"{m.name} literal", kind="literal") for m in AQ),
 )
 PACES = (
-    *(replace(OURS, name=f"every {period:g} s", refresh=period)
-      for period in (0.05, 0.2, 0.5, 1.0, 2.0)),
+    *(
+        replace(OURS, name=f"every {period:g} s", refresh=period)
+        for period in (0.05, 0.2, 0.5, 1.0, 2.0)
+    ),
     replace(OURS, name="every 0.2 s, half of the last kept", smoothing=0.5),
     replace(OURS, name="every 0.05 s, 0.8 of the last kept", refresh=0.05, smoothing=0.8),
 )
@@ -70,19 +82,24 @@ PAPER_RANGE = ImuErrors(accelerometer_std=0.001**0.5, gyroscope_std=0.001**0.5)
 TABLE_ONE = Scenario("Table I, constant noise, 1000 Hz", rate=1000.0, duration=60.0)
 SWITCHING = tuple(
     Scenario(f"switching noise, {rate:g} Hz", rate=rate, rough=ROUGH)
-    for rate in (100.0, 200.0, 1000.0))
-SWITCHING_OUTAGES = tuple(
-    replace(s, name=f"{s.name}, outages", outages=OUTAGES) for s in SWITCHING)
+    for rate in (100.0, 200.0, 1000.0)
+)
+SWITCHING_OUTAGES = tuple(replace(s, name=f"{s.name}, outages", outages=OUTAGES) for s in SWITCHING)
 SCENARIOS = (
     TABLE_ONE,
     replace(TABLE_ONE, name=f"{TABLE_ONE.name}, outage of 20 s", outages=((35.0, 20.0),)),
-    *SWITCHING, *SWITCHING_OUTAGES,
+    *SWITCHING,
+    *SWITCHING_OUTAGES,
     Scenario("vibration, 200 Hz", errors=VIBRATION),
     Scenario("q between 0.001 and 0.025, 100 Hz", rate=100.0, errors=PAPER_RANGE, rough=(5.0, 5.0)),
 )
 ASIDE = Scenario(
-    "kept aside: a car, 400 Hz, vibration, factors of 2 to 30", motion=car_drive, rate=400.0,
-    rough=(2.0, 30.0), dwell=(2.0, 20.0), outages=((60.0, 15.0),),
+    "kept aside: a car, 400 Hz, vibration, factors of 2 to 30",
+    motion=car_drive,
+    rate=400.0,
+    rough=(2.0, 30.0),
+    dwell=(2.0, 20.0),
+    outages=((60.0, 15.0),),
     errors=ImuErrors(0.03, 0.001, tones=(Tone(31.0, 0.6, 0.02), Tone(117.0, 1.5, 0.05))),
 )
 WITH_PRINTED = (TABLE_ONE, SWITCHING[1], SWITCHING_OUTAGES[1])
@@ -100,6 +117,7 @@ class Bar(NamedTuple):
 
     def row(self) -> str:
         """Return a line of a Markdown table."""
+
         def text(limits: tuple[float, float] | None) -> str:
             if limits is None:
                 return "–"
@@ -112,8 +130,10 @@ class Bar(NamedTuple):
             return limits is not None and limits[0] <= self.value <= limits[1]
 
         verdict = "stretch" if met(self.stretch) else "yes" if met(self.bar) else "**no**"
-        return (f"| {self.name} | {self.value:.4g}{self.interval} | {text(self.bar)} | "
-                f"{text(self.stretch)} | {verdict} |")
+        return (
+            f"| {self.name} | {self.value:.4g}{self.interval} | {text(self.bar)} | "
+            f"{text(self.stretch)} | {verdict} |"
+        )
 
 
 def at_most(bar: float, stretch: float) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -169,43 +189,70 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
     fresh = noise_data.paper_set(DATA_SEED, duration_s=duration)
     scores = {name: score(regressor, test) for name, regressor in regressors.items()}
     estimates = {name: estimate_all(regressors[name], test) for name in ("paper's network", "ours")}
-    figures.predicted_against_true(
-        args.figures / "paper_fig6.png", test.variance, estimates)
+    figures.predicted_against_true(args.figures / "paper_fig6.png", test.variance, estimates)
     held_out = [
         noise_trials.Trial(name, noise_data.trajectory_split(fresh, index)[1])
-        for index, name in enumerate(noise_data.PAPER_TRAJECTORIES)]
-    by_trajectory, of_trajectory = ratio_table(regressors, program.progress(
-        held_out, "trajectories", len(held_out), "set"))
+        for index, name in enumerate(noise_data.PAPER_TRAJECTORIES)
+    ]
+    by_trajectory, of_trajectory = ratio_table(
+        regressors, program.progress(held_out, "trajectories", len(held_out), "set")
+    )
     # Rare misses weigh as much as all else: with fewer windows one of them decides the figure.
     levels = noise_trials.level_trials(DATA_SEED + 1, count if args.quick else 20_000)
-    by_level, of_level = ratio_table(regressors, program.progress(
-        levels, "levels", len(levels), "set"))
+    by_level, of_level = ratio_table(
+        regressors, program.progress(levels, "levels", len(levels), "set")
+    )
     disturbances = noise_trials.disturbance_trials(DATA_SEED + 2, count)
-    by_disturbance, of_disturbance = ratio_table(regressors, program.progress(
-        disturbances, "disturbances", len(disturbances), "set"))
+    by_disturbance, of_disturbance = ratio_table(
+        regressors, program.progress(disturbances, "disturbances", len(disturbances), "set")
+    )
     aside = noise_trials.fresh_trials(DATA_SEED + 3, count)
-    by_unseen, _ = ratio_table(regressors, program.progress(
-        aside, "kept aside", len(aside), "set"))
+    by_unseen, _ = ratio_table(regressors, program.progress(aside, "kept aside", len(aside), "set"))
     once_aside = noise_trials.once_unseen_trials(DATA_SEED + 4, count)
-    by_once_unseen, _ = ratio_table(regressors, program.progress(
-        once_aside, "once kept aside", len(once_aside), "set"))
+    by_once_unseen, _ = ratio_table(
+        regressors, program.progress(once_aside, "once kept aside", len(once_aside), "set")
+    )
     times = {name: inference_time(r, 200 if args.quick else 2000) for name, r in regressors.items()}
 
     bars += [
-        Bar("paper's network, paper's set, random split: q RMSE", scores["paper's network"].rmse,
-            (-np.inf, 0.0018)),
-        Bar("ours, paper's set, never trained on it: q RMSE", scores["ours"].rmse,
-            *at_most(0.00165, 0.00158)),
-        Bar("ours, worst trajectory: q RMSE / bound",
-            max(of_trajectory["ours", t.name][0] for t in held_out), *at_most(1.15, 1.08)),
-        Bar("ours, worst level from 1e-6 to 1: q RMSE / bound",
-            max(of_level["ours", t.name][0] for t in levels), *at_most(1.35, 1.15)),
-        *(Bar(f"ours, {t.name}: median q̂/q", of_disturbance["ours", t.name][1],
-              *(((0.75, 1.25), (0.9, 1.1)) if "low-pass" in t.name
-                else ((0.9, 1.1), (0.95, 1.05))))
-          for t in disturbances if t.name != "clean"),
-        Bar("inference, six channels, one thread: median [ms]", 1e3 * times["ours"][0],
-            *at_most(0.3, 0.1)),
+        Bar(
+            "paper's network, paper's set, random split: q RMSE",
+            scores["paper's network"].rmse,
+            (-np.inf, 0.0018),
+        ),
+        Bar(
+            "ours, paper's set, never trained on it: q RMSE",
+            scores["ours"].rmse,
+            *at_most(0.00165, 0.00158),
+        ),
+        Bar(
+            "ours, worst trajectory: q RMSE / bound",
+            max(of_trajectory["ours", t.name][0] for t in held_out),
+            *at_most(1.15, 1.08),
+        ),
+        Bar(
+            "ours, worst level from 1e-6 to 1: q RMSE / bound",
+            max(of_level["ours", t.name][0] for t in levels),
+            *at_most(1.35, 1.15),
+        ),
+        *(
+            Bar(
+                f"ours, {t.name}: median q̂/q",
+                of_disturbance["ours", t.name][1],
+                *(
+                    ((0.75, 1.25), (0.9, 1.1))
+                    if "low-pass" in t.name
+                    else ((0.9, 1.1), (0.95, 1.05))
+                ),
+            )
+            for t in disturbances
+            if t.name != "clean"
+        ),
+        Bar(
+            "inference, six channels, one thread: median [ms]",
+            1e3 * times["ours"][0],
+            *at_most(0.3, 0.1),
+        ),
     ]
     bound = scores["ours"].bound
     return [
@@ -214,9 +261,13 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         f"{len(test.variance)} test windows of its random split, on whose other 80 % the paper's "
         "network was trained and ours was not. The Cramér–Rao bound of the set is "
         f"{bound:.5f}; the paper reports {PAPER_RMSE}.",
-        table(("estimator", "q RMSE", "RMSE / bound", "inference, six channels [ms]"),
-              [(name, f"{s.rmse:.5f}", f"{s.rmse / s.bound:.3f}", f"{1e3 * times[name][0]:.3f}")
-               for name, s in scores.items()]),
+        table(
+            ("estimator", "q RMSE", "RMSE / bound", "inference, six channels [ms]"),
+            [
+                (name, f"{s.rmse:.5f}", f"{s.rmse / s.bound:.3f}", f"{1e3 * times[name][0]:.3f}")
+                for name, s in scores.items()
+            ],
+        ),
         "![Predicted against true q](figures/paper_fig6.png)",
         "*The paper's Fig. 6: predictions (grey) and their mean for each true q (points).*",
         lengths(args, test),
@@ -224,13 +275,17 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         "q RMSE over the bound, and the median of q̂/q in brackets; fresh noise. The paper's "
         "network was trained on these motions, ours on none of them.",
         by_trajectory,
-        "### Levels outside the paper's range", by_level,
-        "### Disturbances, q = 0.01", by_disturbance,
+        "### Levels outside the paper's range",
+        by_level,
+        "### Disturbances, q = 0.01",
+        by_disturbance,
         "### Kept aside until the model was final",
-        "Disturbances of other kinds than any in training, q from 1e-6 to 1.", by_unseen,
+        "Disturbances of other kinds than any in training, q from 1e-6 to 1.",
+        by_unseen,
         "### Kept aside from the first model",
         "That one failed at the knocks; blows that ring are in the training since, so that this "
-        "set is not unseen any more.", by_once_unseen,
+        "set is not unseen any more.",
+        by_once_unseen,
     ]
 
 
@@ -253,19 +308,29 @@ def lengths(args: argparse.Namespace, test: Windows) -> str:
             curves[name][n] = score(Regressor.load(path), windows).rmse
     figures.rmse_against_length(args.figures / "paper_fig4.png", curves, true)
     retrained = len(curves["paper's network"]) > 1
-    origin = ("The networks for other lengths than 200 were trained for this figure alone, with "
-              "less data and fewer epochs than those in `models/`, and are not kept."
-              if retrained else
-              "The networks' window is fixed at 200; for other lengths train them with "
-              "`tools/regressor/train.py --window N` and give their folder by `--by-window`.")
+    origin = (
+        "The networks for other lengths than 200 were trained for this figure alone, with "
+        "less data and fewer epochs than those in `models/`, and are not kept."
+        if retrained
+        else "The networks' window is fixed at 200; for other lengths train them with "
+        "`tools/regressor/train.py --window N` and give their folder by `--by-window`."
+    )
     heads = ("N", "bound", *curves)
-    rows = [(n, f"{true * np.sqrt(2.0 / n):.5f}",
-             *(f"{curve[n]:.5f}" if n in curve else "–" for curve in curves.values()))
-            for n in LENGTHS]
-    return "\n\n".join((
-        "![q RMSE against the window's length](figures/paper_fig4.png)",
-        f"*The paper's Fig. 4: q RMSE against the window's length N.* {origin}",
-        table(heads, rows)))
+    rows = [
+        (
+            n,
+            f"{true * np.sqrt(2.0 / n):.5f}",
+            *(f"{curve[n]:.5f}" if n in curve else "–" for curve in curves.values()),
+        )
+        for n in LENGTHS
+    ]
+    return "\n\n".join(
+        (
+            "![q RMSE against the window's length](figures/paper_fig4.png)",
+            f"*The paper's Fig. 4: q RMSE against the window's length N.* {origin}",
+            table(heads, rows),
+        )
+    )
 
 
 # --- Navigation ----------------------------------------------------------------------------------
@@ -302,22 +367,29 @@ def flown(
     """Fly every method on the runs of these seeds; what an interrupted run has kept is taken."""
     by_seed: dict[int, list[Flight]] = {}
     if args.keep:
-        stated = [scenario.motion.__name__, methods, *(
-            getattr(scenario, part.name) for part in fields(scenario) if part.name != "motion")]
+        stated = [
+            scenario.motion.__name__,
+            methods,
+            *(getattr(scenario, part.name) for part in fields(scenario) if part.name != "motion"),
+        ]
         folder = args.keep / hashlib.sha256(repr(stated).encode()).hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)
         by_seed = {
             seed: pickle.loads((folder / str(seed)).read_bytes())
-            for seed in seeds if (folder / str(seed)).is_file()}
+            for seed in seeds
+            if (folder / str(seed)).is_file()
+        }
     waiting = [seed for seed in seeds if seed not in by_seed]
     for seed, flights in program.progress(
-            fly_all(scenario, methods, waiting, args.jobs), scenario.name, len(waiting), "run"):
+        fly_all(scenario, methods, waiting, args.jobs), scenario.name, len(waiting), "run"
+    ):
         by_seed[seed] = flights
         if args.keep:
             (folder / "part").write_bytes(pickle.dumps(flights))
             (folder / "part").rename(folder / str(seed))
-    return Result(scenario, {
-        m.name: [by_seed[seed][k] for seed in seeds] for k, m in enumerate(methods)})
+    return Result(
+        scenario, {m.name: [by_seed[seed][k] for seed in seeds] for k, m in enumerate(methods)}
+    )
 
 
 def tuned(scenario: Scenario, args: argparse.Namespace) -> Method:
@@ -337,8 +409,12 @@ def tuned(scenario: Scenario, args: argparse.Namespace) -> Method:
     if args.quick:
         return scaled(base, 10.0, 10.0)
     found = best([scaled(base, s, s) for s in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)])
-    return best([scaled(found, a, g) for a, g in (
-        (1.0, 1.0), (1.0, 0.3), (1.0, 3.0), (0.3, 1.0), (3.0, 1.0))])
+    return best(
+        [
+            scaled(found, a, g)
+            for a, g in ((1.0, 1.0), (1.0, 0.3), (1.0, 3.0), (0.3, 1.0), (3.0, 1.0))
+        ]
+    )
 
 
 def wanted(scenario: Scenario, args: argparse.Namespace) -> bool:
@@ -367,9 +443,12 @@ def result_table(result: Result) -> str:
         if lost:
             cells += [f"diverged in {lost} of {len(flights)}", "–", "–", "–"]
         else:
-            cells += [f"{np.mean([f.prmse for f in flights]):.3f}",
-                      f"{np.mean([f.pmae for f in flights]):.3f}", str(ratio),
-                      f"{result.nees(name):.1f}"]
+            cells += [
+                f"{np.mean([f.prmse for f in flights]):.3f}",
+                f"{np.mean([f.pmae for f in flights]):.3f}",
+                str(ratio),
+                f"{result.nees(name):.1f}",
+            ]
         if beside_paper:
             pmae, prmse = PAPER_TABLE.get(name, ("–", "–"))
             cells.append(f"{prmse} / {pmae}")
@@ -386,7 +465,9 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
     if args.quick:
         scenarios = tuple(
             replace(s, duration=25.0, scored_from=10.0, outages=((12.0, 8.0),) * bool(s.outages))
-            for s in SCENARIOS if s.rate == 200.0)
+            for s in SCENARIOS
+            if s.rate == 200.0
+        )
     seeds = range(FLIGHT_SEED, FLIGHT_SEED + args.runs)
     results = {s.name: flown(s, all_methods(s, args), seeds, args) for s in scenarios}
     paces = flown(SWITCHING[1] if not args.quick else scenarios[0], (ORACLE, *PACES), seeds, args)
@@ -402,35 +483,64 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         for result in group:
             ratio = result.ratio("ours", "oracle")
             assert ratio is not None
-            bars.append(Bar(f"{result.scenario.name}: PRMSE, ours / oracle", ratio.ratio, *limits,
-                            _interval(ratio)))
+            bars.append(
+                Bar(
+                    f"{result.scenario.name}: PRMSE, ours / oracle",
+                    ratio.ratio,
+                    *limits,
+                    _interval(ratio),
+                )
+            )
     for result in (*switching, *with_outages):
-        rivals = (("CQ3", "CQ3", at_least(20.0, 25.0)),
-                  ("best stable AQ", result.best(AQ), at_least(12.0, 18.0)))
+        rivals = (
+            ("CQ3", "CQ3", at_least(20.0, 25.0)),
+            ("best stable AQ", result.best(AQ), at_least(12.0, 18.0)),
+        )
         for title, name, limits in rivals:
             ratio = result.ratio("ours", name)
             if ratio is None:
                 continue
             gain = replace(
-                ratio, ratio=100.0 * (1.0 - ratio.ratio), low=100.0 * (1.0 - ratio.high),
-                high=100.0 * (1.0 - ratio.low))
+                ratio,
+                ratio=100.0 * (1.0 - ratio.ratio),
+                low=100.0 * (1.0 - ratio.high),
+                high=100.0 * (1.0 - ratio.low),
+            )
             best = result.ratio("oracle", name)
             assert best is not None
-            bars.append(Bar(
-                f"{result.scenario.name}: better than {title} by [%] "
-                f"(the oracle: {100.0 * (1.0 - best.ratio):.1f})",
-                gain.ratio, *limits, _interval(gain, 1)))
+            bars.append(
+                Bar(
+                    f"{result.scenario.name}: better than {title} by [%] "
+                    f"(the oracle: {100.0 * (1.0 - best.ratio):.1f})",
+                    gain.ratio,
+                    *limits,
+                    _interval(gain, 1),
+                )
+            )
     for result in (*switching, *with_outages):
-        bars.append(Bar(f"{result.scenario.name}: NEES of ours", result.nees("ours"),
-                        (13.0, 18.0), (14.0, 16.0)))
+        bars.append(
+            Bar(
+                f"{result.scenario.name}: NEES of ours",
+                result.nees("ours"),
+                (13.0, 18.0),
+                (14.0, 16.0),
+            )
+        )
 
     example = results[SWITCHING[1].name]
     figures.levels_over_time(
-        args.figures / "paper_fig9.png", draw(example.scenario, FLIGHT_SEED),
-        {name: example.flights[name][0] for name in ("ours", "paper's network")})
-    figures.error_distributions(args.figures / "paper_fig10.png", {
-        "without outages": example.flights,
-        "with outages": results[SWITCHING_OUTAGES[1].name].flights})
+        args.figures / "paper_fig9.png",
+        draw(example.scenario, FLIGHT_SEED),
+        {name: example.flights[name][0] for name in ("ours", "paper's network")},
+    )
+    figures.error_distributions(
+        args.figures / "paper_fig10.png",
+        {
+            "without outages": example.flights,
+            "with outages": results[SWITCHING_OUTAGES[1].name].flights,
+        },
+    )
+
     def part(result: Result) -> tuple[str, str]:
         name = result.scenario.name
         return f"### {name[0].upper()}{name[1:]}", result_table(result)
@@ -502,8 +612,14 @@ def evaluate(args: argparse.Namespace) -> int:
         args.runs = 2
     bars: list[Bar] = []
     parts = [*estimators(args, bars), *navigation(args, bars)]
-    quick = ["**Quick mode: a few windows and flights, to see that the program works. "
-             "Its figures mean nothing.**"] if args.quick else []
+    quick = (
+        [
+            "**Quick mode: a few windows and flights, to see that the program works. "
+            "Its figures mean nothing.**"
+        ]
+        if args.quick
+        else []
+    )
     head = [
         "# The paper's evaluation, and ours beside it",
         'Or & Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM '
@@ -527,16 +643,30 @@ def evaluate(args: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = program.parser(
-        "evaluate_paper", __doc__ or "", "python -m tools.paper.evaluate --jobs 2")
+        "evaluate_paper", __doc__ or "", "python -m tools.paper.evaluate --jobs 2"
+    )
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder to write to [docs]")
     parser.add_argument("--runs", type=options.count, default=24, help="flights per table [24]")
     parser.add_argument("--jobs", type=options.count, default=1, help="processes [1]")
-    parser.add_argument("--by-window", type=Path, metavar="FOLDER",
-                        help="holds paper_N.onnx, plateau_N.onnx for Fig. 4's windows N")
-    parser.add_argument("--without", action="append", default=[], metavar="WORDS",
-                        help="leave out scenarios with these words in their name; may be repeated")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER",
-                        help="keep flights here, and take those that an interrupted run kept")
+    parser.add_argument(
+        "--by-window",
+        type=Path,
+        metavar="FOLDER",
+        help="holds paper_N.onnx, plateau_N.onnx for Fig. 4's windows N",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="WORDS",
+        help="leave out scenarios with these words in their name; may be repeated",
+    )
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="FOLDER",
+        help="keep flights here, and take those that an interrupted run kept",
+    )
     parser.add_argument("--quick", action="store_true", help="a minute, to see that it works")
     args = parser.parse_args(argv)
     if args.runs < 2:

@@ -14,11 +14,16 @@ from hybrid_ins.plotting import run
 from tools.paper.montecarlo import T0_NS, Flight, Run
 
 LINES = {
-    "ours": (run.BLUE, "-"), "oracle": (run.BLACK, "--"),
-    "paper's network": (run.ORANGE, "-"), "tuned constant": (run.GREEN, "-"),
-    "CQ1": (run.VERMILLION, ":"), "CQ2": (run.VERMILLION, "--"),
+    "ours": (run.BLUE, "-"),
+    "oracle": (run.BLACK, "--"),
+    "paper's network": (run.ORANGE, "-"),
+    "tuned constant": (run.GREEN, "-"),
+    "CQ1": (run.VERMILLION, ":"),
+    "CQ2": (run.VERMILLION, "--"),
     "CQ3": (run.VERMILLION, "-"),
-    "AQ1": (run.PURPLE, ":"), "AQ2": (run.PURPLE, "--"), "AQ3": (run.PURPLE, "-"),
+    "AQ1": (run.PURPLE, ":"),
+    "AQ2": (run.PURPLE, "--"),
+    "AQ3": (run.PURPLE, "-"),
     "spectral": (run.SKY, "-"),
 }
 MARKERS = {"ours": "o", "paper's network": "s", "spectral": "^"}
@@ -27,7 +32,8 @@ WIDTH, HEIGHT = 10.0, 4.4  # inches, of a row
 
 def _axes(columns: int, rows: int = 1, **options: object) -> tuple[plt.Figure, Any]:
     figure, axes = plt.subplots(
-        rows, columns, figsize=(WIDTH, rows * HEIGHT), layout="constrained", **options)
+        rows, columns, figsize=(WIDTH, rows * HEIGHT), layout="constrained", **options
+    )
     for axis in np.atleast_1d(axes).flat:
         axis.grid(True, color="#E2E2E2", linewidth=0.6)
         axis.set_axisbelow(True)
@@ -46,8 +52,14 @@ def rmse_against_length(path: Path, curves: Mapping[str, Mapping[int, float]], r
     n = np.arange(50, 401)
     axis.plot(n, rms * np.sqrt(2.0 / n), "k--", label="Cramér–Rao bound")
     for name, curve in curves.items():
-        axis.plot(list(curve), list(curve.values()), marker=MARKERS[name], color=LINES[name][0],
-                  linestyle="-", label=name)
+        axis.plot(
+            list(curve),
+            list(curve.values()),
+            marker=MARKERS[name],
+            color=LINES[name][0],
+            linestyle="-",
+            label=name,
+        )
     axis.plot([200], [0.0032], "kx", markersize=8, label="reported in the paper")
     axis.set(xlabel="window length N [samples]", ylabel="q RMSE on the paper's set", ylim=(0, None))
     figure.legend(loc="outside right center")
@@ -84,11 +96,13 @@ def levels_over_time(path: Path, run: Run, flights: Mapping[str, Flight]) -> Non
     shown = t >= next(iter(flights.values())).t[0]
     panels = ((0, "accelerometer x: q [(m/s²)²]"), (3, "gyroscope x: q [(rad/s)²]"))
     for axis, (channel, title) in zip(axes, panels, strict=True):
-        axis.semilogy(t[shown], run.q[shown, channel], color=run.BLACK, linewidth=2.5, alpha=0.5,
-                      label="true")
+        axis.semilogy(
+            t[shown], run.q[shown, channel], color=run.BLACK, linewidth=2.5, alpha=0.5, label="true"
+        )
         for name, flight in flights.items():
-            axis.semilogy(flight.t, flight.q[:, channel], color=LINES[name][0], linewidth=1.0,
-                          label=name)
+            axis.semilogy(
+                flight.t, flight.q[:, channel], color=LINES[name][0], linewidth=1.0, label=name
+            )
         axis.set(title=title, xlabel="time [s]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
     _save(figure, path)
@@ -105,10 +119,17 @@ def error_distributions(path: Path, groups: Mapping[str, Mapping[str, Sequence[F
                 flights = by_method.get(name, ())
                 if name == "spectral" or not flights or any(f.diverged for f in flights):
                     continue
-                error = np.concatenate([
-                    np.linalg.norm(f.position_error, order, axis=1) for f in flights])
-                axis.plot(np.quantile(error, share), share, color=colour, linestyle=style,
-                          label=name, linewidth=2.6 if name == "ours" else 1.2)
+                error = np.concatenate(
+                    [np.linalg.norm(f.position_error, order, axis=1) for f in flights]
+                )
+                axis.plot(
+                    np.quantile(error, share),
+                    share,
+                    color=colour,
+                    linestyle=style,
+                    label=name,
+                    linewidth=2.6 if name == "ours" else 1.2,
+                )
             axis.set(title=title, xscale="log", xlabel=metric)
             axis.set_xlim(left=0.02)
             between = (1.0, 2.0, 5.0) if axis.get_xlim()[1] < 2.0 else (1.0,)

@@ -241,8 +241,11 @@ def draw(scenario: Scenario, seed: int) -> Run:
     flight = scenario.motion(scenario.duration, seed)
     error = START_STD * start_rng.standard_normal(N_ERROR)
     errors = replace(
-        scenario.errors, accelerometer_bias=error[B_A], gyroscope_bias=error[B_G],
-        noise_schedule=_schedule(scenario, schedule_rng))
+        scenario.errors,
+        accelerometer_bias=error[B_A],
+        gyroscope_bias=error[B_G],
+        noise_schedule=_schedule(scenario, schedule_rng),
+    )
     truth = sample(flight, sample_times(scenario.duration, scenario.rate))
     imu = corrupt(truth, errors, imu_rng)
     samples = np.empty(len(imu.t), SAMPLE_DTYPE)
@@ -254,24 +257,37 @@ def draw(scenario: Scenario, seed: int) -> Run:
     covariance_n = np.diag(gnss.position_std**2)
     aiding = tuple(
         PositionFix(int(t_ns), lla, covariance_n, np.zeros(3))
-        for t_ns, lla in zip(_stamps(gnss.t), gnss.lla, strict=True))
+        for t_ns, lla in zip(_stamps(gnss.t), gnss.lla, strict=True)
+    )
 
     start = NavState(
         truth.lla[0] - error[DP] / curvature_scale(truth.lla[0]),
         truth.velocity_n[0] - error[DV],
         quat_multiply(quat_from_rotvec(error[EPS]), truth.quat_xyzw[0]),
-        np.zeros(3), np.zeros(3), np.diag(START_STD**2))
+        np.zeros(3),
+        np.zeros(3),
+        np.diag(START_STD**2),
+    )
     between = np.arange(scenario.scored_from, scenario.duration, 1.0 / scenario.fix_rate)
     scored = np.searchsorted(imu.t, between + 0.5 / scenario.fix_rate - 1e-6)
     scored = scored[scored < len(imu.t)]
-    walk = [np.broadcast_to(w, 3) for w in (
-        scenario.errors.accelerometer_bias_walk, scenario.errors.gyroscope_bias_walk)]
+    walk = [
+        np.broadcast_to(w, 3)
+        for w in (scenario.errors.accelerometer_bias_walk, scenario.errors.gyroscope_bias_walk)
+    ]
     return Run(
-        seed, samples,
-        np.hstack((imu.accelerometer_std, imu.gyroscope_std)) ** 2, aiding, start, scored,
-        truth.lla[scored], truth.velocity_n[scored], truth.quat_xyzw[scored],
+        seed,
+        samples,
+        np.hstack((imu.accelerometer_std, imu.gyroscope_std)) ** 2,
+        aiding,
+        start,
+        scored,
+        truth.lla[scored],
+        truth.velocity_n[scored],
+        truth.quat_xyzw[scored],
         np.hstack((imu.accelerometer_bias, imu.gyroscope_bias))[scored],
-        np.concatenate(walk) ** 2)
+        np.concatenate(walk) ** 2,
+    )
 
 
 def _schedule(scenario: Scenario, rng: np.random.Generator) -> tuple[tuple[float, float], ...]:
@@ -302,15 +318,23 @@ def fly(run: Run, method: Method) -> Flight:
     samples, stamps = run.samples, run.samples["t_ns"]
     period = float(np.median(np.diff(stamps))) * 1e-9
     process = ProcessNoise(
-        PAPER_WALK if method.as_printed else run.bias_walk, period, not method.as_printed)
+        PAPER_WALK if method.as_printed else run.bias_walk, period, not method.as_printed
+    )
     ring = ImuRing()
     ring.extend(samples[:1])
     first = np.concatenate((samples["f"][0], samples["w"][0]))
     # Delays do not occur here, and a short horizon keeps few rewind points.
     settings = FilterSettings(max_delay=0.2)
     ins = InsFilter(
-        run.start, int(stamps[0]), first, _noise_model(method, run, process), process,
-        Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0), ring, settings)
+        run.start,
+        int(stamps[0]),
+        first,
+        _noise_model(method, run, process),
+        process,
+        Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0),
+        ring,
+        settings,
+    )
 
     count = len(run.scored)
     error, q = np.full((count, N_ERROR), np.nan), np.full((count, 6), np.nan)
@@ -320,8 +344,8 @@ def fly(run: Run, method: Method) -> Flight:
         for t_ns, _, act in sorted(_events(run, method, ins), key=lambda event: event[:2]):
             stop = int(np.searchsorted(stamps, t_ns, side="right"))
             if stop > at + 1:
-                ring.extend(samples[at + 1:stop])
-                ins.process_imu_block(samples[at + 1:stop])
+                ring.extend(samples[at + 1 : stop])
+                ins.process_imu_block(samples[at + 1 : stop])
                 at = stop - 1
             if isinstance(act, int):
                 state = ins.state
@@ -334,7 +358,8 @@ def fly(run: Run, method: Method) -> Flight:
             else:
                 act()
     return Flight(
-        run.t, error[:, DP], nees(error, P), nees(error[:, DP], P[:, DP, DP]), q, fallback)
+        run.t, error[:, DP], nees(error, P), nees(error[:, DP], P[:, DP, DP]), q, fallback
+    )
 
 
 def _events(
@@ -348,7 +373,8 @@ def _events(
             yield change.t_ns, 0, partial(ins.submit, change)
     if method.kind in ("learned", "scaled"):
         reader = NoiseReader(
-            {**parameters.defaults(), "noise.model": method.model}, np.eye(3), _refuse)
+            {**parameters.defaults(), "noise.model": method.model}, np.eye(3), _refuse
+        )
         refresh = partial(_refresh, ins, reader, method.smoothing)
         for then in range(int(stamps[0]), int(stamps[-1]), int(method.refresh * 1e9)):
             yield then, 0, refresh
@@ -376,10 +402,14 @@ def _noise_model(method: Method, run: Run, process: ProcessNoise) -> NoiseModel:
     if method.kind == "scaled":
         return ScaledNoise(LearnedNoise(q), process, NoiseScale())
     if method.kind in ("innovation", "literal"):
-        floor = np.repeat([parameters.defaults()[f"noise.q_{sensor}_min"]
-                           for sensor in ("accelerometer", "gyroscope")], 3)
-        return InnovationNoise(
-            q, floor, method.window, process, literal=method.kind == "literal")
+        floor = np.repeat(
+            [
+                parameters.defaults()[f"noise.q_{sensor}_min"]
+                for sensor in ("accelerometer", "gyroscope")
+            ],
+            3,
+        )
+        return InnovationNoise(q, floor, method.window, process, literal=method.kind == "literal")
     return ConstantNoise(q)
 
 
@@ -397,9 +427,14 @@ def state_error(run: Run, epoch: int, state: NavState) -> Array:
     lla = run.lla[epoch]
     turn = rotvec_from_quat(quat_multiply(run.quat_xyzw[epoch], quat_conjugate(state.quat_xyzw)))
     moved = (lla - state.lla) * curvature_scale(lla), run.velocity_n[epoch] - state.velocity_n
-    return np.concatenate((
-        *np.linalg.solve(left_jacobian(turn), np.stack(moved, axis=1)).T,
-        -turn, run.biases[epoch, :3] - state.bias_a, run.biases[epoch, 3:] - state.bias_g))
+    return np.concatenate(
+        (
+            *np.linalg.solve(left_jacobian(turn), np.stack(moved, axis=1)).T,
+            -turn,
+            run.biases[epoch, :3] - state.bias_a,
+            run.biases[epoch, 3:] - state.bias_g,
+        )
+    )
 
 
 def fly_all(
@@ -433,5 +468,4 @@ def _fly_one(scenario: Scenario, methods: Sequence[Method], seed: int) -> list[F
     return [fly(run, method) for method in methods]
 
 
-CONSTANTS = tuple(
-    Method(name.upper(), "constant", q) for name, q in PAPER_CONSTANTS.items())
+CONSTANTS = tuple(Method(name.upper(), "constant", q) for name, q in PAPER_CONSTANTS.items())

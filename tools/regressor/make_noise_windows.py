@@ -37,7 +37,8 @@ def windows(args: argparse.Namespace) -> tuple[Windows, Windows]:
         return noise_data.random_split(data, args.seed, SHARE)
     if args.window > round(args.duration * noise_data.PAPER_RATE_HZ):
         raise InputError(
-            f"--duration {args.duration:g}: shorter than one window of {args.window} samples")
+            f"--duration {args.duration:g}: shorter than one window of {args.window} samples"
+        )
     variances = noise_data.PAPER_VARIANCES if args.variances is None else args.variances
     data = noise_data.paper_set(args.seed, args.window, variances, duration_s=args.duration)
     if args.held_out is None:
@@ -51,7 +52,8 @@ def make(args: argparse.Namespace) -> int:
     columns = {
         f"{part}_{name}": column
         for part, data in (("train", train), ("test", test))
-        for name, column in data._asdict().items()}
+        for name, column in data._asdict().items()
+    }
     with args.out.open("wb") as file:
         np.savez(file, **columns, trajectories=np.array(noise_data.PAPER_TRAJECTORIES))
     print(f"{args.out}: {len(train.variance)} windows to train on, {len(test.variance)} to test")
@@ -61,21 +63,43 @@ def make(args: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = program.parser(
-        "make_noise_windows", __doc__ or "",
-        "python -m tools.regressor.make_noise_windows --set paper --held-out agile --out agile.npz")
-    parser.add_argument("--set", choices=("paper", "randomised"), required=True,
-                        help="the paper's six trajectories, or domain-randomised windows")
+        "make_noise_windows",
+        __doc__ or "",
+        "python -m tools.regressor.make_noise_windows --set paper --held-out agile --out agile.npz",
+    )
+    parser.add_argument(
+        "--set",
+        choices=("paper", "randomised"),
+        required=True,
+        help="the paper's six trajectories, or domain-randomised windows",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz")
     parser.add_argument("--seed", type=options.count, default=1, help="[1]")
     parser.add_argument("--window", type=options.count, default=200, help="samples N [200]")
-    parser.add_argument("--count", type=options.count, default=100_000,
-                        help="windows of the randomised set [100000]")
-    parser.add_argument("--held-out", choices=noise_data.PAPER_TRAJECTORIES,
-                        help="test on this whole trajectory, not on a random fifth")
-    parser.add_argument("--variances", type=options.positive, nargs="+", metavar="Q",
-                        help="noise levels of the paper's set [the paper's 15]")
-    parser.add_argument("--duration", type=options.positive, default=noise_data.PAPER_DURATION_S,
-                        help="of each trajectory, s [400]")
+    parser.add_argument(
+        "--count",
+        type=options.count,
+        default=100_000,
+        help="windows of the randomised set [100000]",
+    )
+    parser.add_argument(
+        "--held-out",
+        choices=noise_data.PAPER_TRAJECTORIES,
+        help="test on this whole trajectory, not on a random fifth",
+    )
+    parser.add_argument(
+        "--variances",
+        type=options.positive,
+        nargs="+",
+        metavar="Q",
+        help="noise levels of the paper's set [the paper's 15]",
+    )
+    parser.add_argument(
+        "--duration",
+        type=options.positive,
+        default=noise_data.PAPER_DURATION_S,
+        help="of each trajectory, s [400]",
+    )
     return program.run(make, parser.parse_args(argv))
 
 

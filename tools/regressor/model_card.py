@@ -159,9 +159,7 @@ def write_card(
             "trained on since"
         ),
         table(
-            rows_of(
-                regressor, noise_trials.once_unseen_trials(_EVALUATION_SEED + 6, count, window)
-            )
+            rows_of(regressor, noise_trials.once_unseen_trials(_EVALUATION_SEED + 6, count, window))
         ),
         "### Inference",
         f"Six channels, one thread: median {1e3 * median:.3f} ms, 99 % {1e3 * p99:.3f} ms.",

@@ -102,7 +102,8 @@ def validation_trials(seed: int, count: int = 2000, window: int = 200) -> list[T
     trials.append(_trial("bounces, 30 sigma", sigma * (white() + 10.0 * bounce), level))
     pitch = rng.uniform(0.13, 0.45, (count, 1)) * (1.0 + 0.02 * np.sin(0.05 * sample))
     tone = np.sin(2.0 * np.pi * np.cumsum(pitch, axis=1)) + 0.3 * np.sin(
-        4.0 * np.pi * np.cumsum(pitch, axis=1))
+        4.0 * np.pi * np.cumsum(pitch, axis=1)
+    )
     trials.append(_trial("wavering tones, 20 sigma", sigma * (white() + 20.0 * tone), level))
     return trials
 
@@ -274,6 +275,9 @@ def fresh_trials(seed: int, count: int = 2000, window: int = 200) -> list[Trial]
         _trial("motors start, 30 sigma", sigma * (white() + 30.0 * spun), level),
         _trial("resampled along lines (plateau)", sigma * resampled, 0.9 * level),
         _trial("Laplace's distribution", sigma * laplace, level),
-        _trial("cut off below 2 sigma", np.floor(white() / 2.0) * 2.0 * sigma,
-               level * (1.0 + 2.0**2 / 12.0)),
+        _trial(
+            "cut off below 2 sigma",
+            np.floor(white() / 2.0) * 2.0 * sigma,
+            level * (1.0 + 2.0**2 / 12.0),
+        ),
     ]

@@ -38,9 +38,20 @@ WORSE = 1.2  # times the undisturbed run's error
 OTHERS = 4  # further draws of noise
 COVERED = 0.95  # share of the truth that must have an estimate by then
 INPUTS = ("/gnss/fix", "/gnss/velocity")  # that a replay may carry over
-LIVE = ("imu_nan_long", "imu_in_g", "imu_frozen", "imu_two_publishers", "imu_gap_long",
-        "clock_forward", "bag_loop", "fix_shift", "fix_outage", "fix_late_reordered",
-        "fix_future", "no_fixes_at_all")
+LIVE = (
+    "imu_nan_long",
+    "imu_in_g",
+    "imu_frozen",
+    "imu_two_publishers",
+    "imu_gap_long",
+    "clock_forward",
+    "bag_loop",
+    "fix_shift",
+    "fix_outage",
+    "fix_late_reordered",
+    "fix_future",
+    "no_fixes_at_all",
+)
 QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fixes_at_all")
 LIVE_RATE = 4.0  # times real time
 ODOMETRY = struct.Struct("<4xiI")
@@ -155,8 +166,12 @@ def examine(path: Path, truth_path: Path, origin_ns: int, offset: float, shift: 
         position = np.stack([np.interp(t_ns, at, found[:, i]) for i in range(3)], axis=1)
         error[near] = np.linalg.norm(position - track.position_enu, axis=1)[near]
     t = (t_ns - origin_ns) * 1e-9 - shift
-    return Output(Trace(t, error), tuple(dict.fromkeys(said)), tuple(dict.fromkeys(problems)),
-                  len(estimate[0]))
+    return Output(
+        Trace(t, error),
+        tuple(dict.fromkeys(said)),
+        tuple(dict.fromkeys(problems)),
+        len(estimate[0]),
+    )
 
 
 def _odometry(bag: BagReader, topic: str, problems: list[str]) -> tuple[Any, Any]:
@@ -174,9 +189,12 @@ def _odometry(bag: BagReader, topic: str, problems: list[str]) -> tuple[Any, Any
 
 def _verdict(message: Any) -> list[str]:
     said = {item.key: item.value for item in message.values}
-    return [said["reason"], f"verdict dof {said['dof']}",
-            f"verdict sigma_e {float(said['sigma_e']):.3g}",
-            f"verdict age {float(said['age']):.1f}"]
+    return [
+        said["reason"],
+        f"verdict dof {said['dof']}",
+        f"verdict sigma_e {float(said['sigma_e']):.3g}",
+        f"verdict age {float(said['age']):.1f}",
+    ]
 
 
 def _numbers(message: Any) -> Iterable[float]:
@@ -242,8 +260,13 @@ def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
     log: list[str] = []
     with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
         replay.replay(reader, out, values, log=lambda level, text: log.append(text), progress=False)
-    output = examine(estimate, bag, _origin(case), float(values["gnss.time_offset.value"]),
-                     fault.stamp_shift if fault else 0.0)
+    output = examine(
+        estimate,
+        bag,
+        _origin(case),
+        float(values["gnss.time_offset.value"]),
+        fault.stamp_shift if fault else 0.0,
+    )
     return replace(output, said=(*output.said, *log))
 
 
@@ -278,14 +301,18 @@ def _again(row: Row, case: Case, fault: Fault, folder: Path) -> Row:
     """Take the RMS over several draws of noise: the errors of one flight are few independent."""
     rows = [row] + [
         judge(fault, other, replayed(other, fault, folder), replayed(other, None, folder).trace)
-        for other in case.variants]
-    clean, error = (float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in rows])))
-                    for name in ("clean", "error"))
+        for other in case.variants
+    ]
+    clean, error = (
+        float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in rows])))
+        for name in ("clean", "error")
+    )
     failures = [f for r in rows[1:] for f in r.failures if not f.startswith("error ")]
     if not error <= WORSE * clean:
         failures.append(_too_large(error, clean) + f", RMS of {len(rows)} draws of noise")
-    return replace(row, clean=clean, error=error, peak=max(r.peak for r in rows),
-                   failures=tuple(failures))
+    return replace(
+        row, clean=clean, error=error, peak=max(r.peak for r in rows), failures=tuple(failures)
+    )
 
 
 def _too_large(error: float, clean: float) -> str:
@@ -294,8 +321,15 @@ def _too_large(error: float, clean: float) -> str:
 
 def _crashed(fault: Fault, case: Case) -> Row:
     last = traceback.format_exc().strip().splitlines()
-    return Row(fault.name, case.name, "", math.nan, math.nan, math.nan,
-               (f"crash: {last[-1]}", *last[-5:-1]))
+    return Row(
+        fault.name,
+        case.name,
+        "",
+        math.nan,
+        math.nan,
+        math.nan,
+        (f"crash: {last[-1]}", *last[-5:-1]),
+    )
 
 
 def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
@@ -307,16 +341,34 @@ def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
     parameter_file.write_text(parameters.to_yaml(values, "Of the fault campaign."))
     with Processes() as processes, log.open("w") as output:
         node = processes.start(
-            [program("ins_node"), "--ros-args", "--params-file", parameter_file], output)
+            [program("ins_node"), "--ros-args", "--params-file", parameter_file], output
+        )
         player = processes.start(
-            [program("ins_play"), bag, "--rate", str(LIVE_RATE), "--record", estimate,
-             "--wait", "120", "--overwrite"], output)
+            [
+                program("ins_play"),
+                bag,
+                "--rate",
+                str(LIVE_RATE),
+                "--record",
+                estimate,
+                "--wait",
+                "120",
+                "--overwrite",
+            ],
+            output,
+        )
         player.wait(600.0)
         ended_early = node.poll() is not None
         status = processes.stop(node)
     words = log.read_text(errors="replace")
-    row = judge(fault, case, examine(estimate, bag, _origin(case), float(
-        values["gnss.time_offset.value"]), fault.stamp_shift), clean)
+    row = judge(
+        fault,
+        case,
+        examine(
+            estimate, bag, _origin(case), float(values["gnss.time_offset.value"]), fault.stamp_shift
+        ),
+        clean,
+    )
     failures = [*row.failures]
     if player.returncode or status or ended_early:
         failures.append(f"exit status: player {player.returncode}, node {status}")
@@ -329,10 +381,24 @@ def make_simulated(folder: Path) -> Case:
     """Simulate a quadrotor flight."""
     bags = [folder / f"simulated_{seed}.mcap" for seed in range(1 + OTHERS)]
     for seed, bag in enumerate(bags):
-        simulate.main([
-            str(bag), "--imu-rate", "200", "--truth-rate", "20", "--variant", "3",
-            "--seed", str(1 + seed), "--accelerometer-std", "0.3", "--gyroscope-std", "0.01",
-            "--overwrite"])
+        simulate.main(
+            [
+                str(bag),
+                "--imu-rate",
+                "200",
+                "--truth-rate",
+                "20",
+                "--variant",
+                "3",
+                "--seed",
+                str(1 + seed),
+                "--accelerometer-std",
+                "0.3",
+                "--gyroscope-std",
+                "0.01",
+                "--overwrite",
+            ]
+        )
     return Case("simulated", bags[0], parameters.defaults(), 20.0, tuple(bags[1:]))
 
 
@@ -340,8 +406,9 @@ def make_recorded(folder: Path, flight: Path, imu: int, offset: float | None) ->
     """Convert a flight of the dataset, its clock offset given or calibrated."""
     bags = [folder / f"recorded_{seed}.mcap" for seed in range(1 + OTHERS)]
     for seed, bag in enumerate(bags):
-        if convert.main([str(flight), str(bag), "--imu", str(imu), "--seed", str(seed),
-                           "--overwrite"]):
+        if convert.main(
+            [str(flight), str(bag), "--imu", str(imu), "--seed", str(seed), "--overwrite"]
+        ):
             raise InputError(f"{flight}: not converted")
     values = parameters.defaults()
     if offset is None:
@@ -356,9 +423,12 @@ def table(rows: Sequence[Row]) -> str:
     """Return the results as a Markdown table."""
     texts = {fault.name: fault.text for fault in FAULTS}
     cases = list(dict.fromkeys(row.case for row in rows))
-    lines = ["| fault | what happens | said | " + " | ".join(
-        f"{case}: peak, after (clean) [m]" for case in cases) + " | |",
-        "|---|---|---|" + "---|" * len(cases) + "---|"]
+    lines = [
+        "| fault | what happens | said | "
+        + " | ".join(f"{case}: peak, after (clean) [m]" for case in cases)
+        + " | |",
+        "|---|---|---|" + "---|" * len(cases) + "---|",
+    ]
     for name in dict.fromkeys(row.fault for row in rows):
         mine = {row.case: row for row in rows if row.fault == name}
         said = next((row.said for row in mine.values() if row.said), "")
@@ -406,25 +476,43 @@ well. Every run must
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign."""
     parser = shell.parser(
-        "fault_campaign", __doc__ or "",
+        "fault_campaign",
+        __doc__ or "",
         "python -m tools.robustness.fault_campaign --live --flight "
-        "../shared/data/quadrotor/Horizontal/path_4")
-    parser.add_argument("--flight", type=Path, metavar="DIR",
-                        help="flight of the quadrotor dataset (without: simulated only)")
+        "../shared/data/quadrotor/Horizontal/path_4",
+    )
+    parser.add_argument(
+        "--flight",
+        type=Path,
+        metavar="DIR",
+        help="flight of the quadrotor dataset (without: simulated only)",
+    )
     parser.add_argument("--imu", type=int, default=1, metavar="K", help="which IMU of it [1]")
-    parser.add_argument("--time-offset", type=float, metavar="S",
-                        help="of that flight [calibrated, which takes half a minute]")
-    parser.add_argument("--only", nargs="+", metavar="FAULT", choices=[f.name for f in FAULTS],
-                        help="these faults only")
+    parser.add_argument(
+        "--time-offset",
+        type=float,
+        metavar="S",
+        help="of that flight [calibrated, which takes half a minute]",
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="FAULT",
+        choices=[f.name for f in FAULTS],
+        help="these faults only",
+    )
     parser.add_argument("--quick", action="store_true", help="a few faults only")
-    parser.add_argument("--live", action="store_true",
-                        help=f"also play {len(LIVE)} of them into the node over DDS")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N",
-                        help="at a time [%(default)s]")
+    parser.add_argument(
+        "--live", action="store_true", help=f"also play {len(LIVE)} of them into the node over DDS"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="at a time [%(default)s]"
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="Markdown page to write")
     args = parser.parse_args(argv)
-    args.command = " ".join(["python -m tools.robustness.fault_campaign", *(sys.argv[1:] if argv is None
-                                                                  else argv)])
+    args.command = " ".join(
+        ["python -m tools.robustness.fault_campaign", *(sys.argv[1:] if argv is None else argv)]
+    )
     return shell.run(_body, args)
 
 
@@ -438,8 +526,11 @@ def _body(args: argparse.Namespace) -> int:
         if args.flight:
             cases.append(make_recorded(Path(folder), args.flight, args.imu, args.time_offset))
         clean = {case.name: replayed(case, None, Path(folder)).trace for case in cases}
-        jobs = [joblib.delayed(attempt)(case, fault.name, clean[case.name])
-                for fault in faults for case in cases]
+        jobs = [
+            joblib.delayed(attempt)(case, fault.name, clean[case.name])
+            for fault in faults
+            for case in cases
+        ]
         parallel = joblib.Parallel(args.jobs, return_as="generator")
         rows += tqdm(parallel(jobs), total=len(jobs), desc="faults", disable=None)
         if args.live:
@@ -456,13 +547,16 @@ def _body(args: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
-def _live(faults: Sequence[Fault], cases: Sequence[Case], clean: Mapping[str, Trace],
-          folder: Path) -> list[Row]:
+def _live(
+    faults: Sequence[Fault], cases: Sequence[Case], clean: Mapping[str, Trace], folder: Path
+) -> list[Row]:
     os.environ.update(isolated_ros())
     case = cases[-1]
     chosen = [fault for fault in faults if fault.name in LIVE]
-    return [attempt_live(case, fault, clean[case.name], folder)
-            for fault in tqdm(chosen, desc="live", disable=None)]
+    return [
+        attempt_live(case, fault, clean[case.name], folder)
+        for fault in tqdm(chosen, desc="live", disable=None)
+    ]
 
 
 if __name__ == "__main__":

@@ -115,7 +115,8 @@ def estimate(case: Case, yaw: float | None) -> Found:
     for k, fix_ns in enumerate(case.fix_ns.tolist()):
         stop = int(np.searchsorted(case.stamp_ns, fix_ns, side="right"))
         done += estimator.imu_block(
-            case.stamp_ns[start:stop], case.force[start:stop], case.rate[start:stop])
+            case.stamp_ns[start:stop], case.force[start:stop], case.rate[start:stop]
+        )
         start = stop
         conversions.set_stamp(message.header.stamp, fix_ns)
         message.latitude, message.longitude = np.degrees(case.fix_lla[k, :2]).tolist()
@@ -158,23 +159,33 @@ def run(case: Case) -> list[Row]:
         there = own >= 0
         error = np.full(len(own), math.nan)
         error[there] = wrapped(
-            about_vertical(found.C[own[there]], C[there] @ about_z(angle)) - settled)
+            about_vertical(found.C[own[there]], C[there] @ about_z(angle)) - settled
+        )
         std = np.full(len(own), math.nan)
         std[there] = found.yaw_std[own[there]]
         time = (truth.stamp_ns - case.moving_ns) * 1e-9
         at = int(np.argmin(np.abs(time - MANOEUVRING)))
         scored = there & (rows >= 0) & (time >= MANOEUVRING)
-        miss = [np.linalg.norm(f.position[i[scored]] - truth.position_enu[scored], axis=1)
-                for f, i in ((found, own), (known, rows))]
+        miss = [
+            np.linalg.norm(f.position[i[scored]] - truth.position_enu[scored], axis=1)
+            for f, i in ((found, own), (known, rows))
+        ]
         ratio = math.nan
         if scored.any():
             ratio = float(np.sqrt(np.mean(miss[0] ** 2) / np.mean(miss[1] ** 2)))
         with np.errstate(invalid="ignore"):
             worst = np.abs(error) / np.hypot(std, REFERENCE_STD)
-        results.append(Row(
-            case.name, angle, float(time[there][0]) if there.any() else math.inf,
-            float(error[at]), float(std[at]),
-            float(np.nanmax(worst)) if there.any() else math.nan, ratio))
+        results.append(
+            Row(
+                case.name,
+                angle,
+                float(time[there][0]) if there.any() else math.inf,
+                float(error[at]),
+                float(std[at]),
+                float(np.nanmax(worst)) if there.any() else math.nan,
+                ratio,
+            )
+        )
     return results
 
 
@@ -185,8 +196,17 @@ def recorded(data: Path, number: int, imu: int, offset: float) -> Case:
     shift = round(offset * 1e9)
     truth = replace(flight.truth.in_map_of(aid.lla[0]), stamp_ns=flight.truth.stamp_ns + shift)
     begin = max(int(flight.stamp_ns[0]), int(aid.stamp_ns[0]) + shift)
-    return Case(f"{flight.name} IMU {imu}", flight.stamp_ns, flight.force, flight.rate,
-                aid.stamp_ns + shift, aid.lla, aid.std, truth, begin)
+    return Case(
+        f"{flight.name} IMU {imu}",
+        flight.stamp_ns,
+        flight.force,
+        flight.rate,
+        aid.stamp_ns + shift,
+        aid.lla,
+        aid.std,
+        truth,
+        begin,
+    )
 
 
 def calibrated(data: Path, number: int, imu: int) -> float:
@@ -207,12 +227,20 @@ def simulated(kind: str, seed: int) -> Case:
     gnss = fixes(sample(trajectory, sample_times(60.0, 5.0)), rng)
     stamp_ns = EPOCH_NS + np.rint(truth.t * 1e9).astype(np.int64)
     track = Trajectory.from_navigation(
-        stamp_ns, truth.lla, truth.velocity_n, truth.quat_xyzw, datum_lla=gnss.lla[0])
+        stamp_ns, truth.lla, truth.velocity_n, truth.quat_xyzw, datum_lla=gnss.lla[0]
+    )
     speed = np.linalg.norm(truth.velocity_n[:, :2], axis=1)
-    return Case(f"{kind} {seed}", stamp_ns, imu.specific_force @ FLIP, imu.angular_rate @ FLIP,
-                EPOCH_NS + np.rint(gnss.t * 1e9).astype(np.int64), gnss.lla,
-                np.asarray(gnss.position_std), track.rows(slice(None, None, 10)),
-                int(stamp_ns[int(np.argmax(speed > 1.0))]))
+    return Case(
+        f"{kind} {seed}",
+        stamp_ns,
+        imu.specific_force @ FLIP,
+        imu.angular_rate @ FLIP,
+        EPOCH_NS + np.rint(gnss.t * 1e9).astype(np.int64),
+        gnss.lla,
+        np.asarray(gnss.position_std),
+        track.rows(slice(None, None, 10)),
+        int(stamp_ns[int(np.argmax(speed > 1.0))]),
+    )
 
 
 def summary(group: str, rows: Sequence[Row]) -> tuple[str, bool]:
@@ -224,9 +252,11 @@ def summary(group: str, rows: Sequence[Row]) -> tuple[str, bool]:
     aligned = np.array([row.aligned_after for row in rows])
     worse = float(np.median(ratio)) if len(ratio) else math.nan
     pooled = float(np.sqrt(np.mean(ratio**2))) if len(ratio) else math.nan
-    line = (f"| {group} | {len(rows)} | {within:.1%} | {np.degrees(np.nanmedian(error)):.2f}° "
-            f"| {np.degrees(np.nanmax(error)):.1f}° | {silent} | {np.median(aligned):.1f} s "
-            f"| {worse:.3f}, {pooled:.3f} |")
+    line = (
+        f"| {group} | {len(rows)} | {within:.1%} | {np.degrees(np.nanmedian(error)):.2f}° "
+        f"| {np.degrees(np.nanmax(error)):.1f}° | {silent} | {np.median(aligned):.1f} s "
+        f"| {worse:.3f}, {pooled:.3f} |"
+    )
     return line, within >= 0.95 and silent == 0 and pooled <= 1.05
 
 
@@ -236,8 +266,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, metavar="DIR", help="quadrotor dataset")
     parser.add_argument("--imus", type=int, nargs="+", default=[1, 3], metavar="K")
     parser.add_argument("--simulated", type=int, default=6, metavar="N", help="runs of each kind")
-    parser.add_argument("--offsets", type=Path, metavar="FILE",
-                        help="JSON file that keeps the clock offsets that were found")
+    parser.add_argument(
+        "--offsets",
+        type=Path,
+        metavar="FILE",
+        help="JSON file that keeps the clock offsets that were found",
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--verbose", action="store_true", help="print every run")
     args = parser.parse_args(argv)
@@ -247,20 +281,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.data:
         numbers = [n for session in flights.SESSIONS.values() for n in session]
         keys = [(n, imu) for n in numbers for imu in args.imus]
-        kept = json.loads(args.offsets.read_text()) if (
-            args.offsets and args.offsets.exists()) else {}
+        kept = (
+            json.loads(args.offsets.read_text()) if (args.offsets and args.offsets.exists()) else {}
+        )
         missing = [key for key in keys if "{}/{}".format(*key) not in kept]
         found = parallel(joblib.delayed(calibrated)(args.data, *key) for key in missing)
-        for key, offset in zip(missing, tqdm(found, total=len(missing), desc="offsets"),
-                               strict=True):
+        for key, offset in zip(
+            missing, tqdm(found, total=len(missing), desc="offsets"), strict=True
+        ):
             kept["{}/{}".format(*key)] = offset
             if args.offsets:
                 args.offsets.write_text(json.dumps(kept, indent=1))
         cases += [recorded(args.data, n, imu, kept[f"{n}/{imu}"]) for n, imu in keys]
-    rows = [row for part in tqdm(parallel(joblib.delayed(run)(case) for case in cases),
-                                 total=len(cases), desc="runs") for row in part]
-    print("| runs | number | within 5° after 20 s | median | largest | silently wrong "
-          "| aligned after | position RMSE ratio: median, RMS |\n|---|---|---|---|---|---|---|---|")
+    rows = [
+        row
+        for part in tqdm(
+            parallel(joblib.delayed(run)(case) for case in cases), total=len(cases), desc="runs"
+        )
+        for row in part
+    ]
+    print(
+        "| runs | number | within 5° after 20 s | median | largest | silently wrong "
+        "| aligned after | position RMSE ratio: median, RMS |\n|---|---|---|---|---|---|---|---|"
+    )
     good = True
     for group in ("quadrotor", "car", "H"):
         mine = [row for row in rows if row.case.startswith(group)]
@@ -270,10 +313,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             good &= fine
     for row in rows:
         if args.verbose or not abs(row.error) <= WITHIN or row.worst > COVERED:
-            print(f"{row.case:12} turned {math.degrees(row.heading):4.0f}°: aligned after "
-                  f"{row.aligned_after:.1f} s, error {math.degrees(row.error):.1f}° "
-                  f"(σ {math.degrees(row.std):.1f}°), worst {row.worst:.1f} σ, "
-                  f"position ×{row.ratio:.3f}")
+            print(
+                f"{row.case:12} turned {math.degrees(row.heading):4.0f}°: aligned after "
+                f"{row.aligned_after:.1f} s, error {math.degrees(row.error):.1f}° "
+                f"(σ {math.degrees(row.std):.1f}°), worst {row.worst:.1f} σ, "
+                f"position ×{row.ratio:.3f}"
+            )
     return int(not good)
 
 

@@ -34,10 +34,41 @@ from tools.processes import isolated_ros
 
 PATIENCE = 60.0  # s
 NODE_RUNS = 5.0  # s until it is asked to stop
-ODD_WORDS = ("nan", ".nan", "1e999", "-1", "[", "]", "{", "}", "&a", "*a", "<<: *a",
-             "!!python/name:os", "null", "~", "'", '"', "\t", ": :", "- -", "0x10",
-             "1_000", "yes", "# ", "\0", "é", "!!binary aGk=", "2001-01-01", "9" * 400,
-             "a" * 5000, "? ", "|", ">", "%YAML 9.9")
+ODD_WORDS = (
+    "nan",
+    ".nan",
+    "1e999",
+    "-1",
+    "[",
+    "]",
+    "{",
+    "}",
+    "&a",
+    "*a",
+    "<<: *a",
+    "!!python/name:os",
+    "null",
+    "~",
+    "'",
+    '"',
+    "\t",
+    ": :",
+    "- -",
+    "0x10",
+    "1_000",
+    "yes",
+    "# ",
+    "\0",
+    "é",
+    "!!binary aGk=",
+    "2001-01-01",
+    "9" * 400,
+    "a" * 5000,
+    "? ",
+    "|",
+    ">",
+    "%YAML 9.9",
+)
 Draw = np.random.Generator
 
 
@@ -65,20 +96,20 @@ def flip_bits(data: bytes, rng: Draw) -> bytes:
 
 def truncate(data: bytes, rng: Draw) -> bytes:
     """End early; now and then at once."""
-    return data[:int(rng.integers(0, len(data)) * rng.choice([0.0, 0.01, 1.0, 1.0]))]
+    return data[: int(rng.integers(0, len(data)) * rng.choice([0.0, 0.01, 1.0, 1.0]))]
 
 
 def erase(data: bytes, rng: Draw) -> bytes:
     """Fill a stretch with one value."""
     start = int(rng.integers(0, len(data)))
     length = min(int(rng.integers(1, 5000)), len(data) - start)
-    return data[:start] + bytes([int(rng.choice([0, 255]))]) * length + data[start + length:]
+    return data[:start] + bytes([int(rng.choice([0, 255]))]) * length + data[start + length :]
 
 
 def cut_out(data: bytes, rng: Draw) -> bytes:
     """Lose a stretch."""
     start = int(rng.integers(0, len(data)))
-    return data[:start] + data[start + int(rng.integers(1, 3000)):]
+    return data[:start] + data[start + int(rng.integers(1, 3000)) :]
 
 
 def repeat(data: bytes, rng: Draw) -> bytes:
@@ -92,17 +123,24 @@ def inflate(data: bytes, rng: Draw) -> bytes:
     """Write a huge number over some bytes: lengths and counts become absurd."""
     changed = bytearray(data)
     for at in rng.integers(0, max(len(data) - 8, 1), int(rng.integers(1, 6))):
-        changed[at:at + 8] = b"\xff" * int(rng.choice([4, 7, 8]))
-    return bytes(changed[:len(data)])
+        changed[at : at + 8] = b"\xff" * int(rng.choice([4, 7, 8]))
+    return bytes(changed[: len(data)])
 
 
 def noise(data: bytes, rng: Draw) -> bytes:
     """Keep nothing but the first bytes."""
-    return data[:int(rng.integers(0, 64))] + rng.bytes(len(data) // 4)
+    return data[: int(rng.integers(0, 64))] + rng.bytes(len(data) // 4)
 
 
 BYTES: tuple[Callable[[bytes, Draw], bytes], ...] = (
-    flip_bits, truncate, erase, cut_out, repeat, inflate, noise)
+    flip_bits,
+    truncate,
+    erase,
+    cut_out,
+    repeat,
+    inflate,
+    noise,
+)
 
 
 # Mutations of parameter files.
@@ -126,15 +164,21 @@ def shuffle_lines(data: bytes, rng: Draw) -> bytes:
 def made_up_yaml() -> dict[str, bytes]:
     """Return files that nobody writes by accident."""
     laughs = "a: &a [x, x]\n" + "".join(
-        f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(9))
+        f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(9)
+    )
     head = "/**:\n  ros__parameters:\n"
     return {
-        "billion laughs": laughs.encode(), "refers to itself": b"&a [*a]\n",
-        "merges itself": b"&a {<<: *a, x: 1}\n", "deep": b"[" * 50_000,
+        "billion laughs": laughs.encode(),
+        "refers to itself": b"&a [*a]\n",
+        "merges itself": b"&a {<<: *a, x: 1}\n",
+        "deep": b"[" * 50_000,
         "deep mapping": "".join(f"{' ' * k}a:\n" for k in range(900)).encode(),
         "huge": (head + "    gnss.patience: 1.0\n" * 200_000).encode(),
         "python object": b"!!python/object/apply:os.system ['true']\n",
-        "empty": b"", "binary": bytes(range(256)) * 10, "number": b"42\n", "list": b"- 1\n- 2\n",
+        "empty": b"",
+        "binary": bytes(range(256)) * 10,
+        "number": b"42\n",
+        "list": b"- 1\n- 2\n",
         "keys that are no text": (head + "    1: 2\n    ? [a]\n    : 3\n").encode(),
         "wrong types": (head + "    gnss: 5\n    datum: {a: b}\n").encode(),
         "not a number": (head + "    gnss:\n      patience: .nan\n").encode(),
@@ -163,8 +207,19 @@ def make_files(folder: Path, flight: Path | None) -> Files:
     """Make small ones of each kind."""
     bag, estimate, yaml = folder / "bag.mcap", folder / "estimate.mcap", folder / "sound.yaml"
     quiet = ["--overwrite"]
-    simulate.main([str(bag), "--imu-rate", "50", "--duration", "14", "--truth-rate", "10",
-                     "--gnss-velocity", *quiet])
+    simulate.main(
+        [
+            str(bag),
+            "--imu-rate",
+            "50",
+            "--duration",
+            "14",
+            "--truth-rate",
+            "10",
+            "--gnss-velocity",
+            *quiet,
+        ]
+    )
     replay.main([str(bag), str(estimate), "-p", "alignment.heading_source:=parameter", *quiet])
     yaml.write_text(parameters.to_yaml(parameters.defaults(), "All parameters."))
     models = tuple(share_path(f"models/{name}.onnx") for name in ("plateau", "paper"))
@@ -182,9 +237,11 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
 
     def replay_with(option: str) -> Callable[[Path], int]:
         def call(path: Path) -> int:
-            given = (["--params-file", str(path)] if option == "yaml"
-                     else ["-p", f"noise.model:={path}"])
+            given = (
+                ["--params-file", str(path)] if option == "yaml" else ["-p", f"noise.model:={path}"]
+            )
             return replay.main([bag, out, *heading, *given, "--overwrite"])
+
         return call
 
     def evaluate(path: Path) -> int:
@@ -194,12 +251,14 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         return evaluate.main([str(files.estimate), "--truth", str(path)])
 
     def calibrate(path: Path) -> int:
-        return calibrate.main([str(path), "--longest", "10", "--out",
-                                 str(files.folder / "out.yaml"), "--overwrite"])
+        return calibrate.main(
+            [str(path), "--longest", "10", "--out", str(files.folder / "out.yaml"), "--overwrite"]
+        )
 
     def calibrate_with(path: Path) -> int:
-        return calibrate.main([bag, "--params-file", str(path), "--search", "0.2",
-                                 "--longest", "10"])
+        return calibrate.main(
+            [bag, "--params-file", str(path), "--search", "0.2", "--longest", "10"]
+        )
 
     def play(path: Path) -> int:
         from hybrid_ins.ros import player
@@ -212,8 +271,11 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         enough = threading.Timer(NODE_RUNS, os.kill, (os.getpid(), signal.SIGINT))
         enough.daemon = True
         enough.start()
-        given = (["--params-file", str(path)] if path.suffix == ".yaml"
-                 else ["-p", f"noise.model:={path}"])
+        given = (
+            ["--params-file", str(path)]
+            if path.suffix == ".yaml"
+            else ["-p", f"noise.model:={path}"]
+        )
         return node.main(["--ros-args", *given])
 
     def convert(path: Path) -> int:
@@ -224,19 +286,23 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         return convert.main([str(files.flight), out, "--map", str(path), "--overwrite"])
 
     text = (*BYTES, odd_words, odd_words, odd_words, shuffle_lines)
-    kinds: list[tuple[str, Path, Sequence[Callable[[bytes, Draw], bytes]],
-                      Callable[[Path], int], float]] = [
+    kinds: list[
+        tuple[str, Path, Sequence[Callable[[bytes, Draw], bytes]], Callable[[Path], int], float]
+    ] = [
         ("ins_replay BAG", files.bag, BYTES, replay_bag, 0.25),
         ("ins_evaluate ESTIMATE", files.estimate, BYTES, evaluate, 0.1),
         ("ins_evaluate --truth BAG", files.bag, BYTES, evaluate_truth, 0.1),
         ("ins_calibrate BAG", files.bag, BYTES, calibrate, 0.05),
         ("ins_replay --params-file", files.yaml, text, replay_with("yaml"), 0.2),
         ("ins_calibrate --params-file", files.yaml, text, calibrate_with, 0.02),
-        *(("ins_replay noise.model", model, BYTES, replay_with("model"), 0.1)
-          for model in files.models),
+        *(
+            ("ins_replay noise.model", model, BYTES, replay_with("model"), 0.1)
+            for model in files.models
+        ),
         ("ins_play BAG", files.bag, BYTES, play, 0.05),
         ("ins_node --params-file", files.yaml, text, start_node, 0.1),
-        ("ins_node noise.model", files.models[0], BYTES, start_node, 0.02)]
+        ("ins_node noise.model", files.models[0], BYTES, start_node, 0.02),
+    ]
     layout = share_path("config/datasets/quadrotor.yaml")
     if files.flight is not None:
         kinds.append(("ins_convert --map", layout, text, convert_map, 0.05))
@@ -246,17 +312,32 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         for k in range(max(round(share * count), 1)):
             rng = np.random.default_rng([number, k])
             mutation = mutations[k % len(mutations)]
-            drawn.append((name, f"{mutation.__name__} {k}", _on(
-                call, mutation(data, rng), files.folder / f"mutated{source.suffix}")))
+            drawn.append(
+                (
+                    name,
+                    f"{mutation.__name__} {k}",
+                    _on(call, mutation(data, rng), files.folder / f"mutated{source.suffix}"),
+                )
+            )
     for title, data in made_up_yaml().items():
-        drawn.append(("ins_replay --params-file", title, _on(
-            replay_with("yaml"), data, files.folder / "mutated.yaml")))
+        drawn.append(
+            (
+                "ins_replay --params-file",
+                title,
+                _on(replay_with("yaml"), data, files.folder / "mutated.yaml"),
+            )
+        )
     if files.flight is not None:
         tables = sorted(files.flight.glob("*.csv"))[:2]
         for k in range(max(round(0.05 * count), 1)):
             rng = np.random.default_rng([99, k])
-            drawn.append(("ins_convert FLIGHT", f"{BYTES[k % len(BYTES)].__name__} {k}", _on_flight(
-                convert, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng)))
+            drawn.append(
+                (
+                    "ins_convert FLIGHT",
+                    f"{BYTES[k % len(BYTES)].__name__} {k}",
+                    _on_flight(convert, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng),
+                )
+            )
     return drawn
 
 
@@ -264,17 +345,24 @@ def _on(call: Callable[[Path], int], data: bytes, path: Path) -> Callable[[Path]
     def run(_folder: Path) -> int:
         path.write_bytes(data)
         return call(path)
+
     return run
 
 
-def _on_flight(call: Callable[[Path], int], files: Files, table: Path,
-               mutation: Callable[[bytes, Draw], bytes], rng: Draw) -> Callable[[Path], int]:
+def _on_flight(
+    call: Callable[[Path], int],
+    files: Files,
+    table: Path,
+    mutation: Callable[[bytes, Draw], bytes],
+    rng: Draw,
+) -> Callable[[Path], int]:
     def run(folder: Path) -> int:
         assert files.flight is not None
         copy = folder / "flight"
         shutil.copytree(files.flight, copy, dirs_exist_ok=True)
         (copy / table.name).write_bytes(mutation(table.read_bytes(), rng))
         return call(copy)
+
     return run
 
 
@@ -339,6 +427,7 @@ def _trouble(status: int, words: str, out: Path) -> str:
 
 def empty_bags(files: Files) -> list[tuple[str, str, Callable[[Path], int]]]:
     """Return runs on bags that hold nothing, or nothing of use."""
+
     def without_topics(path: Path) -> None:
         with BagWriter(path, overwrite=True):
             pass
@@ -366,14 +455,22 @@ def empty_bags(files: Files) -> list[tuple[str, str, Callable[[Path], int]]]:
     path = files.folder / "made.mcap"
     for make in (without_topics, other_type, one_message, nan_only):
         for name, call in (
-                ("ins_replay BAG", lambda f: replay.main([str(path), str(f / "out.mcap"),
-                                                          "--overwrite"])),
-                ("ins_evaluate ESTIMATE", lambda f: evaluate.main([str(path)])),
-                ("ins_calibrate BAG", lambda f: calibrate.main([str(path)]))):
-            def run(folder: Path, make: Callable[[Path], None] = make,
-                    call: Callable[[Path], int] = call) -> int:
+            (
+                "ins_replay BAG",
+                lambda f: replay.main([str(path), str(f / "out.mcap"), "--overwrite"]),
+            ),
+            ("ins_evaluate ESTIMATE", lambda f: evaluate.main([str(path)])),
+            ("ins_calibrate BAG", lambda f: calibrate.main([str(path)])),
+        ):
+
+            def run(
+                folder: Path,
+                make: Callable[[Path], None] = make,
+                call: Callable[[Path], int] = call,
+            ) -> int:
                 make(path)
                 return call(folder)
+
             drawn.append((name, make.__name__, run))
     return drawn
 
@@ -381,10 +478,15 @@ def empty_bags(files: Files) -> list[tuple[str, str, Callable[[Path], int]]]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=400, metavar="N",
-                        help="about so many mutations [%(default)s]")
-    parser.add_argument("--flight", type=Path, metavar="DIR",
-                        help="flight of the quadrotor dataset, for ins_convert")
+    parser.add_argument(
+        "--count", type=int, default=400, metavar="N", help="about so many mutations [%(default)s]"
+    )
+    parser.add_argument(
+        "--flight",
+        type=Path,
+        metavar="DIR",
+        help="flight of the quadrotor dataset, for ins_convert",
+    )
     args = parser.parse_args(argv)
     program.hide_progress()
     os.environ.update(isolated_ros())

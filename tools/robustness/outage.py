@@ -35,7 +35,8 @@ AFTER = 5.0  # s after the return at which the state is looked at again
 def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int, float]:
     """Return NEES at the outage's end and after it, NIS of the first fixes, refusals, error [m]."""
     scenario = Scenario(
-        kind, KINDS[kind], rate=100.0, duration=sum(OUTAGE) + AFTER + 1.0, outages=(OUTAGE,))
+        kind, KINDS[kind], rate=100.0, duration=sum(OUTAGE) + AFTER + 1.0, outages=(OUTAGE,)
+    )
     method = Method(mode, mode)  # type: ignore[arg-type]
     run = montecarlo.draw(scenario, seed)
     samples = run.samples
@@ -44,10 +45,15 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
     ring = ImuRing()
     ring.extend(samples[:1])
     ins = InsFilter(
-        run.start, int(stamps[0]), np.concatenate((samples["f"][0], samples["w"][0])),
-        montecarlo._noise_model(method, run, process), process,
-        Gate({m: chi_square.quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0), ring,
-        FilterSettings(max_delay=0.2))
+        run.start,
+        int(stamps[0]),
+        np.concatenate((samples["f"][0], samples["w"][0])),
+        montecarlo._noise_model(method, run, process),
+        process,
+        Gate({m: chi_square.quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
+        ring,
+        FilterSettings(max_delay=0.2),
+    )
     back = sum(OUTAGE)
     wanted = [int(np.searchsorted(run.t, t)) - 1 for t in (back - 0.05, back + AFTER)]
     found: list[float] = []
@@ -56,8 +62,8 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
     for t_ns, _, act in sorted(montecarlo._events(run, method, ins), key=lambda e: e[:2]):
         stop = int(np.searchsorted(stamps, t_ns, side="right"))
         if stop > at + 1:
-            ring.extend(samples[at + 1:stop])
-            ins.process_imu_block(samples[at + 1:stop])
+            ring.extend(samples[at + 1 : stop])
+            ins.process_imu_block(samples[at + 1 : stop])
             at = stop - 1
         if not isinstance(act, int):
             act()
@@ -68,8 +74,7 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
             if act == wanted[0]:
                 error = float(np.linalg.norm(e[:3]))
     returned = [v for v in ins.verdicts if v.measurement.t_ns >= T0_NS + round(back * 1e9) - 1]
-    return (found, [v.nis for v in returned[:FIRST]],
-            sum(not v.accepted for v in returned), error)
+    return (found, [v.nis for v in returned[:FIRST]], sum(not v.accepted for v in returned), error)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,31 +82,50 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=200, metavar="N", help="[%(default)s]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
-    parser.add_argument("--modes", nargs="+", default=["learned"], metavar="MODE",
-                        help="learned, scaled, oracle [%(default)s]")
+    parser.add_argument(
+        "--modes",
+        nargs="+",
+        default=["learned"],
+        metavar="MODE",
+        help="learned, scaled, oracle [%(default)s]",
+    )
     args = parser.parse_args(argv)
-    print("| flight, mode | runs | error at the end, median | NEES/15 at the end | after "
-          f"{AFTER:g} s | NIS/3 of the first fix | of the first {FIRST} | refused |")
+    print(
+        "| flight, mode | runs | error at the end, median | NEES/15 at the end | after "
+        f"{AFTER:g} s | NIS/3 of the first fix | of the first {FIRST} | refused |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     good = True
     for kind in KINDS:
         for mode in args.modes:
             jobs = (joblib.delayed(fly)(kind, mode, 7000 + k) for k in range(args.runs))
-            results = list(tqdm(joblib.Parallel(args.jobs, return_as="generator")(jobs),
-                                total=args.runs, desc=kind, disable=None))
+            results = list(
+                tqdm(
+                    joblib.Parallel(args.jobs, return_as="generator")(jobs),
+                    total=args.runs,
+                    desc=kind,
+                    disable=None,
+                )
+            )
             states = np.array([r[0] for r in results]).mean(axis=0)
             nis = np.array([r[1] for r in results])
             refused = sum(r[2] for r in results)
             cells, inside = [], []
             for mean, dof, count in (
-                    (states[0], N_ERROR, args.runs), (states[1], N_ERROR, args.runs),
-                    (nis[:, 0].mean(), 3, args.runs), (nis.mean(), 3, nis.size)):
+                (states[0], N_ERROR, args.runs),
+                (states[1], N_ERROR, args.runs),
+                (nis[:, 0].mean(), 3, args.runs),
+                (nis.mean(), 3, nis.size),
+            ):
                 low, high = mean_band(dof, count)
                 inside.append(low <= mean <= high)
                 cells.append(f"{mean / dof:.2f} ({low / dof:.2f}-{high / dof:.2f})")
             error = float(np.median([r[3] for r in results]))
-            print(f"| {kind}, {mode} | {args.runs} | {error:.1f} m | " + " | ".join(cells)
-                  + f" | {refused} |")
+            print(
+                f"| {kind}, {mode} | {args.runs} | {error:.1f} m | "
+                + " | ".join(cells)
+                + f" | {refused} |"
+            )
             good &= all(inside) and refused <= 0.01 * args.runs * FIRST * AFTER
     return int(not good)
 

@@ -38,21 +38,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, default=2.0, metavar="H", help="[%(default)s]")
-    parser.add_argument("--rate", type=float, default=10.0, metavar="R",
-                        help="times real time [%(default)g]")
-    parser.add_argument("--imu-rate", type=float, default=200.0, metavar="HZ",
-                        help="[%(default)g]")
-    parser.add_argument("--bag", type=Path, metavar="BAG",
-                        help="play this one instead, or make it there")
+    parser.add_argument(
+        "--rate", type=float, default=10.0, metavar="R", help="times real time [%(default)g]"
+    )
+    parser.add_argument("--imu-rate", type=float, default=200.0, metavar="HZ", help="[%(default)g]")
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="play this one instead, or make it there"
+    )
     args = parser.parse_args(argv)
     os.environ.update(isolated_ros())
     with tempfile.TemporaryDirectory() as folder, Processes() as processes:
-        bag, out, log = args.bag or Path(folder) / "drive.mcap", Path(folder) / "out.mcap", (
-            Path(folder) / "node.log")
+        bag, out, log = (
+            args.bag or Path(folder) / "drive.mcap",
+            Path(folder) / "out.mcap",
+            (Path(folder) / "node.log"),
+        )
         if not bag.exists():
-            made = processes.start([
-                program("ins_simulate"), bag, "--trajectory", "car", "--duration",
-                str(3600.0 * args.hours), "--imu-rate", str(args.imu_rate), "--truth-rate", "0.1"])
+            made = processes.start(
+                [
+                    program("ins_simulate"),
+                    bag,
+                    "--trajectory",
+                    "car",
+                    "--duration",
+                    str(3600.0 * args.hours),
+                    "--imu-rate",
+                    str(args.imu_rate),
+                    "--truth-rate",
+                    "0.1",
+                ]
+            )
             if made.wait():
                 return 1
         with BagReader(bag) as reader:
@@ -60,10 +75,24 @@ def main(argv: Sequence[str] | None = None) -> int:
             seconds = (reader.end_ns - reader.start_ns) * 1e-9
         with log.open("w") as output:
             node = processes.start(
-                [program("ins_node"), "--ros-args", "-p", "odometry_rate:=5.0"], output)
+                [program("ins_node"), "--ros-args", "-p", "odometry_rate:=5.0"], output
+            )
             player = processes.start(
-                [program("ins_play"), bag, "--rate", str(args.rate), "--wait", "120", "--record",
-                 out, "--record-topics", "/odometry", "/diagnostics"], output)
+                [
+                    program("ins_play"),
+                    bag,
+                    "--rate",
+                    str(args.rate),
+                    "--wait",
+                    "120",
+                    "--record",
+                    out,
+                    "--record-topics",
+                    "/odometry",
+                    "/diagnostics",
+                ],
+                output,
+            )
             memory = []
             while player.poll() is None and node.poll() is None:
                 memory.append(resident(node.pid))
@@ -78,15 +107,22 @@ def main(argv: Sequence[str] | None = None) -> int:
                 else:
                     for item in (i for s in message.status for i in s.values):
                         taken = int(item.value) if item.key == "imu_samples" else taken
-        settled = memory[int(SETTLED * len(memory)):]
+        settled = memory[int(SETTLED * len(memory)) :]
         lost = played - taken
-        print(f"{seconds / 3600.0:.2f} h of recorded time at {args.rate:g} times real time, "
-              f"{played} IMU messages, {len(delays)} odometry messages; exit status {status}")
-        print(f"memory: first {settled[0]:.1f} MB, last {settled[-1]:.1f} MB, "
-              f"largest {max(settled):.1f} MB")
+        print(
+            f"{seconds / 3600.0:.2f} h of recorded time at {args.rate:g} times real time, "
+            f"{played} IMU messages, {len(delays)} odometry messages; exit status {status}"
+        )
+        print(
+            f"memory: first {settled[0]:.1f} MB, last {settled[-1]:.1f} MB, "
+            f"largest {max(settled):.1f} MB"
+        )
         print(f"IMU messages not taken: {lost}")
-        print("latency: median {:.2f} ms, p99 {:.2f} ms, largest {:.1f} ms".format(
-            *np.percentile(delays, [50, 99, 100])))
+        print(
+            "latency: median {:.2f} ms, p99 {:.2f} ms, largest {:.1f} ms".format(
+                *np.percentile(delays, [50, 99, 100])
+            )
+        )
         for line in words.splitlines():
             if "WARN" in line or "ERROR" in line or "Traceback" in line:
                 print(line)

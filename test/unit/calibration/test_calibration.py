@@ -44,12 +44,16 @@ STD = np.array(sensors.RTK_STD)
 
 
 def a_run(
-    offset: float = 0.0, seed: int = 0, duration: float = 45.0, standing: bool = False,
+    offset: float = 0.0,
+    seed: int = 0,
+    duration: float = 45.0,
+    standing: bool = False,
 ) -> Run:
     """A simulated recording whose fixes are stamped ``offset`` early."""
     rng = np.random.default_rng(seed)
-    trajectory = (motions.static(duration) if standing else
-                  motions.quadrotor_flight(duration, seed=seed))
+    trajectory = (
+        motions.static(duration) if standing else motions.quadrotor_flight(duration, seed=seed)
+    )
     times = sensors.sample_times(duration, RATE)
     truth = sensors.sample(trajectory, times)
     imu = sensors.corrupt(truth, sensors.ImuErrors(), rng)
@@ -57,23 +61,44 @@ def a_run(
     gnss = sensors.fixes(at_fixes, rng, STD, LEVER_B)
     M = len(gnss.t)
     return Run(
-        "simulated", imu.t, np.hstack((imu.specific_force, imu.angular_rate)), gnss.t - offset,
-        np.full(M, POSITION), gnss.lla, np.tile(np.diag(STD**2), (M, 1, 1)))
+        "simulated",
+        imu.t,
+        np.hstack((imu.specific_force, imu.angular_rate)),
+        gnss.t - offset,
+        np.full(M, POSITION),
+        gnss.lla,
+        np.tile(np.diag(STD**2), (M, 1, 1)),
+    )
 
 
 def run_pass(run: Run, nav: Array, tail: float = 0.0) -> tuple[Array, Array, Array]:
     M = len(run.aid_t)
     z, S, nis = np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M)
-    innovations(nav, run.t, run.samples, run.aid_t, run.aid_kind, run.aid, run.aid_R, LEVER_B,
-                0.01 - 1e-6, tail, z, S, nis, empty_rows())
+    innovations(
+        nav,
+        run.t,
+        run.samples,
+        run.aid_t,
+        run.aid_kind,
+        run.aid,
+        run.aid_R,
+        LEVER_B,
+        0.01 - 1e-6,
+        tail,
+        z,
+        S,
+        nis,
+        empty_rows(),
+    )
     return z, S, nis
 
 
 def first_state(run: Run) -> NavState:
     truth = sensors.sample(motions.quadrotor_flight(10.0, seed=0), np.array([0.0]))
     P = np.diag(np.repeat([1.0, 0.25, 0.01, 0.01, 1e-4], 3))
-    return NavState(truth.lla[0], truth.velocity_n[0], truth.quat_xyzw[0], np.zeros(3),
-                    np.zeros(3), P)
+    return NavState(
+        truth.lla[0], truth.velocity_n[0], truth.quat_xyzw[0], np.zeros(3), np.zeros(3), P
+    )
 
 
 def test_compiled_pass_is_the_filter() -> None:
@@ -89,12 +114,19 @@ def test_compiled_pass_is_the_filter() -> None:
     samples = np.zeros(len(stamps), SAMPLE_DTYPE)
     samples["t_ns"], samples["f"], samples["w"] = stamps, run.samples[:, :3], run.samples[:, 3:]
     own = InsFilter(
-        initial, int(stamps[0]), run.samples[0], ConstantNoise(psd[[0, 1, 2, 3, 4, 5]]),
-        ProcessNoise(psd[6:], 1.0), Gate(dict.fromkeys((1, 2, 3), 1e9), 3.0), ImuRing(),
-        FilterSettings(0.01))
+        initial,
+        int(stamps[0]),
+        run.samples[0],
+        ConstantNoise(psd[[0, 1, 2, 3, 4, 5]]),
+        ProcessNoise(psd[6:], 1.0),
+        Gate(dict.fromkeys((1, 2, 3), 1e9), 3.0),
+        ImuRing(),
+        FilterSettings(0.01),
+    )
     for k in range(len(run.aid_t)):
-        own.submit(PositionFix(round(run.aid_t[k] * 1e9) + 10**9, run.aid[k], run.aid_R[k],
-                               LEVER_B))
+        own.submit(
+            PositionFix(round(run.aid_t[k] * 1e9) + 10**9, run.aid[k], run.aid_R[k], LEVER_B)
+        )
     own.process_imu_block(samples[1:])
     # THEN both judge every fix alike
     expected = np.array([verdict.nis for verdict in own.verdicts])
@@ -105,9 +137,14 @@ def test_gaussian_innovations_are_the_likeliest_at_their_own_covariance() -> Non
     z = np.random.default_rng(0).standard_normal((20000, 3))
     scales = np.array([0.9, 0.95, 1.0, 1.05, 1.1])
     for tail in (0.0, 8.0):
-        totals = [np.sum(log_likelihood(
-            z, np.tile(np.eye(3) * s, (len(z), 1, 1)), np.sum(z**2, axis=1) / s, tail))
-            for s in scales]
+        totals = [
+            np.sum(
+                log_likelihood(
+                    z, np.tile(np.eye(3) * s, (len(z), 1, 1)), np.sum(z**2, axis=1) / s, tail
+                )
+            )
+            for s in scales
+        ]
         assert scales[int(np.argmax(totals))] == 1.0
     assert gaussian_scale(1e4, 3) == pytest.approx(1e4, rel=1e-2)
 
@@ -152,7 +189,9 @@ def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
 def test_biases_are_found_for_the_next_start(found: Calibration) -> None:
     # GIVEN recordings of one IMU, its biases here in FLU
     for name, true in (
-            ("accelerometer", (0.05, 0.03, -0.04)), ("gyroscope", (0.002, 0.003, -0.001))):
+        ("accelerometer", (0.05, 0.03, -0.04)),
+        ("gyroscope", (0.002, 0.003, -0.001)),
+    ):
         bias, std = found.values[f"imu.{name}_bias"], found.values[f"imu.{name}_bias_std"]
         # THEN the parameters are nearer to them than the defaults, and say how near
         assert np.all(np.abs(np.subtract(bias, true)) < 3.0 * np.array(std))
@@ -162,8 +201,14 @@ def test_biases_are_found_for_the_next_start(found: Calibration) -> None:
 
 def test_biases_that_differ_from_start_to_start_are_known_no_better_than_that() -> None:
     def last_state(bias_g: float) -> Pass:
-        nav = NavState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3),
-                       np.full(3, bias_g), np.diag(np.full(15, 1e-8))).to_flat()
+        nav = NavState(
+            np.zeros(3),
+            np.zeros(3),
+            np.array([0.0, 0.0, 0.0, 1.0]),
+            np.zeros(3),
+            np.full(3, bias_g),
+            np.diag(np.full(15, 1e-8)),
+        ).to_flat()
         return Pass(np.zeros((1, 3)), np.eye(3)[None], np.ones(1), nav[None, :N_NAV])
 
     steady = next_biases([last_state(0.01)] * 6)[1]

@@ -12,7 +12,9 @@ from hybrid_ins.core.state import Array
 LATITUDES = np.radians([-90.0, -71.5, -33.0, 0.0, 1e-3, 32.1, 45.0, 89.9, 90.0])
 lla_anywhere = st.builds(
     lambda lat, lon, height: np.array([lat, lon, height]),
-    st.floats(-np.pi / 2, np.pi / 2), st.floats(-np.pi, np.pi), st.floats(-10e3, 2000e3),
+    st.floats(-np.pi / 2, np.pi / 2),
+    st.floats(-np.pi, np.pi),
+    st.floats(-10e3, 2000e3),
 )
 
 
@@ -46,8 +48,11 @@ def normal_potential(ecef: Array) -> Array:
 
     centrifugal = 0.5 * earth.EARTH_RATE**2 * (x * x + y * y)
     flattening = (
-        0.5 * (earth.EARTH_RATE * earth.SEMI_MAJOR_AXIS) ** 2
-        * q(u) / q(earth.SEMI_MINOR_AXIS) * (sin_beta_sq - 1.0 / 3.0)
+        0.5
+        * (earth.EARTH_RATE * earth.SEMI_MAJOR_AXIS) ** 2
+        * q(u)
+        / q(earth.SEMI_MINOR_AXIS)
+        * (sin_beta_sq - 1.0 / 3.0)
     )
     return earth.GM / focus * np.arctan(focus / u) + flattening + centrifugal
 
@@ -59,8 +64,9 @@ def test_gravity_is_the_gradient_of_the_normal_potential(lat: float, height: flo
     here, d = np.array([lat, 0.3, height]), 200.0
     steps = d * earth.C_en(here).T
     origin_e = earth.lla_to_ecef(here)
-    north, _, down = (
-        normal_potential(origin_e + steps) - normal_potential(origin_e - steps)) / (2.0 * d)
+    north, _, down = (normal_potential(origin_e + steps) - normal_potential(origin_e - steps)) / (
+        2.0 * d
+    )
 
     computed_north, computed_down = earth.normal_gravity(lat, height)
 
@@ -73,8 +79,11 @@ def test_gravity_gradient() -> None:
     above, below = (np.array(earth.normal_gravity(LATITUDES, height + s)) for s in (d, -d))
 
     np.testing.assert_allclose(
-        earth.gravity_gradient(LATITUDES, height), (above - below) / (2.0 * d), rtol=1e-6,
-        atol=1e-14)
+        earth.gravity_gradient(LATITUDES, height),
+        (above - below) / (2.0 * d),
+        rtol=1e-6,
+        atol=1e-14,
+    )
 
 
 def test_earth_rate_is_the_axis_of_the_earth_seen_from_n() -> None:
@@ -82,8 +91,10 @@ def test_earth_rate_is_the_axis_of_the_earth_seen_from_n() -> None:
         north, down = earth.earth_rate_n(lat)
 
         np.testing.assert_allclose(
-            earth.C_en(np.array([lat, 1.0, 0.0])) @ [north, 0.0, down], [0, 0, earth.EARTH_RATE],
-            atol=1e-20)
+            earth.C_en(np.array([lat, 1.0, 0.0])) @ [north, 0.0, down],
+            [0, 0, earth.EARTH_RATE],
+            atol=1e-20,
+        )
 
 
 @pytest.mark.parametrize("lla", [(0.56, 0.6, 0.0), (-1.2, 3.0, 9e3), (1.3, -2.0, -300.0)])
@@ -91,8 +102,11 @@ def test_transport_rate_turns_n_over_the_earth(lla: tuple[float, float, float]) 
     """w_en is the axial vector of C_en' dC_en/dt."""
     here, velocity_n, dt = np.array(lla), np.array([210.0, -150.0, 20.0]), 1.0
     rate = velocity_n / earth.curvature_scale(here)
-    turned = earth.C_en(here).T @ (
-        earth.C_en(here + rate * dt) - earth.C_en(here - rate * dt)) / (2.0 * dt)
+    turned = (
+        earth.C_en(here).T
+        @ (earth.C_en(here + rate * dt) - earth.C_en(here - rate * dt))
+        / (2.0 * dt)
+    )
 
     w_en = earth.transport_rate_n(here[0], here[2], velocity_n[0], velocity_n[1])
 
@@ -114,8 +128,10 @@ def test_height_is_along_the_normal(lla: Array) -> None:
     ground = lla * [1.0, 1.0, 0.0]
 
     np.testing.assert_allclose(
-        earth.lla_to_ecef(lla) - earth.lla_to_ecef(ground), -lla[2] * earth.C_en(lla)[:, 2],
-        atol=1e-8)
+        earth.lla_to_ecef(lla) - earth.lla_to_ecef(ground),
+        -lla[2] * earth.C_en(lla)[:, 2],
+        atol=1e-8,
+    )
 
 
 def test_ecef_by_hand() -> None:
@@ -123,18 +139,21 @@ def test_ecef_by_hand() -> None:
     lla = np.array([[0.0, 0.0, 10.0], [0.0, np.pi / 2, 0.0], [np.pi / 2, 0.0, -5.0]])
 
     np.testing.assert_allclose(
-        earth.lla_to_ecef(lla), [[a + 10.0, 0, 0], [0, a, 0], [0, 0, b - 5.0]], atol=1e-9)
+        earth.lla_to_ecef(lla), [[a + 10.0, 0, 0], [0, a, 0], [0, 0, b - 5.0]], atol=1e-9
+    )
 
 
 @given(lla_anywhere)
 def test_curvature_scale_is_the_derivative_of_position(lla: Array) -> None:
     d = np.array([1e-6, 1e-6, 10.0])
     frame = earth.LocalFrame(lla)
-    by_difference = (
-        frame.position(lla + np.diag(d)) - frame.position(lla - np.diag(d))) / (2.0 * d[:, None])
+    by_difference = (frame.position(lla + np.diag(d)) - frame.position(lla - np.diag(d))) / (
+        2.0 * d[:, None]
+    )
 
     np.testing.assert_allclose(
-        by_difference, np.diag(earth.curvature_scale(lla)), rtol=1e-8, atol=1e-2)
+        by_difference, np.diag(earth.curvature_scale(lla)), rtol=1e-8, atol=1e-2
+    )
 
 
 @given(lla_anywhere, st.tuples(*[st.floats(-50e3, 50e3)] * 3))

@@ -42,8 +42,11 @@ STEP = np.repeat([300.0, 1.0, 1e-4, 0.1, 0.01], 3)  # m, m/s, rad, m/s², rad/s
 
 def state(lat: float, height: float, velocity_n: Array, rpy: Array) -> Array:
     return NavState(
-        np.array([np.radians(lat), 0.6, height]), np.asarray(velocity_n, float),
-        quat_from_rpy(*rpy), np.array([0.02, -0.03, 0.05]), np.array([0.003, 0.001, -0.002]),
+        np.array([np.radians(lat), 0.6, height]),
+        np.asarray(velocity_n, float),
+        quat_from_rpy(*rpy),
+        np.array([0.02, -0.03, 0.05]),
+        np.array([0.003, 0.001, -0.002]),
         np.eye(N_ERROR),
     ).to_flat()
 
@@ -52,11 +55,15 @@ FAST = state(-47.0, 3000.0, (230.0, -170.0, 40.0), (0.3, -0.2, 2.0))
 DYNAMIC = np.array([3.0, -2.0, -15.0, 0.4, -0.7, 0.2])
 
 states = st.builds(
-    state, st.floats(-80.0, 80.0), st.floats(-400.0, 12e3),
-    st.tuples(*[st.floats(-300.0, 300.0)] * 3), st.tuples(*[st.floats(-1.4, 1.4)] * 3),
+    state,
+    st.floats(-80.0, 80.0),
+    st.floats(-400.0, 12e3),
+    st.tuples(*[st.floats(-300.0, 300.0)] * 3),
+    st.tuples(*[st.floats(-1.4, 1.4)] * 3),
 )
 readings = st.builds(
-    np.array, st.tuples(*[st.floats(-20.0, 20.0)] * 3, *[st.floats(-2.0, 2.0)] * 3))
+    np.array, st.tuples(*[st.floats(-20.0, 20.0)] * 3, *[st.floats(-2.0, 2.0)] * 3)
+)
 
 
 def navigation_equations(nav: Array, reading: Array) -> tuple[Array, Array, Array]:
@@ -92,13 +99,15 @@ def error_rate(nav: Array, dx: Array, reading: Array) -> Array:
     lla_rate_true, v_rate_true, C_rate_true = navigation_equations(true, reading)
     scale = earth.curvature_scale(nav[LLA])
     scale_rate = 0.5 * (
-        earth.curvature_scale(nav[LLA] + lla_rate) - earth.curvature_scale(nav[LLA] - lla_rate))
+        earth.curvature_scale(nav[LLA] + lla_rate) - earth.curvature_scale(nav[LLA] - lla_rate)
+    )
     turned = C_rate_true @ matrix_from_quat(nav[QUAT]).T + matrix_from_quat(true[QUAT]) @ C_rate.T
     rate = np.zeros(N_ERROR)
     rate[DP] = scale_rate * (true[LLA] - nav[LLA]) + scale * (lla_rate_true - lla_rate)
     rate[DV] = v_rate_true - v_rate
-    rate[EPS] = -0.5 * np.array([
-        turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    rate[EPS] = -0.5 * np.array(
+        [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
+    )
     return rate
 
 
@@ -133,7 +142,8 @@ def left_out(nav: Array) -> Array:
     (lat, _, height), d = nav[LLA], 1e-5
     north, south = (
         np.subtract(earth.normal_gravity(at, height), earth.normal_gravity(at, 0.0))
-        for at in (lat + d, lat - d))
+        for at in (lat + d, lat - d)
+    )
     F = np.zeros((N_ERROR, N_ERROR))
     F[[3, 5], 0] = (north - south) / (2.0 * d) / earth.curvature_scale(nav[LLA])[0]
     return F
@@ -156,7 +166,8 @@ def test_differences_resolve_every_element_of_F() -> None:
 
 
 @pytest.mark.parametrize(
-    "nav", [FAST, state(71.0, 9e3, (-100.0, 250.0, -20.0), (1.0, 0.5, -1.0))], ids=["-47°", "71°"])
+    "nav", [FAST, state(71.0, 9e3, (-100.0, 250.0, -20.0), (1.0, 0.5, -1.0))], ids=["-47°", "71°"]
+)
 def test_F_is_the_derivative_of_the_mechanisation(nav: Array) -> None:
     """Of the code that runs, over a millisecond: Phi = I + F dt to a percent of each block."""
     dt, C, f_n = 1e-3, np.empty(9), np.empty(3)
@@ -179,7 +190,8 @@ def test_F_is_the_derivative_of_the_mechanisation(nav: Array) -> None:
             block = F[rows, columns_of]
             if np.any(block):
                 np.testing.assert_allclose(
-                    by_difference[rows, columns_of], block, atol=0.01 * np.abs(block).max())
+                    by_difference[rows, columns_of], block, atol=0.01 * np.abs(block).max()
+                )
 
 
 @settings(max_examples=40)

@@ -45,16 +45,19 @@ def spoiled(kind):
     return samples
 
 
-@pytest.mark.parametrize(("kind", "name", "words"), [
-    ("gravity removed", "imu: no gravity", "specific force"),
-    ("g", "imu: no gravity", "9.80665"),
-    ("millig", "imu: too much gravity", "m/s²"),
-    ("frozen", "imu: frozen", "restart the driver"),
-    ("saturated force", "imu: saturated acceleration", "25.00"),
-    ("saturated rate", "imu: saturated rate", "4.00"),
-    ("spike", "imu: spikes in acceleration", "cables"),
-    ("degrees", "imu: degrees", "radians"),
-])
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        ("gravity removed", "imu: no gravity", "specific force"),
+        ("g", "imu: no gravity", "9.80665"),
+        ("millig", "imu: too much gravity", "m/s²"),
+        ("frozen", "imu: frozen", "restart the driver"),
+        ("saturated force", "imu: saturated acceleration", "25.00"),
+        ("saturated rate", "imu: saturated rate", "4.00"),
+        ("spike", "imu: spikes in acceleration", "cables"),
+        ("degrees", "imu: degrees", "radians"),
+    ],
+)
 def test_faults_are_named_with_value_and_remedy(kind: str, name: str, words: str) -> None:
     fault = find_fault(spoiled(kind))
     assert fault is not None and fault[0] == name
@@ -73,7 +76,7 @@ def test_propellers_are_no_spikes(flights) -> None:
     samples = np.zeros(len(flight.stamp_ns), SAMPLE_DTYPE)
     samples["t_ns"] = flight.stamp_ns
     samples["f"], samples["w"] = flight.force, flight.rate
-    found = [find_fault(samples[k:k + 120]) for k in range(0, len(samples) - 120, 60)]
+    found = [find_fault(samples[k : k + 120]) for k in range(0, len(samples) - 120, 60)]
     assert not any(found)
 
 

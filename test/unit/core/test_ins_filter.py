@@ -55,8 +55,12 @@ def antenna(truth: Truth, k: int, lever_b: Array) -> Array:
 
 
 def fix(
-    truth: Truth, t_ns: int, noise: Iterable[float] = (0.0, 0.0, 0.0), *,
-    lever_b: Array = NO_LEVER, covariance: Array = R,
+    truth: Truth,
+    t_ns: int,
+    noise: Iterable[float] = (0.0, 0.0, 0.0),
+    *,
+    lever_b: Array = NO_LEVER,
+    covariance: Array = R,
 ) -> PositionFix:
     """Return a fix of the antenna at ``t_ns``, on the line between two epochs of the truth."""
     at = t_ns * 1e-9
@@ -64,12 +68,20 @@ def fix(
     part = (at - truth.t[k]) / (truth.t[k + 1] - truth.t[k])
     lla = (1 - part) * antenna(truth, k, lever_b) + part * antenna(truth, k + 1, lever_b)
     return PositionFix(
-        t_ns, lla + np.asarray(noise) / earth.curvature_scale(lla), covariance, lever_b)
+        t_ns, lla + np.asarray(noise) / earth.curvature_scale(lla), covariance, lever_b
+    )
 
 
 def make_filter(
-    truth: Truth, *, sigma: Array = SIGMA_0, error: Array | None = None, interval: float = 0.0,
-    max_delay: float = 1.0, threshold: float = 1e9, patience: float = 1.0, capacity: int = 8192,
+    truth: Truth,
+    *,
+    sigma: Array = SIGMA_0,
+    error: Array | None = None,
+    interval: float = 0.0,
+    max_delay: float = 1.0,
+    threshold: float = 1e9,
+    patience: float = 1.0,
+    capacity: int = 8192,
 ) -> InsFilter:
     """Return a filter at the truth's first epoch, off by ``error`` (15,)."""
     nav = truth.flat(P=np.diag(sigma**2))
@@ -79,10 +91,15 @@ def make_filter(
     ring = ImuRing(capacity)
     ring.extend(imu(truth)[:1])
     return InsFilter(
-        state, int(truth.t_ns[0]), truth.readings[0], ConstantNoise(Q),
+        state,
+        int(truth.t_ns[0]),
+        truth.readings[0],
+        ConstantNoise(Q),
         ProcessNoise(BIAS_WALK, float(truth.t[1] - truth.t[0])),
-        Gate(dict.fromkeys(range(1, 7), threshold), patience), ring,
-        FilterSettings(covariance_interval=interval, max_delay=max_delay))
+        Gate(dict.fromkeys(range(1, 7), threshold), patience),
+        ring,
+        FilterSettings(covariance_interval=interval, max_delay=max_delay),
+    )
 
 
 def fly(
@@ -118,8 +135,7 @@ def test_fix_between_two_samples_is_fused_at_its_own_stamp() -> None:
     dense["t_ns"] = np.arange(len(dense)) * SECOND // 1000
     for name in ("f", "w"):
         for axis in range(3):
-            dense[name][:, axis] = np.interp(
-                dense["t_ns"], coarse["t_ns"], coarse[name][:, axis])
+            dense[name][:, axis] = np.interp(dense["t_ns"], coarse["t_ns"], coarse[name][:, axis])
     results = []
     for samples in (coarse, dense):
         ins = make_filter(truth)
@@ -132,8 +148,7 @@ def test_fix_between_two_samples_is_fused_at_its_own_stamp() -> None:
     error = difference(results[1].nav, results[0].nav)
     assert np.max(np.abs(error[:3])) < 2e-4
     assert np.max(np.abs(error / np.sqrt(np.diag(results[0].state.P)))) < 0.02
-    np.testing.assert_allclose(
-        np.diag(results[0].state.P), np.diag(results[1].state.P), rtol=0.02)
+    np.testing.assert_allclose(np.diag(results[0].state.P), np.diag(results[1].state.P), rtol=0.02)
 
 
 def test_fix_taken_at_the_next_sample_instead_would_be_seen() -> None:
@@ -339,8 +354,11 @@ def test_horizontal_fix_leaves_height_to_the_imu() -> None:
     fly(ins, imu(truth)[1:101])
     before = difference(truth.flat(100), ins.nav)
     horizontal = fix(truth, SECOND)
-    ins.submit(PositionFix(
-        SECOND, np.array([*horizontal.lla[:2], np.nan]), horizontal.covariance_n, NO_LEVER))
+    ins.submit(
+        PositionFix(
+            SECOND, np.array([*horizontal.lla[:2], np.nan]), horizontal.covariance_n, NO_LEVER
+        )
+    )
     after = difference(truth.flat(100), ins.nav)
 
     assert np.all(np.abs(after[:2]) < 0.1)
@@ -374,7 +392,10 @@ def test_velocity_fix_corrects_velocity() -> None:
     ins = make_filter(truth, error=error)
     fly(ins, imu(truth)[1:101])
     rate_b = truth.readings[100, 3:] - truth.C_nb[100].T @ earth.C_en(truth.lla[100]).T @ [
-        0.0, 0.0, earth.EARTH_RATE]
+        0.0,
+        0.0,
+        earth.EARTH_RATE,
+    ]
     velocity_n = truth.velocity_n[100] + truth.C_nb[100] @ np.cross(rate_b, LEVER_B)
 
     ins.submit(VelocityFix(SECOND, velocity_n, 1e-6 * np.eye(3), LEVER_B))
@@ -387,7 +408,8 @@ def test_velocity_fix_corrects_velocity() -> None:
 
 def gated(truth: Truth) -> InsFilter:
     return make_filter(
-        truth, sigma=np.repeat([0.1, 0.1, 0.01, 0.01, 0.001], 3), threshold=16.3, patience=0.95)
+        truth, sigma=np.repeat([0.1, 0.1, 0.01, 0.01, 0.001], 3), threshold=16.3, patience=0.95
+    )
 
 
 def test_outlier_is_refused_and_leaves_no_trace() -> None:
@@ -480,5 +502,6 @@ def test_state_is_a_copy_with_its_covariance_up_to_date() -> None:
     np.testing.assert_array_equal(lazy.nav[LLA], lazy.state.lla)
     np.testing.assert_array_equal(lazy.nav[VELOCITY], lazy.state.velocity_n)
     np.testing.assert_allclose(
-        matrix_from_quat(lazy.nav[QUAT]), matrix_from_quat(lazy.state.quat_xyzw))
+        matrix_from_quat(lazy.nav[QUAT]), matrix_from_quat(lazy.state.quat_xyzw)
+    )
     assert lazy.state.P.shape == (N_ERROR, N_ERROR)

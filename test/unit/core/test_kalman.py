@@ -21,13 +21,20 @@ def problem(seed: int, m: int = 3) -> tuple[Array, Array, Array, Array]:
     mixing = rng.normal(size=(N_ERROR, N_ERROR))
     P = (mixing @ mixing.T + np.eye(N_ERROR)) * np.outer(SIGMA, SIGMA)
     state = NavState(
-        TEL_AVIV + np.array([0, 0, 50.0]), rng.normal(0.0, 10.0, 3),
-        quat_from_rpy(*rng.uniform(-1.0, 1.0, 3)), rng.normal(0.0, 0.05, 3),
-        rng.normal(0.0, 0.005, 3), P)
+        TEL_AVIV + np.array([0, 0, 50.0]),
+        rng.normal(0.0, 10.0, 3),
+        quat_from_rpy(*rng.uniform(-1.0, 1.0, 3)),
+        rng.normal(0.0, 0.05, 3),
+        rng.normal(0.0, 0.005, 3),
+        P,
+    )
     root = rng.normal(size=(m, m))
     return (
-        state.to_flat(), rng.normal(size=m), rng.normal(size=(m, N_ERROR)) / SIGMA,
-        root @ root.T + 0.1 * np.eye(m))
+        state.to_flat(),
+        rng.normal(size=m),
+        rng.normal(size=(m, N_ERROR)) / SIGMA,
+        root @ root.T + 0.1 * np.eye(m),
+    )
 
 
 @given(seeds, st.integers(1, 6))
@@ -59,7 +66,8 @@ def test_update_is_the_textbooks(seed: int, m: int) -> None:
     np.testing.assert_allclose(covariance(nav) / unit, joseph / unit, rtol=1e-9, atol=1e-10)
     information = np.linalg.inv(P / unit) + (H * SIGMA).T @ np.linalg.inv(R) @ (H * SIGMA)
     np.testing.assert_allclose(
-        covariance(nav) / unit, np.linalg.inv(information), rtol=1e-6, atol=1e-6)
+        covariance(nav) / unit, np.linalg.inv(information), rtol=1e-6, atol=1e-6
+    )
     np.testing.assert_allclose(difference(nav, before) / SIGMA, dx / SIGMA, rtol=1e-6, atol=1e-6)
 
 
@@ -76,8 +84,13 @@ def test_correction_after_an_outage_is_the_likeliest_one() -> None:
     P = outage @ np.diag(np.repeat([0.1, 0.05, 0.02, 0.001, 0.0005], 3) ** 2) @ outage.T
     P[DP, DP] += 0.01 * np.eye(3)
     state = NavState(
-        TEL_AVIV, np.array([12.0, 3.0, 0.0]), quat_from_rpy(0.02, -0.05, 1.0), np.zeros(3),
-        np.zeros(3), P)
+        TEL_AVIV,
+        np.array([12.0, 3.0, 0.0]),
+        quat_from_rpy(0.02, -0.05, 1.0),
+        np.zeros(3),
+        np.zeros(3),
+        P,
+    )
     z, H, R = np.array([-350.0, 200.0, 8.0]), np.eye(3, N_ERROR), 0.01 * np.eye(3)
 
     def bent(error: Array) -> Array:
@@ -87,10 +100,17 @@ def test_correction_after_an_outage_is_the_likeliest_one() -> None:
     whiten = np.linalg.inv(np.linalg.cholesky(P))
     straight = P @ H.T @ np.linalg.solve(H @ P @ H.T + R, z)
     found = least_squares(
-        lambda e: np.concatenate((whiten @ e, (z - H @ bent(e)) / 0.1)), straight, jac="3-point",
-        x_scale=np.sqrt(np.diag(P)), xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    turned = np.array([
-        (bent(found.x + step) - bent(found.x - step)) / 2e-6 for step in 1e-6 * np.eye(N_ERROR)]).T
+        lambda e: np.concatenate((whiten @ e, (z - H @ bent(e)) / 0.1)),
+        straight,
+        jac="3-point",
+        x_scale=np.sqrt(np.diag(P)),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    turned = np.array(
+        [(bent(found.x + step) - bent(found.x - step)) / 2e-6 for step in 1e-6 * np.eye(N_ERROR)]
+    ).T
     turned[EPS, EPS] = left_jacobian(-found.x[EPS])  # seen from the new estimate
     measured = H @ turned
     gain = P @ measured.T @ np.linalg.inv(measured @ P @ measured.T + R)
@@ -120,9 +140,9 @@ def test_perfect_measurement_leaves_no_negative_variance() -> None:
     assert eigenvalues.min() > 0.0
 
 
-errors = st.tuples(*(
-    st.floats(-bound, bound) for bound in np.repeat([30.0, 20.0, 1.7, 1.0, 0.1], 3)
-)).map(np.array)
+errors = st.tuples(
+    *(st.floats(-bound, bound) for bound in np.repeat([30.0, 20.0, 1.7, 1.0, 0.1], 3))
+).map(np.array)
 
 
 @given(seeds, errors)

@@ -28,16 +28,25 @@ STEP = np.repeat([30.0, 1.0, 1e-4, 0.1, 0.01], 3)
 
 def flat_state(lat: float, velocity_n: Array, rpy: Array, rate_b: Array) -> Array:
     nav = NavState(
-        np.array([lat, 0.6, 800.0]), np.asarray(velocity_n, float), quat_from_rpy(*rpy),
-        np.zeros(3), np.array([0.01, -0.02, 0.005]), np.eye(N_ERROR)).to_flat()
+        np.array([lat, 0.6, 800.0]),
+        np.asarray(velocity_n, float),
+        quat_from_rpy(*rpy),
+        np.zeros(3),
+        np.array([0.01, -0.02, 0.005]),
+        np.eye(N_ERROR),
+    ).to_flat()
     nav[LAST_W] = rate_b
     return nav
 
 
 vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 states = st.builds(
-    flat_state, st.floats(-1.3, 1.3), vectors.map(lambda v: 100.0 * v), vectors,
-    vectors.map(lambda v: 3.0 * v))
+    flat_state,
+    st.floats(-1.3, 1.3),
+    vectors.map(lambda v: 100.0 * v),
+    vectors,
+    vectors.map(lambda v: 3.0 * v),
+)
 
 
 def antenna_e(nav: Array) -> Array:
@@ -84,7 +93,8 @@ def test_H_is_the_derivative_of_the_innovation(measure, nav: Array) -> None:  # 
         inject(up, step)
         inject(down, -step)
         columns.append(
-            (measure(up).linearise(nav)[0] - measure(down).linearise(nav)[0]) / (2.0 * size))
+            (measure(up).linearise(nav)[0] - measure(down).linearise(nav)[0]) / (2.0 * size)
+        )
 
     H = measure(nav).linearise(nav)[1]
 

@@ -42,9 +42,17 @@ def correction(
     K = np.zeros((N_ERROR, len(z)))
     K[DV], K[EPS] = gain * np.eye(3, len(z)), 0.1 * gain * np.eye(3, len(z))
     given = {
-        "t_ns": 1, "z": z, "S": np.eye(len(z)), "H": np.zeros((len(z), N_ERROR)), "K": K,
-        "dx": K @ z, "C_nb": np.eye(3) if C_nb is None else C_nb, "interval": interval,
-        "nav": np.zeros(N_FLAT), "fused": True}
+        "t_ns": 1,
+        "z": z,
+        "S": np.eye(len(z)),
+        "H": np.zeros((len(z), N_ERROR)),
+        "K": K,
+        "dx": K @ z,
+        "C_nb": np.eye(3) if C_nb is None else C_nb,
+        "interval": interval,
+        "nav": np.zeros(N_FLAT),
+        "fused": True,
+    }
     return Correction(**{f.name: given[f.name] for f in dataclasses.fields(Correction)})
 
 
@@ -304,11 +312,24 @@ def test_another_model_takes_over_without_touching_the_state() -> None:
 
 def still_filter(noise: NoiseModel, rate: int) -> InsFilter:
     """A filter that knows everything at its start, one second after the epoch."""
-    state = NavState(np.array([0.56, 0.61, 100.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]),
-                     np.zeros(3), np.zeros(3), np.zeros((N_ERROR, N_ERROR)))
+    state = NavState(
+        np.array([0.56, 0.61, 100.0]),
+        np.zeros(3),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros((N_ERROR, N_ERROR)),
+    )
     return InsFilter(
-        state, 10**9, np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0]), noise, process(1.0 / rate),
-        Gate({3: 30.0}, 3.0), ImuRing(), FilterSettings())
+        state,
+        10**9,
+        np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0]),
+        noise,
+        process(1.0 / rate),
+        Gate({3: 30.0}, 3.0),
+        ImuRing(),
+        FilterSettings(),
+    )
 
 
 def advance(ins: InsFilter, rate: int, duration: float) -> NavState:

@@ -86,8 +86,14 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
     pack(P, packed)
     upper = np.triu_indices(3)
     covariance_step(
-        packed, F, dt, Qd[DV, DV][upper], Qd[EPS, EPS][upper], np.diag(Qd[B_A, B_A]),
-        np.diag(Qd[B_G, B_G]))
+        packed,
+        F,
+        dt,
+        Qd[DV, DV][upper],
+        Qd[EPS, EPS][upper],
+        np.diag(Qd[B_A, B_A]),
+        np.diag(Qd[B_G, B_G]),
+    )
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
@@ -164,5 +170,4 @@ def test_flush_propagates_what_is_pending_and_only_once() -> None:
 
     np.testing.assert_array_equal(before, start(truth)[COVARIANCE])
     np.testing.assert_array_equal(nav[COVARIANCE], once)
-    np.testing.assert_allclose(
-        np.diag(covariance(nav)), np.diag(covariance(every)), rtol=0.02)
+    np.testing.assert_allclose(np.diag(covariance(nav)), np.diag(covariance(every)), rtol=0.02)

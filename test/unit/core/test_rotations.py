@@ -33,8 +33,10 @@ def test_product_turns_one_after_the_other(q: Array, p: Array, v: Array) -> None
     together = rotations.matrix_from_quat(rotations.quat_multiply(q, p))
 
     np.testing.assert_allclose(
-        together @ v, rotations.matrix_from_quat(q) @ (rotations.matrix_from_quat(p) @ v),
-        atol=1e-14)
+        together @ v,
+        rotations.matrix_from_quat(q) @ (rotations.matrix_from_quat(p) @ v),
+        atol=1e-14,
+    )
 
 
 @given(quaternions)
@@ -57,7 +59,8 @@ def test_matrix_and_back(q: Array) -> None:
 @pytest.mark.parametrize("q", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (half, -half, 0, 0)])
 def test_half_turns_have_a_quaternion(q: tuple[float, ...]) -> None:
     assert_same_rotation(
-        rotations.quat_from_matrix(rotations.matrix_from_quat(q)), np.asarray(q, float))
+        rotations.quat_from_matrix(rotations.matrix_from_quat(q)), np.asarray(q, float)
+    )
 
 
 @given(vectors.map(lambda v: np.pi * v / np.sqrt(3.0)))
@@ -73,7 +76,8 @@ def test_small_rotation_vectors_keep_their_digits(angle: float) -> None:
     rotvec = angle * np.array([0.6, -0.8, 0.0])
 
     np.testing.assert_allclose(
-        rotations.rotvec_from_quat(rotations.quat_from_rotvec(rotvec)), rotvec, rtol=1e-14)
+        rotations.rotvec_from_quat(rotations.quat_from_rotvec(rotvec)), rotvec, rtol=1e-14
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,8 +110,11 @@ def test_slerp_covers_its_share_of_the_way(first: Array, second: Array, fraction
     middle = rotations.slerp(first, second, fraction)
 
     def angle(a: Array, b: Array) -> float:
-        return float(np.linalg.norm(
-            rotations.rotvec_from_quat(rotations.quat_multiply(rotations.quat_conjugate(a), b))))
+        return float(
+            np.linalg.norm(
+                rotations.rotvec_from_quat(rotations.quat_multiply(rotations.quat_conjugate(a), b))
+            )
+        )
 
     way = angle(first, second)
     assert angle(first, middle) == pytest.approx(fraction * way, abs=1e-12)

@@ -32,14 +32,17 @@ def test_a_biased_sensor_that_stands_stands() -> None:
     assert is_standing(samples(rate=lambda t: 0.01 + 0.0 * t))
 
 
-@pytest.mark.parametrize(("what", "changes"), [
-    ("vibration", {"force_std": 0.5}),
-    ("a vibrating gyroscope", {"rate_std": 0.05}),
-    ("a hovering drone that balances", {"rate": lambda t: 0.015 * np.sin(2 * np.pi * 1.5 * t)}),
-    ("speeding up", {"force": lambda t: 0.5 * t}),
-    ("a slow turn", {"rate": lambda t: 0.1 + 0.0 * t}),
-    ("swaying", {"force": lambda t: 0.2 * np.sin(2 * np.pi * t)}),
-])
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("vibration", {"force_std": 0.5}),
+        ("a vibrating gyroscope", {"rate_std": 0.05}),
+        ("a hovering drone that balances", {"rate": lambda t: 0.015 * np.sin(2 * np.pi * 1.5 * t)}),
+        ("speeding up", {"force": lambda t: 0.5 * t}),
+        ("a slow turn", {"rate": lambda t: 0.1 + 0.0 * t}),
+        ("swaying", {"force": lambda t: 0.2 * np.sin(2 * np.pi * t)}),
+    ],
+)
 def test_motion_is_not_standing(what: str, changes: dict) -> None:
     assert not is_standing(samples(**changes)), what
 

@@ -37,16 +37,18 @@ class Errors:
 def integrate(truth: Truth) -> Errors:
     """Integrate a perfect IMU's readings from the true first state."""
     rows = np.empty((len(truth.t) - 1, N_NAV))
-    propagation.run(
-        truth.flat(), np.diff(truth.t), truth.readings[1:], MECHANISATION_ONLY, rows)
+    propagation.run(truth.flat(), np.diff(truth.t), truth.readings[1:], MECHANISATION_ONLY, rows)
     metres = earth.curvature_scale(truth.lla[0])
-    return Errors(*(
-        float(np.max(np.linalg.norm(error, axis=1))) for error in (
-            (rows[:, LLA] - truth.lla[1:]) * metres,
-            rows[:, VELOCITY] - truth.velocity_n[1:],
-            misalignment(truth.quat_xyzw[1:], rows[:, QUAT]),
+    return Errors(
+        *(
+            float(np.max(np.linalg.norm(error, axis=1)))
+            for error in (
+                (rows[:, LLA] - truth.lla[1:]) * metres,
+                rows[:, VELOCITY] - truth.velocity_n[1:],
+                misalignment(truth.quat_xyzw[1:], rows[:, QUAT]),
+            )
         )
-    ))
+    )
 
 
 def epochs(rate: float, duration: float = MINUTES_10) -> Array:
@@ -72,8 +74,12 @@ def test_standing_imu_stays_where_it_is(lat: float, height: float) -> None:
     rate_n = earth.EARTH_RATE * np.array([np.cos(lla[0]), 0.0, -np.sin(lla[0])])
     reading = np.concatenate((-gravity_n @ C_nb, rate_n @ C_nb))
     truth = Truth(
-        t, np.tile(lla, (len(t), 1)), np.zeros((len(t), 3)),
-        np.tile(quat_from_rpy(*rpy), (len(t), 1)), np.tile(reading, (len(t), 1)))
+        t,
+        np.tile(lla, (len(t), 1)),
+        np.zeros((len(t), 3)),
+        np.tile(quat_from_rpy(*rpy), (len(t), 1)),
+        np.tile(reading, (len(t), 1)),
+    )
 
     errors = integrate(truth)
 
@@ -96,8 +102,10 @@ def test_imu_that_does_not_turn_in_space_turns_against_the_ground() -> None:
     propagation.run(nav, np.diff(t), readings[1:], MECHANISATION_ONLY, rows)
 
     np.testing.assert_allclose(
-        misalignment(rows[:, QUAT], np.array([0.0, 0.0, 0.0, 1.0])), np.outer(t[1:], w_ie),
-        atol=1e-9)
+        misalignment(rows[:, QUAT], np.array([0.0, 0.0, 0.0, 1.0])),
+        np.outer(t[1:], w_ie),
+        atol=1e-9,
+    )
     assert MINUTES_10 * np.linalg.norm(w_ie) > 0.04  # rad, what is seen
 
 
@@ -136,19 +144,21 @@ def test_flight_along_a_parallel(east: float) -> None:
 
 # Ten minutes of flight
 
-MANOEUVRES = Series(
-    waves=[Wave((40, 40, 5), 0.03, (0, 1.57, 0)), Wave((8, 5, 2), 0.11, (1, 2, 3))])
-SWAY = Series(
-    waves=[Wave((0.2, 0.2, 0), 0.11, (0, 1, 0)), Wave((0, 0, 1.5), 0.03)])
+MANOEUVRES = Series(waves=[Wave((40, 40, 5), 0.03, (0, 1.57, 0)), Wave((8, 5, 2), 0.11, (1, 2, 3))])
+SWAY = Series(waves=[Wave((0.2, 0.2, 0), 0.11, (0, 1, 0)), Wave((0, 0, 1.5), 0.03)])
 SCULLING = Wave((0.25e-3, 0.25e-3, 0.25e-3), 20.0, (0, 1.57, 0))  # 3.9 m/s²
 CONING = Wave((1e-3, 1e-3, 0.5e-3), 20.0, (0, 1.57, 0))  # 0.13 rad/s
 
 FLIGHTS = {
-    "airliner": (Series(rate=(180, 150, -5), waves=[Wave((300, 300, 100), 0.02)]),
-                 Series(waves=[Wave((0.5, 0.1, 1.0), 0.02)])),
+    "airliner": (
+        Series(rate=(180, 150, -5), waves=[Wave((300, 300, 100), 0.02)]),
+        Series(waves=[Wave((0.5, 0.1, 1.0), 0.02)]),
+    ),
     "quadrotor": (MANOEUVRES, SWAY),
     "vibrating quadrotor": (
-        Series(waves=[*MANOEUVRES.waves, SCULLING]), Series(waves=[*SWAY.waves, CONING])),
+        Series(waves=[*MANOEUVRES.waves, SCULLING]),
+        Series(waves=[*SWAY.waves, CONING]),
+    ),
     "rolling": (Series(), Series(rate=(1.0, 0.0, 0.0))),
 }
 
@@ -208,8 +218,17 @@ def test_one_interval_follows_a_straight_course_of_the_readings(
         f, w = f0 + np.outer(at, f1 - f0), w0 + np.outer(at, w1 - w0)
         for k in range(pieces):
             mechanise(
-                nav[LLA], nav[VELOCITY], nav[QUAT], f[k], w[k], f[k + 1], w[k + 1], dt / pieces,
-                C, f_n)
+                nav[LLA],
+                nav[VELOCITY],
+                nav[QUAT],
+                f[k],
+                w[k],
+                f[k + 1],
+                w[k + 1],
+                dt / pieces,
+                C,
+                f_n,
+            )
         return nav
 
     once, finely = integrated(1), integrated(10)

@@ -296,7 +296,9 @@ def test_models_that_come_with_the_package_load() -> None:
     lines = Lines()
 
     assert [load_regressor(name, lines).name for name in ("plateau", "paper")] == [
-        "plateau", "paper"]
+        "plateau",
+        "paper",
+    ]
     assert not lines
 
 
@@ -340,9 +342,17 @@ class Standing:
         self.lines = Lines()
         given = {name.replace("__", "."): value for name, value in changes.items()}
         self.estimator = Estimator(
-            parameters.check_all({
-                "alignment.heading_source": "parameter", "alignment.yaw_std": 0.01,
-                "imu.zero_updates": False, "noise.innovation_scale": False, **given}), self.lines)
+            parameters.check_all(
+                {
+                    "alignment.heading_source": "parameter",
+                    "alignment.yaw_std": 0.01,
+                    "imu.zero_updates": False,
+                    "noise.innovation_scale": False,
+                    **given,
+                }
+            ),
+            self.lines,
+        )
         self.rng = np.random.default_rng(1)
         self.t_ns = 10**9
         self.last = np.zeros(6)

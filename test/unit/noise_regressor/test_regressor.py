@@ -234,7 +234,9 @@ def test_spectral_variance_ignores_slow_motion():
     t = np.linspace(-1.0, 1.0, 200)
     motion = 30.0 + 20.0 * t - 5.0 * t**2 + 9.0 * t**3
     window = white(channels=200)
-    assert noise_spectral.variance(window + motion) == pytest.approx(noise_spectral.variance(window), rel=1e-6)
+    assert noise_spectral.variance(window + motion) == pytest.approx(
+        noise_spectral.variance(window), rel=1e-6
+    )
 
 
 def test_spectral_plateau_sees_the_low_end():
@@ -380,9 +382,7 @@ def test_onnx_graph_is_the_torch_module(training, tmp_path, name):
         "rate_max": "1000",
         "centred": "0",
     }
-    export = (
-        networks.onnx_paper if name == "PaperNet" else (networks.onnx_plateau)
-    )
+    export = networks.onnx_paper if name == "PaperNet" else (networks.onnx_plateau)
     with torch.no_grad():
         for layer in network.modules():
             if isinstance(layer, torch.nn.Linear):

@@ -35,7 +35,8 @@ def fix(covariance=None, kind=2, lat=32.0, lon=35.0, alt=10.0, status=0, sec=5):
     message.status.status = status
     message.latitude, message.longitude, message.altitude = lat, lon, alt
     message.position_covariance = np.asarray(
-        np.diag([0.01, 0.04, 0.09]) if covariance is None else covariance, float).ravel()
+        np.diag([0.01, 0.04, 0.09]) if covariance is None else covariance, float
+    ).ravel()
     message.position_covariance_type = kind
     return message
 
@@ -52,17 +53,37 @@ def velocity(x=1.0, y=2.0, z=3.0, variance=0.01):
 def test_a_fix_is_turned_into_ned_with_its_cross_terms() -> None:
     enu = [[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.16]]
     made = GNSS.position(fix(enu, 3))
-    np.testing.assert_allclose(made.covariance_n, [
-        [0.09, 0.01, 0.003], [0.01, 0.04, -0.002], [0.003, -0.002, 0.16]])
+    np.testing.assert_allclose(
+        made.covariance_n, [[0.09, 0.01, 0.003], [0.01, 0.04, -0.002], [0.003, -0.002, 0.16]]
+    )
     assert made.lla == pytest.approx([math.radians(32.0), math.radians(35.0), 10.0])
 
 
-@pytest.mark.parametrize(("covariance", "kind"), [
-    (np.eye(3), 0), (np.zeros((3, 3)), 3), (-np.eye(3), 2), (np.full((3, 3), NAN), 3),
-    (np.diag([0.1, INF, 0.1]), 2), ([[1, 2, 0], [2, 1, 0], [0, 0, 1]], 3),
-    (np.diag([0.1, 0.1, 0.0]), 2), (np.diag([0.1, -0.1, 0.1]), 2), (np.eye(3), 77),
-], ids=["unknown", "zero", "negative", "NaN", "inf", "indefinite", "one zero", "one negative",
-        "no such type"])
+@pytest.mark.parametrize(
+    ("covariance", "kind"),
+    [
+        (np.eye(3), 0),
+        (np.zeros((3, 3)), 3),
+        (-np.eye(3), 2),
+        (np.full((3, 3), NAN), 3),
+        (np.diag([0.1, INF, 0.1]), 2),
+        ([[1, 2, 0], [2, 1, 0], [0, 0, 1]], 3),
+        (np.diag([0.1, 0.1, 0.0]), 2),
+        (np.diag([0.1, -0.1, 0.1]), 2),
+        (np.eye(3), 77),
+    ],
+    ids=[
+        "unknown",
+        "zero",
+        "negative",
+        "NaN",
+        "inf",
+        "indefinite",
+        "one zero",
+        "one negative",
+        "no such type",
+    ],
+)
 def test_a_covariance_that_says_nothing_gives_way_to_the_default(covariance, kind) -> None:
     made = GNSS.position(fix(covariance, kind))
     np.testing.assert_allclose(np.diag(made.covariance_n), np.diag(DEFAULT))
@@ -83,14 +104,22 @@ def test_any_nine_numbers_give_a_positive_definite_covariance(numbers: list[floa
     assert np.linalg.eigvalsh(0.5 * made + 0.5 * made.T).min() > 0.0
 
 
-@pytest.mark.parametrize(("changes", "name"), [
-    ({"status": -1}, "gnss: no fix"), ({"status": -2}, "gnss: no fix"),
-    ({"lat": NAN}, "gnss: impossible position"), ({"lon": INF}, "gnss: impossible position"),
-    ({"alt": INF}, "gnss: impossible position"), ({"alt": 1e9}, "gnss: impossible position"),
-    ({"lat": 3.2e8}, "gnss: impossible position"), ({"lat": 90.0}, "gnss: impossible position"),
-    ({"lat": 0.0, "lon": 0.0}, "gnss: impossible position"), ({"sec": 0}, "gnss: zero stamp"),
-    ({"sec": -5}, "gnss: zero stamp"),
-])
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"status": -1}, "gnss: no fix"),
+        ({"status": -2}, "gnss: no fix"),
+        ({"lat": NAN}, "gnss: impossible position"),
+        ({"lon": INF}, "gnss: impossible position"),
+        ({"alt": INF}, "gnss: impossible position"),
+        ({"alt": 1e9}, "gnss: impossible position"),
+        ({"lat": 3.2e8}, "gnss: impossible position"),
+        ({"lat": 90.0}, "gnss: impossible position"),
+        ({"lat": 0.0, "lon": 0.0}, "gnss: impossible position"),
+        ({"sec": 0}, "gnss: zero stamp"),
+        ({"sec": -5}, "gnss: zero stamp"),
+    ],
+)
 def test_useless_fixes_are_refused_by_name(changes, name) -> None:
     refused = GNSS.position(fix(**changes))
     assert isinstance(refused, Refused) and refused.name == name
@@ -101,7 +130,8 @@ def test_a_fix_without_altitude_keeps_its_horizontal_part() -> None:
     made = GNSS.position(fix(covariance, alt=NAN))
     assert math.isnan(made.lla[2])
     assert np.diag(made.covariance_n)[:2] == pytest.approx([0.04, 0.01], rel=0.2) or (
-        np.diag(made.covariance_n)[:2] == pytest.approx([0.04, 0.01]))
+        np.diag(made.covariance_n)[:2] == pytest.approx([0.04, 0.01])
+    )
 
 
 def test_velocity_is_turned_and_an_unknown_climb_leaves_the_rest() -> None:
@@ -132,9 +162,13 @@ def test_a_mount_turns_gravity_back(rpy) -> None:
 
 @pytest.mark.parametrize("std", [0.2, [0.2], [0.2, 0.2, 0.2]])
 def test_biases_to_begin_with_are_turned_into_b_and_one_uncertainty_serves_all_axes(std) -> None:
-    values = parameters.check_all({
-        "imu.accelerometer_bias": [0.1, 0.2, 0.3], "imu.accelerometer_bias_std": std,
-        "imu.gyroscope_bias": [0.01, 0.02, 0.03]})
+    values = parameters.check_all(
+        {
+            "imu.accelerometer_bias": [0.1, 0.2, 0.3],
+            "imu.accelerometer_bias_std": std,
+            "imu.gyroscope_bias": [0.01, 0.02, 0.03],
+        }
+    )
 
     bias_a, std_a, bias_g, std_g = first_biases(values)
 

@@ -32,8 +32,13 @@ def flown():
     imu = corrupt(truth, ImuErrors(), np.random.default_rng(0))
     gnss = fixes(sample(motion, sample_times(60.0, 5.0)), np.random.default_rng(1))
     estimator = Estimator(
-        {**parameters.defaults(), "alignment.heading_source": "parameter",
-         "alignment.yaw": np.pi / 2}, lambda level, text: None)
+        {
+            **parameters.defaults(),
+            "alignment.heading_source": "parameter",
+            "alignment.yaw": np.pi / 2,
+        },
+        lambda level, text: None,
+    )
     message = new_message("sensor_msgs/msg/NavSatFix")
     message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
     message.position_covariance_type = 2
@@ -82,7 +87,8 @@ def test_map_to_odom_to_base_is_map_to_base(flown) -> None:
         turn = matrix_from_quat(quat_from_rpy(0.0, 0.0, yaw))
         assert origin + turn @ local[:3] == pytest.approx(row[:3], abs=1e-9)
         np.testing.assert_allclose(
-            turn @ matrix_from_quat(local[3:7]), matrix_from_quat(row[3:7]), atol=1e-9)
+            turn @ matrix_from_quat(local[3:7]), matrix_from_quat(row[3:7]), atol=1e-9
+        )
 
 
 def test_twist_is_that_of_the_map_and_covariances_are_positive(flown) -> None:
@@ -96,8 +102,16 @@ def test_twist_is_that_of_the_map_and_covariances_are_positive(flown) -> None:
 def test_uniform_motion_is_followed_exactly() -> None:
     state, out = start(), np.zeros(85)
     for k in range(101):
-        advance(state, 0.01 if k else 0.0, odometry((5.0 + 0.02 * k, 0.0, 0.0), (0.0, 0.0, 0.3),
-                (2.0 * np.cos(0.3), -2.0 * np.sin(0.3), 0.0)), out)
+        advance(
+            state,
+            0.01 if k else 0.0,
+            odometry(
+                (5.0 + 0.02 * k, 0.0, 0.0),
+                (0.0, 0.0, 0.3),
+                (2.0 * np.cos(0.3), -2.0 * np.sin(0.3), 0.0),
+            ),
+            out,
+        )
     # From odom's origin, 1 s at 2 m/s along the map's east, which odom's axes are turned from.
     assert np.linalg.norm(out[:3]) == pytest.approx(2.0, abs=1e-9)
 
@@ -114,8 +128,12 @@ def test_a_correction_of_the_map_does_not_move_odom() -> None:
 def test_a_new_start_goes_on_from_the_last_pose() -> None:
     state, out = start(), np.zeros(85)
     for k in range(50):
-        advance(state, 0.01 if k else 0.0, odometry(
-            (0.01 * k, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), out)
+        advance(
+            state,
+            0.01 if k else 0.0,
+            odometry((0.01 * k, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+            out,
+        )
     before = out[:3].copy()
     advance(state, 0.0, odometry((100.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), out)
     assert out[:3] == pytest.approx(before)

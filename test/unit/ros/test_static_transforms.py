@@ -11,10 +11,13 @@ from hybrid_ins.ros.static_transforms import StaticTransforms
 
 def transform(parent, child, xyz=(0.0, 0.0, 0.0), quat=(0.0, 0.0, 0.0, 1.0)):
     return Namespace(
-        header=Namespace(frame_id=parent), child_frame_id=child,
+        header=Namespace(frame_id=parent),
+        child_frame_id=child,
         transform=Namespace(
             translation=Namespace(**dict(zip("xyz", xyz, strict=True))),
-            rotation=Namespace(**dict(zip("xyzw", quat, strict=True)))))
+            rotation=Namespace(**dict(zip("xyzw", quat, strict=True))),
+        ),
+    )
 
 
 def tree(*transforms):
@@ -25,9 +28,11 @@ def tree(*transforms):
 
 def test_chain_up_and_down_composes() -> None:
     quarter = quat_from_rpy(0.0, 0.0, np.pi / 2)
-    known = tree(transform("base_link", "plate", (1.0, 0.0, 0.0), quarter),
-                 transform("plate", "imu", (1.0, 0.0, 0.5)),
-                 transform("base_link", "mast", (0.0, 0.0, 2.0)))
+    known = tree(
+        transform("base_link", "plate", (1.0, 0.0, 0.0), quarter),
+        transform("plate", "imu", (1.0, 0.0, 0.5)),
+        transform("base_link", "mast", (0.0, 0.0, 2.0)),
+    )
 
     C, p = known.find("base_link", "imu")
     assert p == pytest.approx([1.0, 1.0, 0.5])
@@ -51,11 +56,14 @@ def test_leading_slash_and_the_frame_itself() -> None:
     assert np.array_equal(C, np.eye(3)) and not p.any()
 
 
-@pytest.mark.parametrize("bad", [
-    transform("base_link", "imu", quat=(0.0, 0.0, 0.0, 0.0)),
-    transform("base_link", "imu", quat=(np.nan, 0.0, 0.0, 1.0)),
-    transform("base_link", "imu", xyz=(np.inf, 0.0, 0.0)),
-])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        transform("base_link", "imu", quat=(0.0, 0.0, 0.0, 0.0)),
+        transform("base_link", "imu", quat=(np.nan, 0.0, 0.0, 1.0)),
+        transform("base_link", "imu", xyz=(np.inf, 0.0, 0.0)),
+    ],
+)
 def test_a_transform_that_is_none_is_left_out(bad) -> None:
     assert tree(bad).find("base_link", "imu") is None
 
