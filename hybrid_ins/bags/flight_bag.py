@@ -44,7 +44,7 @@ from hybrid_ins.ros.conversions import (
     quat_nb_from_enu,
     set_stamp,
 )
-from hybrid_ins.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
 # 2023-01-01T00:00:00Z. Files and simulations count from zero, which is no valid stamp in ROS.
 EPOCH_NS = 1_672_531_200_000_000_000

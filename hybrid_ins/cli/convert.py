@@ -33,8 +33,8 @@ from hybrid_ins.dataset.csv_flight import (
 from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.errors import InputError
 from hybrid_ins.resources import share_path
+from hybrid_ins.ros.trajectory import Array, Trajectory
 from hybrid_ins.simulation.sensors import RTK_STD
-from hybrid_ins.trajectory import Array, Trajectory
 
 DEFAULT_MAP = "config/datasets/quadrotor.yaml"
 HALF_WINDOW = 0.4  # s, of the cubic whose slope is the velocity

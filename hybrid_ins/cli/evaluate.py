@@ -43,7 +43,7 @@ from hybrid_ins.evaluation.result import (
 from hybrid_ins.evaluation.run_reader import Recording, Topics, Verdicts, read_recording
 from hybrid_ins.evaluation.statistics import Consistency, nees
 from hybrid_ins.plotting import run
-from hybrid_ins.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
 _SAME_EPOCH_NS = 100_000  # stamps of one epoch may differ by the rounding of float seconds
 _LOW_COVERAGE = 0.95

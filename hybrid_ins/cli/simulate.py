@@ -16,6 +16,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.core.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import (
     Motion,
     aircraft_flight,
@@ -33,7 +34,6 @@ from hybrid_ins.simulation.sensors import (
     sample,
     sample_times,
 )
-from hybrid_ins.trajectory import Trajectory
 
 ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
 MOST_SAMPLES = 5_000_000  # about 4 GB of memory

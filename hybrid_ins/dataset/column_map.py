@@ -17,7 +17,7 @@ from hybrid_ins import parameter_file
 from hybrid_ins.bags.flight_bag import EPOCH_NS
 from hybrid_ins.dataset.csv_table import CsvFormat
 from hybrid_ins.errors import InputError
-from hybrid_ins.trajectory import Array
+from hybrid_ins.ros.trajectory import Array
 
 DELIMITERS = {"tab": "\t", "space": " "}
 UNKNOWN_ANGLE = np.degrees(np.pi / np.sqrt(3.0))  # std of an angle of which nothing is known

@@ -34,7 +34,7 @@ from hybrid_ins.dataset.column_map import (
 from hybrid_ins.dataset.csv_table import Faults, Table, read_table
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP, SWAP, quat_nb_from_enu
-from hybrid_ins.trajectory import Array
+from hybrid_ins.ros.trajectory import Array
 
 MOST_SPECIFIC_FORCE = 1000.0  # m/s2, a hundred g: no vehicle's accelerometer reads that
 MOST_ANGULAR_RATE = 100.0  # rad/s

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.evaluation.statistics import Consistency
-from hybrid_ins.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
 _CORRELATED = (
     "epochs of one run are correlated: the first band is for n independent ones, the second for"

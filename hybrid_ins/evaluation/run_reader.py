@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags.bag import BagReader
 from hybrid_ins.cli import program
-from hybrid_ins.core import rotations
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import stamp_ns as ns_of
-from hybrid_ins.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _FIX = "sensor_msgs/msg/NavSatFix"
@@ -27,7 +26,6 @@ _VECTOR = "geometry_msgs/msg/Vector3Stamped"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
 _CHUNK = 10_000  # messages decoded at once
-_MOVED = 1.0  # m: a vehicle that went this far had a velocity
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ def _track(
     _, _, first = next(bag.reader.messages(topic), (None, None, None))
     if first is None:
         raise InputError(f"{path}: no message on {topic}")
-    track, faults = track_from_odometry(*_odometry_rows(bag.reader, topic))
+    track, faults = trajectory_from_odometry(*_odometry_rows(bag.reader, topic))
     if not len(track):
         raise InputError(f"{path}: {topic} has no usable message: {'; '.join(faults)}")
     places = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
@@ -272,80 +270,6 @@ def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
 
 def _doubles(tails: list[bytes]) -> Array:
     return np.frombuffer(b"".join(tails), "<f8").reshape(-1, _ODOMETRY_DOUBLES)
-
-
-def track_from_odometry(stamp_ns: Stamps, rows: Array) -> tuple[Trajectory, list[str]]:
-    """
-    Turn the numbers of nav_msgs/Odometry into a track.
-
-    Parameters
-    ----------
-    stamp_ns : ndarray, shape (N,)
-        Header stamps.
-    rows : ndarray, shape (N, 85)
-        The message's doubles in its own order: position, quaternion, pose covariance, linear and
-        angular velocity in base_link, twist covariance.
-
-    Returns
-    -------
-    Trajectory
-        In order; without the parts that the messages do not hold.
-    faults : list of str
-        What was left out and why.
-
-    """
-    faults: list[str] = []
-
-    def drop(bad: NDArray[np.bool_], why: str) -> None:
-        nonlocal stamp_ns, rows
-        if np.any(bad):
-            faults.append(f"{np.sum(bad)} of {len(bad)} messages left out: {why}")
-            stamp_ns, rows = stamp_ns[~bad], rows[~bad]
-
-    drop(stamp_ns <= 0, "no time stamp")
-    drop(np.asarray(~np.isfinite(rows[:, :3]).all(axis=1)), "NaN or infinity in the position")
-
-    with np.errstate(invalid="ignore", over="ignore"):
-        norm = np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
-        quat = np.where((norm > 0.5) & (norm < 2.0), rows[:, 3:7] / norm, np.nan)
-    C_map_base = rotations.matrix_from_quat(quat)
-    unturned = np.isnan(quat).any(axis=1)
-    if np.any(unturned):
-        faults.append(
-            f"{np.sum(unturned)} of {len(quat)} quaternions are no rotation (zero or not finite):"
-            " no attitude and no velocity there"
-        )
-    velocity_base = rows[:, 43:46]
-    motion = np.ptp(rows[:, :3], axis=0) if len(rows) else np.zeros(3)
-    still = not np.any(velocity_base) and np.linalg.norm(motion) > _MOVED
-    if still:
-        faults.append("every velocity is zero although the vehicle moves: taken as unknown")
-    pose_cov = rows[:, 7:43].reshape(-1, 6, 6)
-    twist_cov = rows[:, 49:85].reshape(-1, 6, 6)
-    velocity = (C_map_base @ velocity_base[..., None])[..., 0]
-    track, repeated = Trajectory(
-        stamp_ns,
-        rows[:, :3],
-        None if still else _known(velocity),
-        _known(quat),
-        _claimed(pose_cov[:, :3, :3]),
-        None if still else _claimed(twist_cov[:, :3, :3]),
-        _claimed(pose_cov[:, 3:, 3:]),
-    ).in_order()
-    if np.any(np.diff(stamp_ns) < 0):
-        faults.append("time stamps go backward: sorted (did the bag loop?)")
-    if repeated:
-        faults.append(f"{repeated} messages repeat a time stamp: the last of each was taken")
-    return track, faults
-
-
-def _known(values: Array) -> Array | None:
-    return values if np.any(np.isfinite(values)) else None
-
-
-def _claimed(covariance: Array) -> Array | None:
-    """Return None for covariances that are all zero or not finite: nothing is claimed."""
-    return covariance if np.any(np.nan_to_num(covariance, posinf=0.0, neginf=0.0)) else None
 
 
 def _fixes(bag: _Bag, topic: str) -> Fixes:

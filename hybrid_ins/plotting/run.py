@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.trajectory import Array, Stamps, Trajectory, enu_from_lla
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, enu_from_lla
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -30,8 +30,8 @@ from scipy.signal import lfilter
 from hybrid_ins.bags.flight_bag import in_outage
 from hybrid_ins.core import earth
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.ros.trajectory import Array
 from hybrid_ins.simulation.motions import Motion
-from hybrid_ins.trajectory import Array
 
 MPU9250_ACCELEROMETER_STD = 0.02  # m/s2 per sample, the paper's Table I
 MPU9250_GYROSCOPE_STD = 0.002  # rad/s per sample

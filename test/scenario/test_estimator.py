@@ -13,9 +13,9 @@ from hybrid_ins.bags.bag import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
-from hybrid_ins.trajectory import Trajectory
 
 EPOCH_NS = 1_700_000_000_000_000_000
 GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": math.pi / 2 - 0.7}

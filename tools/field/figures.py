@@ -10,7 +10,7 @@ from matplotlib import pyplot as plt
 from scipy import signal
 
 from hybrid_ins.plotting import run
-from hybrid_ins.trajectory import enu_from_lla
+from hybrid_ins.ros.trajectory import enu_from_lla
 from tools.field.flights import Fixes, Flight, Flown
 from tools.paper.figures import _axes, _save
 

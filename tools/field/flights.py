@@ -27,14 +27,14 @@ from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.csv_flight import read_attitude, read_imu, read_position
 from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.evaluation.result import Result, Scoring
-from hybrid_ins.evaluation.run_reader import Verdicts, track_from_odometry
+from hybrid_ins.evaluation.run_reader import Verdicts, trajectory_from_odometry
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.resources import share_path
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 from hybrid_ins.simulation.sensors import RTK_STD
-from hybrid_ins.trajectory import Array, Stamps, Trajectory
 
 SESSIONS = {"first": (2, 3, 4, 5, 6, 7), "second": (16, 17, 18, 19, 20, 21)}
 IMUS = (1, 2, 3, 4)
@@ -261,7 +261,7 @@ def fly(
         (t, v)
         for t, v, _ in estimator.imu_block(flight.stamp_ns[start:], force[start:], rate[start:])
     ]
-    track, _ = track_from_odometry(
+    track, _ = trajectory_from_odometry(
         np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])
     )
     result = evaluate(

@@ -29,7 +29,7 @@ from hybrid_ins.bags.bag import BagReader, BagWriter
 from hybrid_ins.cli import calibrate, convert, replay, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
-from hybrid_ins.evaluation.run_reader import track_from_odometry
+from hybrid_ins.evaluation.run_reader import trajectory_from_odometry
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.faults import FAULTS, Fault, Flight
 
@@ -154,7 +154,7 @@ def examine(path: Path, truth_path: Path, origin_ns: int, offset: float, shift: 
         truth = _odometry(bag, "/truth/odometry", [])
         [place] = [message for _, _, message in bag.messages("/truth/datum")][-1:]
     stamp_ns, rows = _last_pass(*truth)
-    track = replace(track_from_odometry(stamp_ns, rows)[0], datum_lla=_lla(place))
+    track = replace(trajectory_from_odometry(stamp_ns, rows)[0], datum_lla=_lla(place))
     if datum is not None:
         track = track.in_map_of(_lla(datum))
     t_ns = track.stamp_ns + round(offset * 1e9)

@@ -29,9 +29,9 @@ from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, car_drive, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
-from hybrid_ins.trajectory import Trajectory
 from tools.field import flights
 
 Array = NDArray[np.float64]

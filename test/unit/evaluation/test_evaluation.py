@@ -19,7 +19,7 @@ from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import Verdicts, read_recording
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.trajectory import Trajectory
+from hybrid_ins.ros.trajectory import Trajectory
 
 START_NS = 1_700_000_000_000_000_000
 DATUM = np.array([np.radians(32.1), np.radians(34.8), 0.0])
@@ -689,7 +689,7 @@ class TestProgram:
         assert figures["prmse_m"] == pytest.approx(0.0, abs=1e-6)
         assert figures["attitude_rmse_deg"] is None
         assert figures["velocity_rmse_mps"] is None
-        assert any("no rotation" in note for note in figures["notes"])
+        assert any("quaternions are invalid" in note for note in figures["notes"])
 
     def test_nan_zero_stamps_and_repeated_stamps_are_left_out_and_said(
         self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
@@ -710,8 +710,8 @@ class TestProgram:
         text, _ = said(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
 
         notes = " ".join(json.loads(text)["notes"])
-        assert "1 of 2001 messages left out: no time stamp" in notes
-        assert "1 of 2000 messages left out: NaN" in notes
+        assert "1 of 2001 messages ignored: no time stamp" in notes
+        assert "1 of 2000 messages ignored: NaN" in notes
         assert "1 messages repeat" in notes
         assert "every velocity is zero" in notes
         assert json.loads(text)["prmse_m"] < 0.1

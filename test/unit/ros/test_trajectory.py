@@ -6,7 +6,7 @@ import pytest
 from hybrid_ins.core import rotations
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.trajectory import Trajectory, enu_from_lla
+from hybrid_ins.ros.trajectory import Trajectory, enu_from_lla
 
 DATUM = np.array([np.radians(32.1), np.radians(34.8), 20.0])
 

@@ -1,8 +1,9 @@
 """
-A vehicle's motion as arrays: what estimates, truth and simulations are compared as.
+A trajectory as arrays: many nav_msgs/Odometry messages in one object.
 
-A `Trajectory` is `nav_msgs/Odometry` in bulk and keeps its frames (REP-105): ``map``, east-north-up at
-the datum, and ``base_link``, forward-left-up. What is judged is what a subscriber receives.
+It keeps the message's frames (REP-105): ``map``, east-north-up at the datum, and ``base_link``,
+forward-left-up. Estimates, truth and simulations are compared in this form, so that what is
+evaluated is what a subscriber receives.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _QUAT_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about x
+_MOVED = 1.0  # m: a vehicle that travelled this far had a velocity
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """
-    Motion at given epochs. A part that is unknown is None, an unknown row of it is NaN.
+    Position, velocity and attitude at given epochs.
 
-    Covariances are those of true minus estimated, as Odometry has them: position along the map
-    axes, attitude as a small rotation about the map axes, velocity along the vehicle's own axes,
-    with what the attitude's uncertainty adds to it.
+    An unknown part is None, an unknown row of a part is NaN. Covariances are those of true minus
+    estimated, as in Odometry: position along the map axes, attitude as a small rotation about the
+    map axes, velocity along the axes of base_link, including the share of the attitude's
+    uncertainty.
     """
 
     stamp_ns: Stamps  # (N,)
@@ -57,7 +60,7 @@ class Trajectory:
         datum_lla: Array,
     ) -> Trajectory:
         """
-        Build a track from the filter's own arrays (NED, FRD).
+        Build a trajectory from the filter's arrays (NED, FRD).
 
         Parameters
         ----------
@@ -76,7 +79,7 @@ class Trajectory:
 
         """
         frame = LocalFrame(datum_lla)
-        # The navigation frame turns with the place it is at; the map does not.
+        # The axes of the navigation frame depend on the position; those of the map do not.
         C_map_n = SWAP @ np.array([frame.C_from_n(place) for place in lla]).reshape(-1, 3, 3)
 
         def block(part: slice) -> Array | None:
@@ -145,20 +148,20 @@ class Trajectory:
 
     def at(self, stamp_ns: Stamps) -> Trajectory:
         """
-        Interpolate to other stamps, all within the track; stamps must increase strictly.
+        Interpolate to other stamps, all within the trajectory; its stamps must increase strictly.
 
-        Position by a cubic that meets position and velocity at both ends (a straight line where
-        the velocity is unknown), velocity and covariances linearly, attitude along the shortest
-        turn. A constant acceleration and a constant turn rate are met exactly.
+        Position by the cubic Hermite polynomial of position and velocity at both ends (a straight
+        line where the velocity is unknown), velocity and covariances linearly, attitude along the
+        shortest rotation. Exact for a constant acceleration and a constant turn rate.
 
         Raises
         ------
         ValueError
-            A stamp lies outside the track, or the track has fewer than two epochs.
+            A stamp lies outside the trajectory, or that has fewer than two epochs.
 
         """
         if np.any(self.bracket_ns(stamp_ns) < 0):
-            raise ValueError("stamps outside the track")
+            raise ValueError("stamps outside the trajectory")
         right = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
         left = right - 1
         dt = (self.stamp_ns[right] - self.stamp_ns[left])[:, None] * 1e-9
@@ -176,8 +179,8 @@ class Trajectory:
         if self.velocity_enu is not None:
             slope = (self.position_enu[right] - self.position_enu[left]) / dt
             start, stop = self.velocity_enu[left] - slope, self.velocity_enu[right] - slope
-            bend = dt * u * (1.0 - u) * ((1.0 - u) * start - u * stop)
-            position = position + np.where(np.isfinite(bend), bend, 0.0)
+            cubic = dt * u * (1.0 - u) * ((1.0 - u) * start - u * stop)
+            position = position + np.where(np.isfinite(cubic), cubic, 0.0)
         quat = self.quat_xyzw
         return Trajectory(
             stamp_ns,
@@ -192,16 +195,16 @@ class Trajectory:
 
     def in_map_of(self, datum_lla: Array) -> Trajectory:
         """
-        Express the track in the map of another datum, exactly (the axes differ, too).
+        Express the trajectory in the map of another datum, exactly (the axes differ, too).
 
         Raises
         ------
         ValueError
-            The track's own datum is unknown.
+            The trajectory's own datum is unknown.
 
         """
         if self.datum_lla is None:
-            raise ValueError("a track without a datum cannot change its map")
+            raise ValueError("a trajectory without a datum cannot be expressed in another map")
         if np.array_equal(self.datum_lla, datum_lla):
             return self
         old, new = LocalFrame(self.datum_lla), LocalFrame(datum_lla)
@@ -232,9 +235,83 @@ class Trajectory:
 
 
 def enu_from_lla(lla: Array, datum_lla: Array) -> Array:
-    """Position in the map of `datum_lla`, shape (N, 3) [m], of geodetic places (N, 3)."""
+    """Return positions in the map of `datum_lla`, shape (N, 3) [m], of geodetic ones (N, 3)."""
     position: Array = LocalFrame(datum_lla).position(lla) @ SWAP
     return position
+
+
+def trajectory_from_odometry(stamp_ns: Stamps, rows: Array) -> tuple[Trajectory, list[str]]:
+    """
+    Build a trajectory from the numbers of nav_msgs/Odometry messages.
+
+    Parameters
+    ----------
+    stamp_ns : ndarray, shape (N,)
+        Header stamps.
+    rows : ndarray, shape (N, 85)
+        The message's doubles in its own order: position, quaternion, pose covariance, linear and
+        angular velocity in base_link, twist covariance.
+
+    Returns
+    -------
+    Trajectory
+        In the order of the stamps; parts that the messages do not hold are None.
+    faults : list of str
+        What was left out and why.
+
+    """
+    faults: list[str] = []
+
+    def drop(bad: NDArray[np.bool_], why: str) -> None:
+        nonlocal stamp_ns, rows
+        if np.any(bad):
+            faults.append(f"{np.sum(bad)} of {len(bad)} messages ignored: {why}")
+            stamp_ns, rows = stamp_ns[~bad], rows[~bad]
+
+    drop(stamp_ns <= 0, "no time stamp")
+    drop(np.asarray(~np.isfinite(rows[:, :3]).all(axis=1)), "NaN or infinity in the position")
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        norm = np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
+        quat = np.where((norm > 0.5) & (norm < 2.0), rows[:, 3:7] / norm, np.nan)
+    C_map_base = rotations.matrix_from_quat(quat)
+    invalid = np.isnan(quat).any(axis=1)
+    if np.any(invalid):
+        faults.append(
+            f"{np.sum(invalid)} of {len(quat)} quaternions are invalid (zero or not finite):"
+            " no attitude and no velocity at these stamps"
+        )
+    velocity_base = rows[:, 43:46]
+    extent = np.ptp(rows[:, :3], axis=0) if len(rows) else np.zeros(3)
+    no_velocity = not np.any(velocity_base) and bool(np.linalg.norm(extent) > _MOVED)
+    if no_velocity:
+        faults.append("every velocity is zero although the vehicle moves: treated as unknown")
+    pose_cov = rows[:, 7:43].reshape(-1, 6, 6)
+    twist_cov = rows[:, 49:85].reshape(-1, 6, 6)
+    velocity = (C_map_base @ velocity_base[..., None])[..., 0]
+    trajectory, repeated = Trajectory(
+        stamp_ns,
+        rows[:, :3],
+        None if no_velocity else _none_if_unknown(velocity),
+        _none_if_unknown(quat),
+        _none_if_unset(pose_cov[:, :3, :3]),
+        None if no_velocity else _none_if_unset(twist_cov[:, :3, :3]),
+        _none_if_unset(pose_cov[:, 3:, 3:]),
+    ).in_order()
+    if np.any(np.diff(stamp_ns) < 0):
+        faults.append("time stamps go backward: messages were sorted (did the bag loop?)")
+    if repeated:
+        faults.append(f"{repeated} messages repeat a time stamp: the last of each was used")
+    return trajectory, faults
+
+
+def _none_if_unknown(values: Array) -> Array | None:
+    return values if np.any(np.isfinite(values)) else None
+
+
+def _none_if_unset(covariance: Array) -> Array | None:
+    """Return None for covariances that are all zero or not finite."""
+    return covariance if np.any(np.nan_to_num(covariance, posinf=0.0, neginf=0.0)) else None
 
 
 def _velocity_base_cov(
