@@ -1,1 +1,1 @@
-"""Programs for those who work on the package itself; run each as ``python -m tools.FOLDER.NAME``."""
+"""Programs for work on the package itself; run each as ``python -m tools.FOLDER.NAME``."""

@@ -9,4 +9,5 @@ set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 bash "$root/tools/setup.sh" plot
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
-exec "$root/.venv/bin/python" "$root/tools/demo.py" "$@"
+export PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH}
+exec "$root/.venv/bin/python" -m tools.demo "$@"

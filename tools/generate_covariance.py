@@ -1,27 +1,25 @@
-#!/usr/bin/env python3
 """
 Write ``hybrid_ins/core/covariance_step.py``: one covariance step as straight-line code.
 
 The zero pattern of F is read off ``error_model.system_matrix``; P <- Phi P Phi' + Q^d is then
 unrolled over what is not zero, on the upper triangle of P. Run it after changing F:
 
-    tools/generate_covariance.py            # rewrite the file
-    tools/generate_covariance.py --check    # exit 1 when the file is not what would be written
+    python -m tools.generate_covariance            # rewrite the file
+    python -m tools.generate_covariance --check    # exit 1 if the file is not what would be written
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-import numpy as np  # noqa: E402
+import numpy as np
 
 from hybrid_ins.core import error_model, state
 
+ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "hybrid_ins" / "core" / "covariance_step.py"
 
 HEADER = '''"""
@@ -154,19 +152,21 @@ def wrap(line: str) -> str:
     return f"    {target} = {body}\n"
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Write or check the generated module."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m tools.generate_covariance",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--check", action="store_true", help="compare with the file instead of writing it"
     )
     text = generate()
-    if parser.parse_args().check:
+    if parser.parse_args(argv).check:
         if TARGET.read_text() == text:
             return 0
-        print(f"{TARGET.name} is stale: run tools/generate_covariance.py", file=sys.stderr)
+        print(f"{TARGET.name} is stale: run python -m tools.generate_covariance", file=sys.stderr)
         return 1
     TARGET.write_text(text)
     return 0

@@ -1,4 +1,4 @@
-"""A few faults of `tools/robustness/fault_campaign.py`; docs/fault_campaign.md has all and the command."""
+"""A few faults of ``tools.robustness.fault_campaign``; docs/fault_campaign.md has all of them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A share of `tools/robustness/mutate_files.py`; the complete set is run by hand, and by its command line."""
+"""A share of ``tools.robustness.mutate_files``; docs/robustness.md has the whole set."""
 
 import pytest
 

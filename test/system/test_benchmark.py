@@ -19,7 +19,8 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
     done = subprocess.run(
         [
             sys.executable,
-            ROOT / "tools" / "benchmark.py",
+            "-m",
+            "tools.benchmark.run",
             "--quick",
             "--only",
             "kernel",
@@ -29,6 +30,7 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
             "--report",
             report,
         ],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=280,
@@ -49,7 +51,8 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
 
 def test_node_section_runs() -> None:
     done = subprocess.run(
-        [sys.executable, ROOT / "tools" / "benchmark.py", "--quick", "--only", "node"],
+        [sys.executable, "-m", "tools.benchmark.run", "--quick", "--only", "node"],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=280,

@@ -13,7 +13,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
 def demo(*options: object) -> subprocess.CompletedProcess[str]:
     """Run the demo without its set-up step, in the environment of the tests."""
     return subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "demo.py"), *map(str, options)],
+        [sys.executable, "-m", "tools.demo", *map(str, options)],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=200,

@@ -54,7 +54,7 @@ def test_stop_returns_the_exit_status(processes: Processes) -> None:
 
 def test_child_ends_when_its_parent_is_killed(processes: Processes) -> None:
     code = (
-        "import sys, time; from processes import Processes;"
+        "import sys, time; from tools.processes import Processes;"
         f"print(Processes().start({SLEEP!r}).pid, flush=True); time.sleep(60)"
     )
     parent = processes.start(

@@ -15,12 +15,11 @@ MODULES = {
 }
 CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
 OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
-OFFLINE = {name for name in MODULES if name.startswith("hybrid_ins.offline")}
 NOT_FOR_EVERYONE = {
     "onnxruntime": {"hybrid_ins.noise_regressor.models"},
     "rclpy": OUTER,
-    "rosbags": OFFLINE,
-    "matplotlib": OFFLINE,
+    "rosbags": {name for name in MODULES if name.startswith("hybrid_ins.bags.")},
+    "matplotlib": {name for name in MODULES if name.startswith("hybrid_ins.plotting.")},
 }
 
 
@@ -63,12 +62,6 @@ def test_nothing_imports_the_node_or_the_player() -> None:
     users = {m for m in MODULES if OUTER & set(imports(m)) - {m}}
 
     assert not users
-
-
-def test_only_programs_import_the_offline_part() -> None:
-    users = {m for m in MODULES if any(is_below(n, "hybrid_ins.offline") for n in imports(m))}
-
-    assert users <= OFFLINE | OUTER
 
 
 def test_dictionary_imports_nothing() -> None:

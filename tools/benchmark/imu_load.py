@@ -1,9 +1,11 @@
 """
 Two processes that a node is measured between: one sends IMU and GNSS, the other takes odometry.
 
-    imu_load.py send RATE DURATION OUT.npy     stamps [ns] of the Imu messages sent
-    imu_load.py take OUT.npy [--times]         stamps of the Odometry messages that came, until
-                                               SIGTERM; with the times when they were published
+    python -m tools.benchmark.imu_load send RATE DURATION OUT.npy
+    python -m tools.benchmark.imu_load take OUT.npy [--times]
+
+The first writes the stamps [ns] of the Imu messages that it sent; the second those of the Odometry
+messages that came until SIGTERM, with the times at which they were published.
 
 A stamp is the wall clock's time right before the message was given to the middleware, so that the
 publication time of its answer says what happened to it in between.
@@ -18,19 +20,16 @@ import time
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+import numpy as np
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import Imu, NavSatFix
 
-import numpy as np  # noqa: E402
-import rclpy  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
-from rclpy.experimental import EventsExecutor  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from rclpy.task import Future  # noqa: E402
-from sensor_msgs.msg import Imu, NavSatFix  # noqa: E402
-
-from hybrid_ins.ros.cdr import FixEncoder, StampedEncoder  # noqa: E402
+from hybrid_ins.ros.cdr import FixEncoder, StampedEncoder
 
 FIX_PERIOD_NS = 200_000_000
 NOISE = np.array([0.002] * 3 + [0.02] * 3)  # rad/s, m/s²: an MPU-9250

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from tools.benchmark.table import Section, number, ratios
 from tools.processes import Processes, claim_ros_domain
 
-TOOLS = Path(__file__).resolve().parent
-NAIVE = [sys.executable, TOOLS / "naive_node.py"]
+NAIVE = [sys.executable, "-m", "tools.benchmark.naive_node"]
 OURS = [
     sys.executable,
     "-m",
@@ -35,7 +34,7 @@ OURS = [
     "-p",
     "alignment.heading_source:=imu",
 ]
-LOAD = [sys.executable, TOOLS / "imu_load.py"]
+LOAD = [sys.executable, "-m", "tools.benchmark.imu_load"]
 TICKS = os.sysconf("SC_CLK_TCK")
 SETTLING = 3.5  # s, until the filter runs
 
@@ -233,8 +232,8 @@ def measure(quick: bool) -> Section:
     section.add("memory", "MB", [memory[0]], 250.0, 180.0, note=f"naive {memory[1]:.0f} MB")
     section.remarks += [
         "In: Imu at the rate, NavSatFix at 5 Hz. Out: odometry at the IMU's rate and all else, "
-        "learned noise; a subscriber takes the odometry. The naive node (tools/benchmark/naive_node.py) "
-        "publishes empty Odometry messages.",
+        "learned noise; a subscriber takes the odometry. The naive node "
+        "(tools/benchmark/naive_node.py) publishes empty Odometry messages.",
         "CPU: of the process, in percent of a core; the ratio is that of the CPU times for a "
         "message answered, since a node that is starved answers less. Latency: stamp to "
         "publication.",

@@ -1,10 +1,9 @@
-#!/usr/bin/env python3
 """
 Measure this package, and its peers beside it, in one run.
 
-    tools/benchmark/run.py                                all of it, a quarter of an hour
-    tools/benchmark/run.py --only kernel replay           some sections
-    tools/benchmark/run.py --report docs/benchmark.md --json benchmark.json
+    python -m tools.benchmark.run                         all of it, a quarter of an hour
+    python -m tools.benchmark.run --only kernel replay    some sections
+    python -m tools.benchmark.run --report docs/benchmark.md --json benchmark.json
 
 Contenders take turns, so that a busy machine is busy for all of them; every figure is the median
 of its repetitions with their quartiles. Peers that are not installed are left out, and the table
@@ -22,17 +21,11 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-ROOT = Path(__file__).resolve().parents[2]
-
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
 
 from hybrid_ins import kernels
-from tools.benchmark import (
-    kernel,
-    node,
-    replay,
-)
-from tools.benchmark.table import Section, machine, markdown, plain  # noqa: E402
+from tools.benchmark import kernel, node, replay
+from tools.benchmark.table import Section, machine, markdown, plain
 
 SECTIONS: dict[str, Callable[[bool], Section]] = {
     "kernel": kernel.measure,
@@ -46,7 +39,9 @@ SECTIONS: dict[str, Callable[[bool], Section]] = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the sections that are asked for, and write what they gave."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m tools.benchmark.run",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--only",
@@ -118,7 +113,7 @@ def report(about: dict[str, object], sections: Sequence[Section]) -> str:
     lines = [
         "# Benchmark",
         "",
-        "Written by `tools/benchmark/run.py --report docs/benchmark.md`; do not edit.",
+        "Written by `python -m tools.benchmark.run --report docs/benchmark.md`; do not edit.",
         "",
         f"{about['time']}, {about['processor']} ({about['processors']} processors), Python "
         f"{about['python']}, {', '.join(f'{k} {v}' for k, v in packages.items())}. Load average "

@@ -325,7 +325,7 @@ class Cache:
         for path in (
             *sorted(package.rglob("*.py")),
             share_path("models/plateau.onnx"),
-            Path(__file__).with_name("field_flights.py"),
+            Path(__file__).with_name("flights.py"),
         ):
             code.update(Path(path).read_bytes())
         self._code = code.hexdigest()
@@ -834,14 +834,14 @@ class Experiment:
             if self.args.quick
             else []
         )
-        text = Path(__file__).with_name("field_text.md").read_text(encoding="utf-8")
+        text = Path(__file__).with_name("text.md").read_text(encoding="utf-8")
         head, _, tail = text.partition("<!-- figures -->")
         return "\n\n".join(
             (
                 "# The field experiment",
                 *quick,
-                f"{count} flights × {len(self.imus)} IMUs × {len(self.seeds)} draws of the fixes, made "
-                f"by `python -m tools.field.evaluate --data DIR --imus {len(self.imus)} "
+                f"{count} flights × {len(self.imus)} IMUs × {len(self.seeds)} draws of the fixes, "
+                f"made by `python -m tools.field.evaluate --data DIR --imus {len(self.imus)} "
                 f"--seeds {len(self.seeds)}` (last run: "
                 f"{minutes:.0f} min with {self.args.jobs} processes, finished parts taken over).",
                 "## What is to be reached, and what was",
@@ -869,8 +869,8 @@ class Experiment:
                 "*The paper's Fig. 10: distribution of PRMSE over all runs at 5 Hz.*",
                 "## What the IMU shows, and what navigation needs",
                 "![Spectra](figures/field_spectra.png)",
-                "*Spectra of IMU 1 on all flights, as the variance per sample of white noise of that "
-                "density, against the noise that `ins_calibrate` found.*",
+                "*Spectra of IMU 1 on all flights, as the variance per sample of white noise of "
+                "that density, against the noise that `ins_calibrate` found.*",
                 table(
                     ("", "calibrated noise", "quietest frequency, 5 % of windows", "its median"),
                     [
@@ -901,7 +901,8 @@ class Experiment:
                     ),
                     others,
                 ),
-                "Clock offset in force 20 s after the first sample, against the one by the reference:",
+                "Clock offset in force 20 s after the first sample, against the one by the "
+                "reference:",
                 table(
                     ("condition", "median [ms]", "p90 [ms]", "worst [ms]", "within 30 ms"),
                     [
@@ -929,8 +930,8 @@ class Experiment:
                     misfits,
                 ),
                 "## Calibration, flight by flight",
-                "Clock offset [s] from fixes of 5 Hz and from the reference itself, their difference "
-                "[ms], IMU in base_link (forward, left, up) [cm] by both.",
+                "Clock offset [s] from fixes of 5 Hz and from the reference itself, their "
+                "difference [ms], IMU in base_link (forward, left, up) [cm] by both.",
                 table(
                     (
                         "flight",

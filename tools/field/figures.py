@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy import signal
 
-from hybrid_ins.plotting import run
+from hybrid_ins.plotting.run import BLUE, ORANGE
 from hybrid_ins.ros.trajectory import enu_from_lla
 from tools.field.flights import Fixes, Flight, Flown
 from tools.paper.figures import _axes, _save
 
-COLOURS = (run.BLUE, run.ORANGE)
+COLOURS = (BLUE, ORANGE)
 SPECTRUM_WINDOW = 240  # samples
 
 
@@ -104,13 +104,13 @@ def spectra(
             f[1:],
             low,
             high,
-            color=run.BLUE,
+            color=BLUE,
             alpha=0.25,
             linewidth=0,
             label="5 to 95 % of all windows and axes",
         )
-        axis.plot(f[1:], middle, color=run.BLUE, label="median")
-        axis.axhline(q, color=run.ORANGE, label="noise that navigation needs")
+        axis.plot(f[1:], middle, color=BLUE, label="median")
+        axis.axhline(q, color=ORANGE, label="noise that navigation needs")
         axis.set(
             xscale="log",
             yscale="log",

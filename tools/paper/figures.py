@@ -10,21 +10,21 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib import ticker
 
-from hybrid_ins.plotting import run
+from hybrid_ins.plotting.run import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, save
 from tools.paper.montecarlo import T0_NS, Flight, Run
 
 LINES = {
-    "ours": (run.BLUE, "-"),
-    "oracle": (run.BLACK, "--"),
-    "paper's network": (run.ORANGE, "-"),
-    "tuned constant": (run.GREEN, "-"),
-    "CQ1": (run.VERMILLION, ":"),
-    "CQ2": (run.VERMILLION, "--"),
-    "CQ3": (run.VERMILLION, "-"),
-    "AQ1": (run.PURPLE, ":"),
-    "AQ2": (run.PURPLE, "--"),
-    "AQ3": (run.PURPLE, "-"),
-    "spectral": (run.SKY, "-"),
+    "ours": (BLUE, "-"),
+    "oracle": (BLACK, "--"),
+    "paper's network": (ORANGE, "-"),
+    "tuned constant": (GREEN, "-"),
+    "CQ1": (VERMILLION, ":"),
+    "CQ2": (VERMILLION, "--"),
+    "CQ3": (VERMILLION, "-"),
+    "AQ1": (PURPLE, ":"),
+    "AQ2": (PURPLE, "--"),
+    "AQ3": (PURPLE, "-"),
+    "spectral": (SKY, "-"),
 }
 MARKERS = {"ours": "o", "paper's network": "s", "spectral": "^"}
 WIDTH, HEIGHT = 10.0, 4.4  # inches, of a row
@@ -42,7 +42,7 @@ def _axes(columns: int, rows: int = 1, **options: object) -> tuple[plt.Figure, A
 
 
 def _save(figure: plt.Figure, path: Path) -> None:
-    run.save(figure, path)
+    save(figure, path)
     plt.close(figure)
 
 
@@ -79,9 +79,9 @@ def predicted_against_true(
         spread = true[shown] + step * rng.uniform(-0.25, 0.25, len(shown))
         axis.plot(spread, estimate[shown], ".", color="#9A9A9A", markersize=1.5, alpha=0.5)
         limits = np.array([0.0, 1.05 * levels[-1]])
-        axis.plot(limits, limits, "--", color=run.VERMILLION, label="predicted = true")
+        axis.plot(limits, limits, "--", color=VERMILLION, label="predicted = true")
         mean = [estimate[true == level].mean() for level in levels]
-        axis.plot(levels, mean, MARKERS[name], color=run.BLUE, label="mean")
+        axis.plot(levels, mean, MARKERS[name], color=BLUE, label="mean")
         rmse = np.sqrt(np.mean((estimate - true) ** 2))
         axis.set(title=f"{name}: RMSE {rmse:.5f}", xlabel="true q", ylim=(0.0, 1.6 * levels[-1]))
         axis.legend(loc="upper left")
@@ -97,7 +97,7 @@ def levels_over_time(path: Path, run: Run, flights: Mapping[str, Flight]) -> Non
     panels = ((0, "accelerometer x: q [(m/s²)²]"), (3, "gyroscope x: q [(rad/s)²]"))
     for axis, (channel, title) in zip(axes, panels, strict=True):
         axis.semilogy(
-            t[shown], run.q[shown, channel], color=run.BLACK, linewidth=2.5, alpha=0.5, label="true"
+            t[shown], run.q[shown, channel], color=BLACK, linewidth=2.5, alpha=0.5, label="true"
         )
         for name, flight in flights.items():
             axis.semilogy(

@@ -42,9 +42,10 @@ wrong by orders of magnitude (tables below). It is here as the baseline. Use the
 The rows "trajectory" are fresh noise on motion that it was trained on."""
 
 SPECTRAL_TEXT = """\
-`hybrid_ins.noise_regressor.models.SpectralRegressor`: the plateau of `hybrid_ins.core.noise_spectral`, in force
-where no model file is given. No model file, nothing trained: drop the cubic trend and the
-tenth of the DCT modes that is slowest, average the blocks of modes that agree with the low end.
+`hybrid_ins.noise_regressor.models.SpectralRegressor`: the plateau of
+`hybrid_ins.core.noise_spectral`, in force where no model file is given. No model file, nothing
+trained: drop the cubic trend and the tenth of the DCT modes that is slowest, average the blocks of
+modes that agree with the low end.
 
 **Limits.** Strong and fast motion (more than about 0.1 cycles/sample at many sigma) leaks into
 the modes kept; one outlying sample or one step lifts them all."""
