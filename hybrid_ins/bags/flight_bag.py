@@ -23,16 +23,16 @@ takes its datum from the first fix.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid_ins.bags.bag import BagWriter, Message, new_message
-from hybrid_ins.cli import program
+from hybrid_ins import progress
+from hybrid_ins.bags.messages import FIX, IMU, ODOMETRY, VELOCITY, Message, new_message
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import (
@@ -49,11 +49,6 @@ from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 # 2023-01-01T00:00:00Z. Files and simulations count from zero, which is no valid stamp in ROS.
 EPOCH_NS = 1_672_531_200_000_000_000
 UNKNOWN_VARIANCE = 1e6
-
-IMU = "sensor_msgs/msg/Imu"
-FIX = "sensor_msgs/msg/NavSatFix"
-VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
-ODOMETRY = "nav_msgs/msg/Odometry"
 
 Entry = tuple[int, int, str, Message]  # log time [ns], rank at equal times, topic, message
 
@@ -134,7 +129,7 @@ def write_flight(
     count = imu.stamp_ns.size + gnss.stamp_ns.size + truth.track.stamp_ns.size
     entries = heapq.merge(*streams, key=itemgetter(0, 1))
     with BagWriter(path, overwrite=overwrite) as bag:
-        for log_ns, _, topic, message in program.progress(entries, "writing", total=count):
+        for log_ns, _, topic, message in progress.track(entries, "writing", total=count):
             bag.write(topic, message, log_ns)
 
 
@@ -151,14 +146,6 @@ def first_datum(gnss: GnssRecord) -> Array:
     if not gnss.stamp_ns.size:
         raise InputError("no GNSS fix is left: shorten the outages or raise the rate")
     return np.append(np.radians(np.degrees(gnss.lla[0, :2])), gnss.lla[0, 2])
-
-
-def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Tell which times [s] lie in an outage (start, duration) [s]: from its start to its end."""
-    out = np.zeros(times.shape, bool)
-    for start, duration in outages:
-        out |= (times > start - 1e-6) & (times < start + duration - 1e-6)
-    return out
 
 
 def stamps(t: Array, epoch: float = EPOCH_NS * 1e-9) -> Stamps:

@@ -24,7 +24,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hybrid_ins.cli import program
+from hybrid_ins import progress
 from hybrid_ins.errors import InputError
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -221,7 +221,7 @@ def _attempt(
     work: Callable[[Job], Row], settings: Mapping[str, Any], redo: bool, job: Job
 ) -> Outcome:
     """Do one job, or take it from its record; whatever goes wrong is an outcome, too."""
-    program.hide_progress()
+    progress.hide()
     try:
         mark = fingerprint(job.source, settings)
         record = {} if redo or job.record is None else _read_record(job.record)

@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.bags.messages import FIX
+from hybrid_ins.bags.messages import VELOCITY as TWIST
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.fit import (
     Fit,
     Given,
@@ -33,8 +35,6 @@ from hybrid_ins.calibration.fit import (
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.innovations import VELOCITY as VELOCITY_KIND
 from hybrid_ins.cli import options, program
-from hybrid_ins.cli.replay import FIX
-from hybrid_ins.cli.replay import VELOCITY as TWIST
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import (
     matrix_from_quat,

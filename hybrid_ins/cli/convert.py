@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import flight_bag
-from hybrid_ins.bags.flight_bag import GnssRecord, ImuRecord, TruthRecord, in_outage, stamps
+from hybrid_ins.bags.flight_bag import GnssRecord, ImuRecord, TruthRecord, stamps
 from hybrid_ins.cli import options, program
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.rotations import matrix_from_quat, skew
@@ -34,7 +34,7 @@ from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.errors import InputError
 from hybrid_ins.resources import share_path
 from hybrid_ins.ros.trajectory import Array, Trajectory
-from hybrid_ins.simulation.sensors import RTK_STD
+from hybrid_ins.simulation.sensors import RTK_STD, in_outage
 
 DEFAULT_MAP = "config/datasets/quadrotor.yaml"
 HALF_WINDOW = 0.4  # s, of the cubic whose slope is the velocity

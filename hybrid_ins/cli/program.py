@@ -1,20 +1,15 @@
-"""The shell around every program: option parser, error line, exit status, progress bar."""
+"""The shell around every program: option parser, error line, exit status."""
 
 import argparse
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn, TypeVar
-
-from tqdm import tqdm
+from typing import NoReturn
 
 from hybrid_ins.errors import InputError
-
-T = TypeVar("T")
-_hidden = False
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -85,20 +80,6 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
     finally:
         if previous is not None:
             signal.signal(signal.SIGTERM, previous)
-
-
-def progress(
-    items: Iterable[T], label: str, total: int | None = None, unit: str = "msg"
-) -> Iterator[T]:
-    """Pass `items` on while a bar on stderr counts them; no bar when stderr is no terminal."""
-    hidden = True if _hidden else None
-    return iter(tqdm(items, desc=label, total=total, unit=unit, unit_scale=True, disable=hidden))
-
-
-def hide_progress() -> None:
-    """Show no bars in this process: it is one of many that work side by side."""
-    global _hidden
-    _hidden = True
 
 
 def _raise_terminated(_signal: int, _frame: object) -> NoReturn:

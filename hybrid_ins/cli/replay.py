@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from hybrid_ins import kernels
-from hybrid_ins.bags.bag import BagReader, BagWriter
+from hybrid_ins.bags.messages import FIX, INITIAL_POSE, TRANSFORMS, VELOCITY
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import batch, options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import Values
@@ -29,10 +31,6 @@ from hybrid_ins.ros.conversions import OUTPUTS, Message
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.rate_limiter import RateLimiter
 
-FIX = "sensor_msgs/msg/NavSatFix"
-VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRUTH = "/truth/"
 BLOCK = 256  # messages of one topic that are written at a time
 

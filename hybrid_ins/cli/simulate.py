@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins.bags import flight_bag
-from hybrid_ins.bags.bag import new_message
 from hybrid_ins.bags.flight_bag import Entry, GnssRecord, ImuRecord, TruthRecord, stamps
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.cli import options, program
 from hybrid_ins.core.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError

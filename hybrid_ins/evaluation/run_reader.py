@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.bags.bag import BagReader
-from hybrid_ins.cli import program
+from hybrid_ins import progress
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import stamp_ns as ns_of
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
@@ -254,7 +254,7 @@ def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
     chunks: list[Array] = []
     size = 8 * _ODOMETRY_DOUBLES
     messages = bag.raw(topic)
-    for _, _, data in program.progress(messages, f"reading {topic}", total=bag.count(topic)):
+    for _, _, data in progress.track(messages, f"reading {topic}", total=bag.count(topic)):
         if len(data) < size + 20 or data[:2] != b"\x00\x01":
             raise InputError(f"{bag.path}: {topic} holds a message that is no Odometry in CDR")
         seconds, nanoseconds = struct.unpack_from("<iI", data, 4)

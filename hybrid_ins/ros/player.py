@@ -25,7 +25,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from hybrid_ins.bags.bag import BagReader, BagWriter, is_standard
+from hybrid_ins.bags.messages import is_standard
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 

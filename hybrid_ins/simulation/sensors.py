@@ -24,10 +24,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from hybrid_ins.bags.flight_bag import in_outage
 from hybrid_ins.core import earth
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.ros.trajectory import Array
@@ -294,6 +293,14 @@ def fixes(
         turning_b = np.cross(truth.angular_rate_eb_b, lever_arm_b)
         velocity_n = truth.velocity_n + (C_nb @ turning_b[..., None])[..., 0] + noise
     return GnssData(truth.t, lla, position_std, velocity_n, velocity_std)
+
+
+def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Tell which times [s] lie in an outage (start, duration) [s]: from its start to its end."""
+    out = np.zeros(times.shape, bool)
+    for start, duration in outages:
+        out |= (times > start - 1e-6) & (times < start + duration - 1e-6)
+    return out
 
 
 def to_body(C_nb: Array, vectors_n: Array) -> Array:

@@ -9,7 +9,7 @@ import pytest
 from scenario.test_noise_multiple_model import begin, fly
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.clock_offset import ClockOffset
 from hybrid_ins.core.ins_filter import ClockShift
 from hybrid_ins.core.state import N_NAV

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator

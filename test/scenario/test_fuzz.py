@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.state import covariance
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import set_stamp

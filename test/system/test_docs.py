@@ -14,7 +14,7 @@ import yaml
 from support.paths import ROOT
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.ros.conversions import OUTPUTS
 from tools import generate_docs
 from tools.processes import program

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import evaluate, replay, simulate
 
 DURATION = 20.0

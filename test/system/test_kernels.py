@@ -10,7 +10,8 @@ import pytest
 from support.paths import ROOT
 
 from hybrid_ins import kernels, parameters
-from hybrid_ins.bags.bag import BagReader, BagWriter
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.core import compilation
 

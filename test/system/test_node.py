@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
 from tools.processes import Processes

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from hybrid_ins.bags.bag import IMU, BagReader, BagWriter, new_message
+from hybrid_ins.bags.messages import IMU, new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.ros import player
 from hybrid_ins.ros.cdr import ImuDecoder
 from tools.processes import Processes

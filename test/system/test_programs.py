@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hybrid_ins.bags.bag import BagWriter, new_message
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.writer import BagWriter
 from tools.processes import program
 
 MODULES = {

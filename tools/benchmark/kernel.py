@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core import propagation
 from hybrid_ins.core.earth import curvature_scale, lla_to_ecef
 from hybrid_ins.core.gate import Gate

@@ -13,7 +13,8 @@ import time
 from pathlib import Path
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import BagReader, BagWriter
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import replay, simulate
 from tools.benchmark.table import Section
 

@@ -25,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # each process has one core to it
 import numpy as np
 from joblib import Parallel, delayed
 
-from hybrid_ins import parameters
+from hybrid_ins import parameters, progress
 from hybrid_ins.calibration.fit import Pass
 from hybrid_ins.cli import options, program
 from hybrid_ins.cli.calibrate import calibrate, next_biases
@@ -361,7 +361,7 @@ def run_all(
         parts = Parallel(jobs, return_as="generator")(
             delayed(cache.run)(function, a) for a in arguments
         )
-    return [row for part in program.progress(parts, label, len(arguments), "part") for row in part]
+    return [row for part in progress.track(parts, label, len(arguments), "part") for row in part]
 
 
 # --- What came of it -----------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.bags.bag import new_message
 from hybrid_ins.bags.flight_bag import GnssRecord, stamps
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.fit import Run
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.cli.convert import DEFAULT_MAP, make_fixes, make_truth

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hybrid_ins import progress
 from hybrid_ins.cli import options, program
 from hybrid_ins.evaluation.statistics import Ratio, paired_ratio
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
@@ -195,22 +196,22 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         for index, name in enumerate(noise_data.PAPER_TRAJECTORIES)
     ]
     by_trajectory, of_trajectory = ratio_table(
-        regressors, program.progress(held_out, "trajectories", len(held_out), "set")
+        regressors, progress.track(held_out, "trajectories", len(held_out), "set")
     )
     # Rare misses weigh as much as all else: with fewer windows one of them decides the figure.
     levels = noise_trials.level_trials(DATA_SEED + 1, count if args.quick else 20_000)
     by_level, of_level = ratio_table(
-        regressors, program.progress(levels, "levels", len(levels), "set")
+        regressors, progress.track(levels, "levels", len(levels), "set")
     )
     disturbances = noise_trials.disturbance_trials(DATA_SEED + 2, count)
     by_disturbance, of_disturbance = ratio_table(
-        regressors, program.progress(disturbances, "disturbances", len(disturbances), "set")
+        regressors, progress.track(disturbances, "disturbances", len(disturbances), "set")
     )
     aside = noise_trials.fresh_trials(DATA_SEED + 3, count)
-    by_unseen, _ = ratio_table(regressors, program.progress(aside, "kept aside", len(aside), "set"))
+    by_unseen, _ = ratio_table(regressors, progress.track(aside, "kept aside", len(aside), "set"))
     once_aside = noise_trials.once_unseen_trials(DATA_SEED + 4, count)
     by_once_unseen, _ = ratio_table(
-        regressors, program.progress(once_aside, "once kept aside", len(once_aside), "set")
+        regressors, progress.track(once_aside, "once kept aside", len(once_aside), "set")
     )
     times = {name: inference_time(r, 200 if args.quick else 2000) for name, r in regressors.items()}
 
@@ -294,7 +295,7 @@ def lengths(args: argparse.Namespace, test: Windows) -> str:
     true = np.sqrt(np.mean(test.variance**2))
     curves: dict[str, dict[int, float]] = {"spectral": {}, "ours": {}, "paper's network": {}}
     stems = {"ours": "plateau", "paper's network": "paper"}
-    for n in program.progress(LENGTHS, "window lengths", len(LENGTHS), "set"):
+    for n in progress.track(LENGTHS, "window lengths", len(LENGTHS), "set"):
         # Another seed than any network's training noise, and as many samples for every length.
         duration = 20.0 if args.quick else 60.0
         windows = noise_data.paper_set(DATA_SEED + n, n, duration_s=duration)
@@ -380,7 +381,7 @@ def flown(
             if (folder / str(seed)).is_file()
         }
     waiting = [seed for seed in seeds if seed not in by_seed]
-    for seed, flights in program.progress(
+    for seed, flights in progress.track(
         fly_all(scenario, methods, waiting, args.jobs), scenario.name, len(waiting), "run"
     ):
         by_seed[seed] = flights

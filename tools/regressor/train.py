@@ -189,7 +189,7 @@ def background_windows(bags: Sequence[str], topic: str, window: int) -> np.ndarr
     if not bags:
         return None
     # Only here: training without recordings needs no bag reader.
-    from hybrid_ins.bags.bag import BagReader
+    from hybrid_ins.bags.reader import BagReader
 
     rows: list[np.ndarray] = []
     for path in bags:

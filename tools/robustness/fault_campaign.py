@@ -25,7 +25,8 @@ import numpy as np
 from tqdm import tqdm
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import BagReader, BagWriter
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import calibrate, convert, replay, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError

@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.bags.bag import BagReader, BagWriter, Message, new_message
+from hybrid_ins.bags.messages import Message, new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.ros.conversions import DIAGONAL, KNOWN, set_stamp, stamp_ns
 
 IMU, FIX, VELOCITY, POSE = "/imu/data", "/gnss/fix", "/gnss/velocity", "/initialpose"

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
-from hybrid_ins.cli import calibrate, program
+from hybrid_ins import parameters, progress
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.cli import calibrate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -275,7 +275,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--verbose", action="store_true", help="print every run")
     args = parser.parse_args(argv)
-    program.hide_progress()
+    progress.hide()
     cases = [simulated(kind, seed) for kind in KINDS for seed in range(args.simulated)]
     parallel = joblib.Parallel(args.jobs, return_as="generator")
     if args.data:

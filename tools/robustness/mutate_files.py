@@ -26,9 +26,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hybrid_ins import parameters
-from hybrid_ins.bags.bag import BagReader, BagWriter, new_message
-from hybrid_ins.cli import calibrate, evaluate, program, replay, simulate
+from hybrid_ins import parameters, progress
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.cli import calibrate, evaluate, replay, simulate
 from hybrid_ins.resources import share_path
 from tools.processes import isolated_ros
 
@@ -488,7 +490,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="flight of the quadrotor dataset, for ins_convert",
     )
     args = parser.parse_args(argv)
-    program.hide_progress()
+    progress.hide()
     os.environ.update(isolated_ros())
     outcomes = []
     with tempfile.TemporaryDirectory() as folder:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins.bags.bag import BagReader
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.ros.conversions import stamp_ns
 from tools.processes import Processes, isolated_ros, program
 

@@ -21,7 +21,9 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from support.paths import ROOT
 
-from hybrid_ins.bags.bag import IMU, BagReader, BagWriter, Message, new_message
+from hybrid_ins.bags.messages import IMU, Message, new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
 
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -509,7 +511,7 @@ def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
     script = tmp_path / "record.py"
     script.write_text(
         "import sys\n"
-        "from hybrid_ins.bags.bag import BagWriter\n"
+        "from hybrid_ins.bags.writer import BagWriter\n"
         "with BagWriter(sys.argv[1]) as bag:\n"
         "    print('started', flush=True)\n"
         "    for k in range(10**9):\n"

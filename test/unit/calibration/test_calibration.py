@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import BagWriter, new_message
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.fit import Pass, Run
 from hybrid_ins.calibration.innovations import (
     POSITION,

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.paths import ROOT
 
-from hybrid_ins.bags.bag import BagReader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli.convert import differentiate, main, pick_epochs
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import (

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hybrid_ins.bags.bag import BagWriter, new_message
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli.evaluate import evaluate, main, outage_spans
 from hybrid_ins.core import rotations
 from hybrid_ins.core.earth import LocalFrame

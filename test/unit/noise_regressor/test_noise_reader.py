@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import BagReader, new_message
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing

@@ -436,7 +436,8 @@ def test_training_is_deterministic_and_resumes(training, tmp_path, model, monkey
 
 def test_backgrounds_are_windows_of_the_recordings(training, tmp_path):
     pytest.importorskip("rosbags", reason="reading recordings needs rosbags")
-    from hybrid_ins.bags.bag import BagWriter, new_message
+    from hybrid_ins.bags.messages import new_message
+    from hybrid_ins.bags.writer import BagWriter
 
     with BagWriter(tmp_path / "flight.mcap") as bag:
         for index in range(450):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.bag import new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.ros.conversions import (
     GnssInput,

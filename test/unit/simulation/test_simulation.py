@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid_ins.bags.bag import BagReader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli.simulate import main
 from hybrid_ins.core import earth
 from hybrid_ins.core.rotations import (

@@ -1,0 +1,199 @@
+"""Which format a recording has, and a reader of it: rosbag2 (MCAP, SQLite3) or ROS 1."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from functools import cache
+from heapq import merge
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Rosbag2Reader
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from hybrid_ins.bags import mcap_file
+from hybrid_ins.bags.mcap_file import Channel, McapReader, Record
+from hybrid_ins.bags.messages import TYPES, absolute, is_standard
+from hybrid_ins.errors import InputError
+
+_METADATA = "metadata.yaml"
+_METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
+
+_log = logging.getLogger(__name__)
+
+
+class Source(Protocol):
+    """One or several files of a recording."""
+
+    counts: dict[Channel, int]
+    start_ns: int
+    end_ns: int
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]: ...
+
+    def close(self) -> None: ...
+
+
+class _Files:
+    """The files of a recording that was split."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._sources: list[Source] = []
+        try:
+            for path in paths:
+                self._sources.append(open_recording(path))
+        except BaseException:
+            self.close()
+            raise
+        self.counts: dict[Channel, int] = {}
+        for source in self._sources:
+            for channel, count in source.counts.items():
+                self.counts[channel] = self.counts.get(channel, 0) + count
+        filled = [source for source in self._sources if any(source.counts.values())]
+        self.start_ns = min((source.start_ns for source in filled), default=0)
+        self.end_ns = max((source.end_ns for source in filled), default=0)
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
+        return merge(*(source.records(wanted) for source in self._sources), key=itemgetter(0))
+
+    def close(self) -> None:
+        for source in self._sources:
+            source.close()
+
+
+class _RosbagsFile:
+    """Every other recording, read by `rosbags`."""
+
+    def __init__(self, path: Path, reader: Ros1Reader | Rosbag2Reader) -> None:
+        self.path = path
+        self._reader = reader
+        try:
+            reader.open()
+        except Exception as error:  # a damaged file provokes anything
+            raise self._unreadable(error) from None
+        self._is_ros1 = isinstance(reader, Ros1Reader)
+        self._channels = {c.id: self._channel(c) for c in reader.connections}
+        self.counts = {
+            self._channels[number]: sum(
+                c.msgcount for c in reader.connections if self._channels[c.id] == channel
+            )
+            for number, channel in self._channels.items()
+        }
+        self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
+
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
+        connections = [c for c in self._reader.connections if wanted(self._channels[c.id])]
+        if not connections:
+            return
+        stream = self._reader.messages(connections)
+        while True:
+            try:
+                connection, log_ns, data = next(stream)
+                channel = self._channels[connection.id]
+                if self._is_ros1:
+                    data = bytes(TYPES.ros1_to_cdr(data, channel.type_name))
+            except StopIteration:
+                return
+            except SerdeError as error:
+                raise InputError(f"{self.path}: a message on {channel.topic}: {error}") from None
+            except Exception as error:  # a damaged file provokes anything
+                raise self._unreadable(error) from None
+            yield log_ns, channel, data
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def _channel(self, connection: Any) -> Channel:
+        encoding = "cdr" if self._is_ros1 else connection.ext.serialization_format
+        if self._is_ros1 and not _translates(connection.msgtype, connection.digest):
+            encoding = "ros1"
+        return Channel(absolute(connection.topic), connection.msgtype, encoding)
+
+    def _unreadable(self, error: Exception) -> InputError:
+        reason = str(error).strip().rstrip(".") or type(error).__name__
+        return InputError(
+            f"{self.path}: cannot be read ({reason});"
+            " fetch the bag again from where it was recorded"
+        )
+
+
+def open_recording(path: Path) -> Source:
+    """Find out from the content, not from the name, what a recording is."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or directory")
+    if path.is_dir():
+        return _open_directory(path)
+    if not path.is_file():
+        raise InputError(f"{path}: is neither a file nor a directory")
+    with path.open("rb") as file:
+        head = file.read(16)
+    if not head:
+        raise InputError(f"{path}: is empty (0 bytes): record it again")
+    if head.startswith(mcap_file.MAGIC):
+        return McapReader(path)
+    if head.startswith(b"SQLite format 3\0"):
+        if path.suffix != ".db3":
+            raise InputError(f"{path}: is an SQLite3 bag: rename it to {path.stem}.db3")
+        return _RosbagsFile(path, Rosbag2Reader(path))
+    if head.startswith(b"#ROSBAG V"):
+        return _RosbagsFile(path, Ros1Reader(path))
+    raise InputError(
+        f"{path}: is not a bag: give a rosbag2 directory, an .mcap or .db3 file or a ROS 1 .bag"
+    )
+
+
+def _open_directory(path: Path) -> Source:
+    metadata = path / _METADATA
+    names: list[str] = []
+    trouble = "its metadata.yaml names no file"
+    try:
+        information = _read_metadata(metadata)
+        if information.get("compression_mode", "").lower() not in ("", "none"):
+            return _RosbagsFile(path, Rosbag2Reader(path))
+        names = [Path(name).name for name in information["relative_file_paths"]]
+    except FileNotFoundError:
+        trouble = "the recording was not completed: no metadata.yaml"
+    except (yaml.YAMLError, RecursionError, UnicodeError, LookupError, TypeError, AttributeError):
+        trouble = "its metadata.yaml is damaged"
+    if not names:
+        found = [*path.glob(f"{path.resolve().name}_*.*")]
+        names = sorted(file.name for file in found if file.suffix in (".mcap", ".db3"))
+        if not names:
+            raise InputError(f"{path}: is no rosbag2 directory ({trouble}): give a bag's directory")
+        _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
+    missing = [name for name in names if not (path / name).is_file()]
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(missing)}: copy the whole bag")
+    files = [path / name for name in names]
+    return open_recording(files[0]) if len(files) == 1 else _Files(files)
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    # The loader written in C is faster and crashes on deep nesting.
+    with path.open("rb") as file:
+        content = file.read(_METADATA_LIMIT + 1)
+    if len(content) > _METADATA_LIMIT:
+        raise LookupError
+    information = yaml.load(content, yaml.SafeLoader)["rosbag2_bagfile_information"]
+    return dict(information)
+
+
+def _translates(type_name: str, md5sum: str) -> bool:
+    """Say whether a ROS 1 type is the well-known one, so that its bytes can become CDR."""
+    known = _ros1_types()
+    return (
+        is_standard(type_name)
+        and type_name in known.fielddefs
+        and known.generate_msgdef(type_name)[1] == md5sum
+    )
+
+
+@cache
+def _ros1_types() -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC)

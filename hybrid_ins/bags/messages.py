@@ -1,0 +1,55 @@
+"""Message objects of the standard ROS 2 types, without ROS."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+Message: TypeAlias = Any  # its class depends on the topic
+
+IMU = "sensor_msgs/msg/Imu"
+FIX = "sensor_msgs/msg/NavSatFix"
+VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
+INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def is_standard(type_name: str) -> bool:
+    """Say whether a type is one that bags can hold here: those that come with ROS 2."""
+    return type_name in TYPES.fielddefs
+
+
+def new_message(type_name: str) -> Message:
+    """
+    Make a message of a standard ROS 2 type, such as ``"nav_msgs/msg/Odometry"``.
+
+    Numbers are 0, texts empty, fixed-size arrays NumPy zeros, sequences empty; nested messages are
+    there and every attribute can be set.
+    """
+    fields = TYPES.fielddefs[type_name][1]
+    return TYPES.types[type_name](*(_zero(description) for _, description in fields))
+
+
+def _zero(description: Any) -> Any:
+    kind, detail = description
+    if kind == Nodetype.BASE:
+        return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(detail[0], 0)
+    if kind == Nodetype.NAME:
+        return new_message(detail)
+    element, length = detail
+    length = 0 if kind == Nodetype.SEQUENCE else length
+    if element[0] == Nodetype.BASE and element[1][0] != "string":
+        name = element[1][0]
+        return np.zeros(length, "uint8" if name in ("byte", "char") else name)
+    return [_zero(element) for _ in range(length)]
+
+
+def absolute(topic: str) -> str:
+    """Return a topic's name with its leading slash."""
+    return topic if topic.startswith("/") else f"/{topic}"

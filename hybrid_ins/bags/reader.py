@@ -1,0 +1,253 @@
+"""
+Recordings read: rosbag2 (MCAP, SQLite3) and ROS 1 bags.
+
+Inside, every message is ROS 2: CDR bytes, or an object of the Jazzy definitions that ship with
+`rosbags`; definitions embedded in a bag are never compiled. Topic names are absolute; look-ups take
+them with or without the leading slash. Times are integer nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.bags.formats import open_recording
+from hybrid_ins.bags.mcap_file import Channel, McapReader, Record
+from hybrid_ins.bags.messages import IMU, TYPES, Message, absolute, is_standard
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.cdr import ImuDecoder, imu_records, imu_rows
+from hybrid_ins.ros.conversions import imu_fields
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+@dataclass(frozen=True)
+class ImuTable:
+    """All samples of one Imu topic in the order of the recording."""
+
+    stamp_ns: NDArray[np.int64]  # (N,) header stamps: IMU clock
+    log_ns: NDArray[np.int64]  # (N,) recorder's clock
+    specific_force: NDArray[np.float64]  # (N, 3) m/s2, axes of the message (FLU)
+    angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
+    orientation_xyzw: NDArray[np.float64]  # (N, 4) in ENU; zeros where the message has none
+    has_reading: NDArray[np.bool_]  # (N,) false where a covariance[0] of -1 says there is none
+    frames: tuple[tuple[int, str], ...]  # row from which on each frame_id holds
+
+    @property
+    def frame_id(self) -> str:
+        """The first message's; empty where there is none."""
+        return self.frames[0][1] if self.frames else ""
+
+
+def _changes(names: NDArray[np.bytes_]) -> list[int]:
+    """Rows whose name differs from the one before, and the first."""
+    return [0, *(1 + np.flatnonzero(names[1:] != names[:-1])).tolist()]
+
+
+class BagReader:
+    """
+    A recording: rosbag2 directory, single ``.mcap`` or ``.db3`` file, or ROS 1 ``.bag``.
+
+    A recording that breaks off is read as far as it goes, with a warning; topics of types that are
+    not standard, or not CDR, are left out.
+
+    Attributes
+    ----------
+    path : Path
+        Where it lies.
+    topics : dict
+        Type name by topic: ``{"/imu/data": "sensor_msgs/msg/Imu"}``.
+    start_ns, end_ns : int
+        Log times of the first and the last message.
+
+    Raises
+    ------
+    InputError
+        There is nothing readable at `path`.
+
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._source = open_recording(self.path)
+        channels = {c: n for c, n in self._source.counts.items() if _is_readable(c)}
+        self.topics: dict[str, str] = {c.topic: c.type_name for c in reversed(channels)}
+        self._counts: dict[str, int] = {}
+        for channel, count in channels.items():
+            self._counts[channel.topic] = self._counts.get(channel.topic, 0) + count
+        self.start_ns: int = self._source.start_ns
+        self.end_ns: int = self._source.end_ns
+        if not any(self._source.counts.values()):
+            self.close()
+            raise InputError(f"{self.path}: holds no messages: record it again")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._source.close()
+
+    def count(self, topic: str) -> int:
+        """Return the number of messages on `topic`, 0 where there is no such topic."""
+        return self._counts.get(absolute(topic), 0)
+
+    def require(self, topic: str, type_name: str, option: str) -> str:
+        """
+        Check that a topic is there and of the right type.
+
+        Parameters
+        ----------
+        topic
+            With or without the leading slash.
+        type_name
+            Type that its messages must have.
+        option
+            The program's option that names another topic, for the error line.
+
+        Returns
+        -------
+        str
+            The absolute topic name.
+
+        Raises
+        ------
+        InputError
+            It is not; the text lists the topics of that type.
+
+        """
+        topic = absolute(topic)
+        found = self.topics.get(topic)
+        if found == type_name:
+            return topic
+        wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
+        others = [  # a map's origin is no fix, and the truth no estimate
+            name for name, other in self.topics.items()
+            if other == type_name and name != "/datum" and not name.startswith("/truth/")
+        ]  # fmt: skip
+        way_out = (
+            f"choose {' or '.join(sorted(others))} with {option}"
+            if others
+            else f"no other is {type_name}; it has {', '.join(sorted(self.topics)) or 'none'}"
+        )
+        raise InputError(f"{self.path}: {wrong}: {way_out}")
+
+    def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
+        """
+        Yield (topic, log time [ns], CDR bytes) in log order; of all topics if none is named.
+
+        Topics that the recording does not have yield nothing: see `require`.
+        """
+        for log_ns, channel, data in self._records(topics):
+            yield channel.topic, log_ns, data
+
+    def messages(self, *topics: str) -> Iterator[tuple[str, int, Message]]:
+        """Yield (topic, log time [ns], message object), otherwise like `raw`."""
+        for log_ns, channel, data in self._records(topics):
+            yield channel.topic, log_ns, self._decoded(log_ns, channel, data)
+
+    def decode(self, topic: str, log_ns: int, data: bytes) -> Message:
+        """Return the message object of what `raw` yielded."""
+        return self._decoded(log_ns, Channel(topic, self.topics[topic], "cdr"), data)
+
+    def imu(self, topic: str = "/imu/data", option: str = "--imu-topic") -> ImuTable:
+        """
+        Read a whole Imu topic at once.
+
+        Parameters
+        ----------
+        topic
+            An Imu topic.
+        option
+            See `require`.
+
+        Returns
+        -------
+        ImuTable
+
+        Raises
+        ------
+        InputError
+            There is no such topic, or a message is damaged.
+
+        """
+        topic = self.require(topic, IMU, option)
+        found = None
+        if isinstance(self._source, McapReader):
+            found = self._source.rows(lambda c: c.topic == topic and _is_readable(c))
+        try:
+            if found is not None:
+                log_ns, table = found[0], imu_rows(found[1])
+            else:
+                records = list(self._records([topic]))
+                log_ns = np.array([record[0] for record in records], np.int64)
+                table = imu_records([record[2] for record in records])
+        except (ValueError, IndexError):
+            records = list(self._records([topic]))
+            return self._imu_one_by_one(records)
+        return ImuTable(
+            table["seconds"].astype(np.int64) * 1_000_000_000 + table["nanoseconds"],
+            log_ns,
+            np.ascontiguousarray(table["specific_force"]),
+            np.ascontiguousarray(table["angular_rate"]),
+            np.where(
+                table["orientation_covariance"][:, :1] == -1.0, 0.0, table["orientation_xyzw"]
+            ),
+            (table["angular_rate_covariance"][:, 0] != -1.0)
+            & (table["specific_force_covariance"][:, 0] != -1.0),
+            tuple(
+                (row, table["name"][row].decode(errors="replace"))
+                for row in _changes(table["name"])
+            ),
+        )
+
+    def _imu_one_by_one(self, records: list[Record]) -> ImuTable:
+        """Read Imu messages whose layout varies: changing frame_id, byte order, damage."""
+        log_ns = np.array([record[0] for record in records], np.int64)
+        decoder = ImuDecoder()
+        stamps = np.empty(len(records), np.int64)
+        vectors = np.empty((2, len(records), 3))
+        orientation = np.zeros((len(records), 4))
+        has_reading = np.ones(len(records), bool)
+        frames: list[tuple[int, str]] = []
+        for row, record in enumerate(records):
+            try:
+                imu = decoder.decode(record[2])
+            except ValueError:
+                imu = imu_fields(self._decoded(*record))
+            stamps[row] = imu.stamp_ns
+            if not frames or frames[-1][1] != imu.frame_id:
+                frames.append((row, imu.frame_id))
+            vectors[:, row] = imu.specific_force, imu.angular_rate
+            if imu.orientation_cov0 != -1.0:
+                orientation[row] = imu.orientation_xyzw
+            has_reading[row] = -1.0 not in (imu.specific_force_cov0, imu.angular_rate_cov0)
+        return ImuTable(
+            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, tuple(frames)
+        )
+
+    def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
+        wanted = {absolute(topic) for topic in topics} or self.topics.keys()
+        return self._source.records(lambda c: c.topic in wanted and _is_readable(c))
+
+    def _decoded(self, log_ns: int, channel: Channel, data: bytes) -> Message:
+        try:
+            return TYPES.deserialize_cdr(data, channel.type_name)
+        except Exception as error:  # whatever a damaged message provokes
+            raise InputError(
+                f"{self.path}: the message on {channel.topic} at {log_ns} ns is no"
+                f" {channel.type_name} ({error}): leave the topic out or record it again"
+            ) from None
+
+
+def _is_readable(channel: Channel) -> bool:
+    return channel.encoding == "cdr" and is_standard(channel.type_name)
