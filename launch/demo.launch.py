@@ -6,10 +6,11 @@ ros2 launch hybrid_ins demo.launch.py
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from launch import LaunchDescription
+    from launch import LaunchContext, LaunchDescription
+    from launch.events.process import ProcessExited
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -21,6 +22,7 @@ def generate_launch_description() -> LaunchDescription:
         ExecuteProcess,
         IncludeLaunchDescription,
         RegisterEventHandler,
+        Shutdown,
     )
     from launch.event_handlers import OnProcessExit
     from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -29,10 +31,12 @@ def generate_launch_description() -> LaunchDescription:
 
     arguments = [
         DeclareLaunchArgument(
-            "flight", default_value="demo_flight", description="Bag to simulate into (replaced)"
+            "flight",
+            default_value="demo_flight",
+            description="Bag to write the simulation to; an existing one is replaced",
         ),
         DeclareLaunchArgument(
-            "record", default_value="demo_estimate", description="Bag of the node's answers"
+            "record", default_value="demo_estimate", description="Bag of what the node publishes"
         ),
         DeclareLaunchArgument(
             "trajectory",
@@ -43,9 +47,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "noise_schedule",
             default_value="0:1",
-            description="From each time on, the IMU's noise times a factor, as in 0:1,20:5,40:1",
+            description="Factor on the IMU's noise from each time [s] on, as in 0:1,20:5,40:1",
         ),
-        DeclareLaunchArgument("seed", default_value="0", description="Of all simulated noise"),
+        DeclareLaunchArgument("seed", default_value="0", description="Seed of the simulated noise"),
         DeclareLaunchArgument("rate", default_value="1.0", description="Times real time"),
         DeclareLaunchArgument(
             "rviz", default_value="true", choices=["true", "false"], description="Open RViz"
@@ -72,5 +76,9 @@ def generate_launch_description() -> LaunchDescription:
             "rviz": LaunchConfiguration("rviz"),
         }.items(),
     )
-    then = RegisterEventHandler(OnProcessExit(target_action=simulation, on_exit=[flight]))
+
+    def after_simulation(event: ProcessExited, _context: LaunchContext) -> Any:
+        return flight if event.returncode == 0 else Shutdown(reason="ins_simulate has failed")
+
+    then = RegisterEventHandler(OnProcessExit(target_action=simulation, on_exit=after_simulation))
     return LaunchDescription([*arguments, simulation, then])

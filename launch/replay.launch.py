@@ -1,5 +1,5 @@
 """
-Play a recording into ins_node over DDS, in its own time, and record what the node says.
+Play a recording into ins_node over DDS, in its own time, and record what the node publishes.
 
 ros2 launch hybrid_ins replay.launch.py bag:=flight.mcap record:=estimate.mcap
 
@@ -8,10 +8,12 @@ Faster than real time and without DDS: ins_replay.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from launch import LaunchDescription
+    from launch import LaunchContext, LaunchDescription
+    from launch.actions import Shutdown
+    from launch.events.process import ProcessExited
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -22,8 +24,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument,
         ExecuteProcess,
         IncludeLaunchDescription,
-        Shutdown,
+        RegisterEventHandler,
     )
+    from launch.event_handlers import OnProcessExit
     from launch.launch_description_sources import PythonLaunchDescriptionSource
     from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
     from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
@@ -34,7 +37,9 @@ def generate_launch_description() -> LaunchDescription:
             "bag", description="Recording with Imu and NavSatFix: rosbag2, .mcap, .db3, ROS 1 .bag"
         ),
         DeclareLaunchArgument(
-            "record", default_value="estimate", description="Bag to write (replaced where it is)"
+            "record",
+            default_value="estimate",
+            description="Bag to write; an existing one is replaced",
         ),
         DeclareLaunchArgument("rate", default_value="1.0", description="Times real time"),
         DeclareLaunchArgument(
@@ -75,6 +80,15 @@ def generate_launch_description() -> LaunchDescription:
             *("--wait", "60"),  # the node compiles its filter on its first start
         ],
         output="screen",
-        on_exit=Shutdown(),
     )
-    return LaunchDescription([*arguments, live, player])
+    at_the_end = RegisterEventHandler(OnProcessExit(on_exit=shut_down))
+    return LaunchDescription([*arguments, at_the_end, live, player])
+
+
+def shut_down(event: ProcessExited, _context: LaunchContext | Any) -> Shutdown | None:
+    """Return the end of the launch when the player or the node has ended; RViz may be closed."""
+    from launch.actions import Shutdown
+
+    if event.process_name.startswith("rviz2"):
+        return None
+    return Shutdown(reason=f"{event.process_name} has ended")

@@ -1,8 +1,9 @@
 """
-Write what the documentation says of the parameters from their declarations, or check that it does.
+Write the parts of the documentation that are made from declarations and reports, or check them.
 
-`config/default.yaml`, `docs/parameters.md` and the short table in `README.md` come from
-`hybrid_ins.parameters` and cannot drift: a test runs the check.
+`config/default.yaml` and `docs/parameters.md` are made from `hybrid_ins.parameters`;
+`docs/figures.md` and the figures in `README.md` from the reports that `tools.figures` names. A test
+runs the check.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from hybrid_ins.parameters import PARAMETERS, Parameter  # noqa: E402
+from tools import figures  # noqa: E402
 
 FIRST_TO_SET = (
     "imu.mount_rpy",
@@ -29,7 +31,6 @@ FIRST_TO_SET = (
     "noise.mode",
     "odometry_rate",
 )
-BEGIN, END = "<!-- parameters: tools/generate_docs.py -->", "<!-- end of parameters -->"
 GROUPS = {
     "": "Frames and output",
     "imu": "IMU",
@@ -88,7 +89,7 @@ def table(names: Sequence[str]) -> str:
 
 def page() -> str:
     """Return `docs/parameters.md`."""
-    parts = [PREAMBLE]
+    parts = [PREAMBLE, f"## The ones to set first\n\n{table(FIRST_TO_SET)}"]
     names: dict[str, list[str]] = {group: [] for group in GROUPS}
     for name in PARAMETERS:
         names.setdefault(name.partition(".")[0] if "." in name else "", []).append(name)
@@ -108,13 +109,20 @@ def default_file() -> str:
 def files() -> dict[Path, str]:
     """Return each generated file with what it must hold."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    before, _, rest = readme.partition(BEGIN)
-    after = rest.partition(END)[2]
+    readme = put_between("figures", figures.short_table(), readme)
     return {
         ROOT / "config/default.yaml": default_file(),
         ROOT / "docs/parameters.md": page(),
-        ROOT / "README.md": f"{before}{BEGIN}\n{table(FIRST_TO_SET)}{END}{after}",
+        ROOT / "docs/figures.md": figures.page(),
+        ROOT / "README.md": readme,
     }
+
+
+def put_between(name: str, text: str, page: str) -> str:
+    """Return a page with what stands between the two marks of a name replaced by a text."""
+    begin, end = f"<!-- {name}: tools/generate_docs.py -->", f"<!-- end of {name} -->"
+    before, _, rest = page.partition(begin)
+    return f"{before}{begin}\n{text}{end}{rest.partition(end)[2]}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
