@@ -6,25 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenario.test_noise_multiple_model import begin, fly
+from support.runs import begin, fly, stamped_early, through_estimator
 
-from hybrid_ins import parameters
-from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.clock_offset import ClockOffset
 from hybrid_ins.core.ins_filter import ClockShift
 from hybrid_ins.core.state import N_NAV
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.montecarlo import Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
-
-
-def stamped_early(run: Run, by: float) -> Run:
-    first = int(run.samples["t_ns"][0])
-    fixes = tuple(replace(f, t_ns=f.t_ns - round(by * 1e9)) for f in run.fixes)
-    return replace(run, fixes=tuple(f for f in fixes if f.t_ns > first))
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.03, -0.05])
@@ -75,38 +64,6 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
         results.append(ins.nav[:N_NAV].copy())
     # THEN the state is the same
     np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
-
-
-def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
-    """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
-    estimator = Estimator(
-        parameters.check_all(
-            {
-                "alignment.heading_source": "parameter",
-                "alignment.yaw_std": 0.5,
-                "alignment.yaw": np.pi / 2,
-                **values,
-            }
-        ),
-        lambda level, text: None,
-    )
-    fix = new_message("sensor_msgs/msg/NavSatFix")
-    fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
-    fix.position_covariance_type = 2
-    stamps, start = run.samples["t_ns"], 0
-    for f in run.fixes:
-        stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
-        estimator.imu_block(
-            stamps[start:stop],
-            run.samples["f"][start:stop] @ FLIP,
-            run.samples["w"][start:stop] @ FLIP,
-        )
-        start = stop
-        conversions.set_stamp(fix.header.stamp, f.t_ns)
-        fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()
-        fix.altitude = float(f.lla[2])
-        estimator.fix(fix)
-    return estimator
 
 
 def test_estimated_offset_is_applied_to_fixes_and_told() -> None:

@@ -3,83 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
+from support.drive import Drive
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
-from hybrid_ins.ros.conversions import FLIP, set_stamp
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.trajectory import Trajectory
-from hybrid_ins.simulation.motions import quadrotor_flight
-from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 
-EPOCH_NS = 1_700_000_000_000_000_000
 GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": math.pi / 2 - 0.7}
-
-
-class Drive:
-    """A flight fed message by message."""
-
-    def __init__(self, **values: Any) -> None:
-        self.log: list[tuple[str, str]] = []
-        self.estimator = Estimator(
-            {**parameters.defaults(), **values}, lambda level, text: self.log.append((level, text))
-        )
-        motion = quadrotor_flight(60.0, 4, heading=0.7)
-        self.truth = sample(motion, sample_times(60.0, 100.0))
-        rng = np.random.default_rng(3)
-        imu = corrupt(self.truth, ImuErrors(), rng)
-        self.force, self.rate = imu.specific_force @ FLIP, imu.angular_rate @ FLIP
-        self.gnss = fixes(sample(motion, sample_times(60.0, 5.0)), rng)
-        self.track = Trajectory.from_navigation(
-            np.zeros(len(self.truth.t), np.int64),
-            self.truth.lla,
-            self.truth.velocity_n,
-            self.truth.quat_xyzw,
-            datum_lla=self.gnss.lla[0],
-        )
-        self.shift_ns = 0
-        self.published = 0
-
-    def stamp(self, t: float) -> int:
-        return EPOCH_NS + round(t * 1e9) + self.shift_ns
-
-    def play(self, start: float, stop: float, force: Any = None, with_fixes: bool = True) -> None:
-        k = int(np.searchsorted(self.gnss.t, start))
-        for i in np.flatnonzero((self.truth.t >= start) & (self.truth.t < stop)):
-            t = float(self.truth.t[i])
-            f = self.force[i] if force is None else force(self.force[i])
-            self.published += self.estimator.imu(
-                self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist())
-            )
-            self.estimator.tick()
-            while with_fixes and k < len(self.gnss.t) and self.gnss.t[k] <= t:
-                self.fix(k)
-                k += 1
-
-    def fix(self, k: int) -> None:
-        message = new_message("sensor_msgs/msg/NavSatFix")
-        set_stamp(message.header.stamp, self.stamp(float(self.gnss.t[k])))
-        message.latitude, message.longitude = np.degrees(self.gnss.lla[k, :2]).tolist()
-        message.altitude = float(self.gnss.lla[k, 2])
-        message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
-        message.position_covariance_type = 2
-        self.estimator.fix(message)
-
-    def error(self, t: float) -> float:
-        i = int(np.argmin(np.abs(self.truth.t - t)))
-        return float(np.linalg.norm(self.estimator.odometry[:3] - self.track.position_enu[i]))
-
-    def warnings(self) -> list[str]:
-        return [text for level, text in self.log if level == "warn"]
-
-    def status(self, name: str) -> Any:
-        t_ns = self.estimator.navigator.last_ns
-        return next(s for s in self.estimator.diagnostics(t_ns) if s.name.endswith(name))
 
 
 def test_reset_aligns_anew_and_keeps_the_map() -> None:
@@ -192,8 +125,8 @@ def test_an_unusable_imu_ends_dead_reckoning_and_its_biases_are_remembered() -> 
 def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:
     drive = Drive(**GIVEN)
     drive.play(0.0, 30.0)
-    stuck = drive.gnss.lla.copy()
-    drive.gnss.lla[150:165] = stuck[150]
+    stuck = drive.fix_lla.copy()
+    drive.fix_lla[150:165] = stuck[150]
 
     drive.play(30.0, 33.0)
 

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
-from scenario.test_clock_offset import SCENE, stamped_early, through_estimator
+from support.runs import stamped_early, through_estimator
 
 from hybrid_ins.core import multiple_model
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.multiple_model import ASTRAY_SPEED, ASTRAY_TURN, CELLS, STEPS, opened
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.ros.estimator import Estimator
-from tools.paper.montecarlo import Run, draw
+from tools.paper.montecarlo import Run, Scenario, draw
 
+SCENE = Scenario("flight", rate=100.0, duration=45.0)
 SECOND = 1_000_000_000
 STORE = get_typestore(Stores.ROS2_JAZZY)
 AUTO = {"alignment.heading_source": "auto"}

@@ -6,60 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.runs import fly, moved
 
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise, ScaledNoise
-from hybrid_ins.core.noise_multiple_model import NoiseScale
-from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import N_NAV
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.montecarlo import Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=50.0)
-Q = np.repeat([4e-4, 4e-6], 3)
-
-
-def begin(run: Run) -> InsFilter:
-    stamps = run.samples["t_ns"]
-    process = ProcessNoise(run.bias_walk, 0.01)
-    ring = ImuRing()
-    ring.extend(run.samples[:1])
-    return InsFilter(
-        run.start,
-        int(stamps[0]),
-        np.concatenate((run.samples["f"][0], run.samples["w"][0])),
-        ScaledNoise(ConstantNoise(Q), process, NoiseScale()),
-        process,
-        Gate({3: 25.0}, 3.0),
-        ring,
-        FilterSettings(max_delay=1.0),
-    )
-
-
-def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
-    """Run the filter, each fix given ``late`` [s] after its stamp; returns the factors (M, 3)."""
-    ins, at, factors = begin(run), 0, []
-    stamps = run.samples["t_ns"]
-    for fix in run.fixes:
-        stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))
-        if stop > at + 1:
-            ins.ring.extend(run.samples[at + 1 : stop])
-            ins.process_imu_block(run.samples[at + 1 : stop])
-            at = stop - 1
-        ins.submit(fix)
-        factors.append((*ins.noise.scale.scale(), ins.noise.fix_factor))  # type: ignore[attr-defined]
-    if at + 1 < len(stamps):
-        ins.ring.extend(run.samples[at + 1 :])
-        ins.process_imu_block(run.samples[at + 1 :])
-    return ins, np.array(factors)
-
-
-def moved(run: Run, change: np.ndarray) -> Run:
-    """Move the fixes by so many metres, (M, 3) north, east, down."""
-    scale = np.array([1.0 / 6.37e6, 1.0 / 5.35e6, -1.0])
-    fixes = tuple(replace(f, lla=f.lla + d * scale) for f, d in zip(run.fixes, change, strict=True))
-    return replace(run, fixes=fixes)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

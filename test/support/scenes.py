@@ -93,13 +93,18 @@ def scene(
     *,
     rate: float = 100.0,
     fix_rate: float = 5.0,
+    fix_times: ArrayLike | None = None,
     seed: int = 0,
     errors: ImuErrors | None = None,
+    lever_arm_b: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Scene:
+    """Simulate what the IMU and the receiver report on a trajectory; the same for each seed."""
     rng = np.random.default_rng(seed)
     truth = sample(trajectory, sample_times(trajectory.duration, rate))
     imu = corrupt(truth, errors or ImuErrors(), rng)
-    gnss = fixes(sample(trajectory, sample_times(trajectory.duration, fix_rate)), rng)
+    if fix_times is None:
+        fix_times = sample_times(trajectory.duration, fix_rate)
+    gnss = fixes(sample(trajectory, fix_times), rng, lever_arm_b=lever_arm_b)
     return Scene(
         truth,
         imu.t,

@@ -246,13 +246,13 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
 
         return call
 
-    def evaluate(path: Path) -> int:
+    def evaluate_estimate(path: Path) -> int:
         return evaluate.main([str(path), "--truth", bag])
 
     def evaluate_truth(path: Path) -> int:
         return evaluate.main([str(files.estimate), "--truth", str(path)])
 
-    def calibrate(path: Path) -> int:
+    def calibrate_bag(path: Path) -> int:
         return calibrate.main(
             [str(path), "--longest", "10", "--out", str(files.folder / "out.yaml"), "--overwrite"]
         )
@@ -292,9 +292,9 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         tuple[str, Path, Sequence[Callable[[bytes, Draw], bytes]], Callable[[Path], int], float]
     ] = [
         ("ins_replay BAG", files.bag, BYTES, replay_bag, 0.25),
-        ("ins_evaluate ESTIMATE", files.estimate, BYTES, evaluate, 0.1),
+        ("ins_evaluate ESTIMATE", files.estimate, BYTES, evaluate_estimate, 0.1),
         ("ins_evaluate --truth BAG", files.bag, BYTES, evaluate_truth, 0.1),
-        ("ins_calibrate BAG", files.bag, BYTES, calibrate, 0.05),
+        ("ins_calibrate BAG", files.bag, BYTES, calibrate_bag, 0.05),
         ("ins_replay --params-file", files.yaml, text, replay_with("yaml"), 0.2),
         ("ins_calibrate --params-file", files.yaml, text, calibrate_with, 0.02),
         *(

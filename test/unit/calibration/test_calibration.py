@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.scenes import scene
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
@@ -51,24 +52,20 @@ def a_run(
     standing: bool = False,
 ) -> Run:
     """A simulated recording whose fixes are stamped ``offset`` early."""
-    rng = np.random.default_rng(seed)
     trajectory = (
         motions.static(duration) if standing else motions.quadrotor_flight(duration, seed=seed)
     )
-    times = sensors.sample_times(duration, RATE)
-    truth = sensors.sample(trajectory, times)
-    imu = sensors.corrupt(truth, sensors.ImuErrors(), rng)
-    at_fixes = sensors.sample(trajectory, np.arange(0.37, duration - 0.2, 0.2))
-    gnss = sensors.fixes(at_fixes, rng, STD, LEVER_B)
-    M = len(gnss.t)
+    fix_times = np.arange(0.37, duration - 0.2, 0.2)
+    seen = scene(trajectory, seed=seed, fix_times=fix_times, lever_arm_b=LEVER_B)
+    M = len(fix_times)
     return Run(
         "simulated",
-        imu.t,
-        np.hstack((imu.specific_force, imu.angular_rate)),
-        gnss.t - offset,
+        seen.t,
+        np.hstack((seen.force, seen.rate)),
+        seen.fix_t - offset,
         np.full(M, POSITION),
-        gnss.lla,
-        np.tile(np.diag(STD**2), (M, 1, 1)),
+        seen.fix_lla,
+        np.tile(seen.covariance, (M, 1, 1)),
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.evaluation.test_evaluation import (
+from support.recordings import (
     FAST,
     START_NS,
     TRUTH,
@@ -14,9 +14,9 @@ from unit.evaluation.test_evaluation import (
     flight,
     said,
     stamps,
+    whole_recording,
     write_track,
 )
-from unit.plotting.test_plots import whole  # noqa: F401 (a fixture)
 
 from hybrid_ins.cli.evaluate import evaluate_recording
 from hybrid_ins.errors import InputError
@@ -24,6 +24,11 @@ from hybrid_ins.evaluation import report
 from hybrid_ins.evaluation.run_reader import Recording, SensorErrors, Series
 
 pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recording:
+    return whole_recording()
 
 
 class Page(HTMLParser):
@@ -40,7 +45,7 @@ class Page(HTMLParser):
         self.loads += [str(value) for name, value in attrs if name in ("src", "href")]
 
 
-def test_the_questions_are_answered(whole: Recording) -> None:  # noqa: F811
+def test_the_questions_are_answered(whole: Recording) -> None:
     answer = dict(report.answers(whole, evaluate_recording(whole)))
 
     assert "PRMSE 0.51 m" in answer["How far is it off?"]
@@ -79,7 +84,7 @@ def test_an_axis_that_no_motion_showed_is_said_not_to_have_converged() -> None:
     assert answer.startswith("Accelerometer: x after 12 s to ±0.1, y not yet, ±1, z after 12 s")
 
 
-def test_page_is_complete_in_itself(whole: Recording) -> None:  # noqa: F811
+def test_page_is_complete_in_itself(whole: Recording) -> None:
     odd = replace(whole, name="<script>alert(1)</script> & co")
     page = Page(report.page(odd, evaluate_recording(odd)))
 

@@ -9,59 +9,31 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from unit.evaluation.test_evaluation import (
-    DATUM,
+from support.recordings import (
     FAST,
-    START_NS,
     TRUTH,
     bag,
     claiming,
     flight,
     said,
-    shifted,
     stamps,
-    verdicts,
+    whole_recording,
     write_track,
 )
 
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.cli.evaluate import evaluate_recording
-from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.result import Scoring
-from hybrid_ins.evaluation.run_reader import Fixes, Recording, SensorErrors, Series
+from hybrid_ins.evaluation.run_reader import Recording, SensorErrors, Series
 from hybrid_ins.plotting import run
-from hybrid_ins.ros.conversions import SWAP
 
 pytest.importorskip("matplotlib")
 
 
-def series(level: float) -> Series:
-    at = np.arange(0.0, 20.0, 0.2)
-    values = level * (1.0 + 0.1 * np.sin(at[:, None] + np.arange(3)))
-    return Series(stamps(at), values, 0.1 * np.abs(values))
-
-
 @pytest.fixture(scope="module")
 def whole() -> Recording:
-    """A flight with everything: an outage, refusals of two kinds, biases, noise, its source."""
-    at = np.concatenate((np.arange(0.0, 8.0, 0.2), np.arange(13.0, 20.0, 0.2)))
-    accepted = np.arange(len(at)) % 11 > 0
-    nis = np.where(accepted, 3.0, 400.0)
-    nis[11] = np.nan
-    reasons = np.where(accepted, "", np.where(np.isnan(nis), "no covariance", "gate"))
-    lla = LocalFrame(DATUM).lla(flight(at).position_enu @ SWAP)
-    lla[3, 2] = np.nan
-    return Recording(
-        "a_flight",
-        shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.1]),
-        flight(TRUTH),
-        Fixes(stamps(at), lla),
-        verdicts(at, accepted=accepted, nis=nis, reason=reasons),
-        SensorErrors(series(0.1), series(1e-3), series(1e-3), series(1e-6)),
-        SensorErrors(series(0.11), None, series(1.1e-3), None),
-        ((START_NS, "constant"), (START_NS + 5 * 10**9, "learned")),
-    )
+    return whole_recording()
 
 
 def texts(figure: object) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.scenes import scene
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
@@ -10,7 +11,6 @@ from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.odom_frame import advance, map_from_odom, start
 from hybrid_ins.simulation.motions import quadrotor_flight
-from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 
 EPOCH_NS = 1_700_000_000_000_000_000
 RATE = 100.0
@@ -27,10 +27,7 @@ def odometry(position, rpy, velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)):
 @pytest.fixture(scope="module")
 def flown():
     """Odometry in map and odom of a flight whose fixes jump by 20 m: rows (N, 85), stamps."""
-    motion = quadrotor_flight(60.0, 3)
-    truth = sample(motion, sample_times(60.0, RATE))
-    imu = corrupt(truth, ImuErrors(), np.random.default_rng(0))
-    gnss = fixes(sample(motion, sample_times(60.0, 5.0)), np.random.default_rng(1))
+    flight = scene(quadrotor_flight(60.0, 3), seed=0)
     estimator = Estimator(
         {
             **parameters.defaults(),
@@ -43,17 +40,17 @@ def flown():
     message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
     message.position_covariance_type = 2
     rows, k = [], 0
-    for t, f, w in zip(truth.t, imu.specific_force @ FLIP, imu.angular_rate @ FLIP, strict=True):
+    for t, f, w in zip(flight.t, flight.force @ FLIP, flight.rate @ FLIP, strict=True):
         t_ns = EPOCH_NS + round(t * 1e9)
         if estimator.imu(t_ns, tuple(f), tuple(w)):
             rows.append((t, estimator.odometry.copy(), estimator.local.copy()))
         estimator.tick()
-        while k < len(gnss.t) and gnss.t[k] <= t:
-            set_stamp(message.header.stamp, EPOCH_NS + round(gnss.t[k] * 1e9))
-            shift = 20.0 if gnss.t[k] > 30.0 else 0.0
-            message.latitude, message.longitude = np.degrees(gnss.lla[k, :2]).tolist()
+        while k < len(flight.fix_t) and flight.fix_t[k] <= t:
+            set_stamp(message.header.stamp, EPOCH_NS + round(flight.fix_t[k] * 1e9))
+            shift = 20.0 if flight.fix_t[k] > 30.0 else 0.0
+            message.latitude, message.longitude = np.degrees(flight.fix_lla[k, :2]).tolist()
             message.latitude += shift / 111_000.0
-            message.altitude = float(gnss.lla[k, 2])
+            message.altitude = float(flight.fix_lla[k, 2])
             estimator.fix(message)
             k += 1
     t, in_map, in_odom = zip(*rows, strict=True)

@@ -1,0 +1,101 @@
+"""Runs drawn by `tools.paper.montecarlo`, changed, and given to a filter or to the estimator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.noise import ConstantNoise, ProcessNoise, ScaledNoise
+from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.estimator import Estimator
+from tools.paper.montecarlo import Run
+
+Q = np.repeat([4e-4, 4e-6], 3)
+
+
+def begin(run: Run) -> InsFilter:
+    stamps = run.samples["t_ns"]
+    process = ProcessNoise(run.bias_walk, 0.01)
+    ring = ImuRing()
+    ring.extend(run.samples[:1])
+    return InsFilter(
+        run.start,
+        int(stamps[0]),
+        np.concatenate((run.samples["f"][0], run.samples["w"][0])),
+        ScaledNoise(ConstantNoise(Q), process, NoiseScale()),
+        process,
+        Gate({3: 25.0}, 3.0),
+        ring,
+        FilterSettings(max_delay=1.0),
+    )
+
+
+def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
+    """Run the filter, each fix given ``late`` [s] after its stamp; returns the factors (M, 3)."""
+    ins, at, factors = begin(run), 0, []
+    stamps = run.samples["t_ns"]
+    for fix in run.fixes:
+        stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))
+        if stop > at + 1:
+            ins.ring.extend(run.samples[at + 1 : stop])
+            ins.process_imu_block(run.samples[at + 1 : stop])
+            at = stop - 1
+        ins.submit(fix)
+        factors.append((*ins.noise.scale.scale(), ins.noise.fix_factor))  # type: ignore[attr-defined]
+    if at + 1 < len(stamps):
+        ins.ring.extend(run.samples[at + 1 :])
+        ins.process_imu_block(run.samples[at + 1 :])
+    return ins, np.array(factors)
+
+
+def moved(run: Run, change: np.ndarray) -> Run:
+    """Move the fixes by so many metres, (M, 3) north, east, down."""
+    scale = np.array([1.0 / 6.37e6, 1.0 / 5.35e6, -1.0])
+    fixes = tuple(replace(f, lla=f.lla + d * scale) for f, d in zip(run.fixes, change, strict=True))
+    return replace(run, fixes=fixes)
+
+
+def stamped_early(run: Run, by: float) -> Run:
+    first = int(run.samples["t_ns"][0])
+    fixes = tuple(replace(f, t_ns=f.t_ns - round(by * 1e9)) for f in run.fixes)
+    return replace(run, fixes=tuple(f for f in fixes if f.t_ns > first))
+
+
+def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
+    """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
+    estimator = Estimator(
+        parameters.check_all(
+            {
+                "alignment.heading_source": "parameter",
+                "alignment.yaw_std": 0.5,
+                "alignment.yaw": np.pi / 2,
+                **values,
+            }
+        ),
+        lambda level, text: None,
+    )
+    fix = new_message("sensor_msgs/msg/NavSatFix")
+    fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
+    fix.position_covariance_type = 2
+    stamps, start = run.samples["t_ns"], 0
+    for f in run.fixes:
+        stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
+        estimator.imu_block(
+            stamps[start:stop],
+            run.samples["f"][start:stop] @ FLIP,
+            run.samples["w"][start:stop] @ FLIP,
+        )
+        start = stop
+        conversions.set_stamp(fix.header.stamp, f.t_ns)
+        fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()
+        fix.altitude = float(f.lla[2])
+        estimator.fix(fix)
+    return estimator
