@@ -135,7 +135,13 @@ def started(
         if part.kind == "OpaqueFunction":
             for entity in part.named["function"](context):
                 found += entity.all()
+        elif part.kind == "OnProcessExit":
+            found += part.named["on_exit"](exited("ins_simulate-1"), context).all()
     return found
+
+
+def exited(name: str, returncode: int = 0) -> SimpleNamespace:
+    return SimpleNamespace(process_name=name, returncode=returncode)
 
 
 def declared(parts: list[Recorded]) -> set[str]:
@@ -241,10 +247,6 @@ def handler(path: Path, installed: set[str]) -> Callable[..., Any]:
     function = on_exit.named["on_exit"]
     assert callable(function)
     return function
-
-
-def exited(name: str, returncode: int = 0) -> SimpleNamespace:
-    return SimpleNamespace(process_name=name, returncode=returncode)
 
 
 @pytest.mark.parametrize("name", ["ins_play-2", "ins_node-1"])
