@@ -49,7 +49,7 @@ from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT, VE
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.parameters import PARAMETERS, to_yaml
-from hybrid_ins.plotting import calibration, run
+from hybrid_ins.plotting import calibration, style
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
 
@@ -732,7 +732,7 @@ def _body(args: argparse.Namespace) -> int:
     if args.out:
         options.check_new(Path(args.out), args.overwrite)
     if args.plot:
-        run.check(Path(args.plot))
+        style.check(Path(args.plot))
     runs = [
         read_run(
             Path(bag),
@@ -766,7 +766,7 @@ def _body(args: argparse.Namespace) -> int:
         Path(args.out).write_text(to_yaml(chosen, title, found.notes), encoding="utf-8")
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")
     if args.plot:
-        run.save(calibration.figure(found), Path(args.plot))
+        style.save(calibration.figure(found), Path(args.plot))
     return 0
 
 

@@ -26,6 +26,8 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import batch, options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import Values
+from hybrid_ins.plotting import style
+from hybrid_ins.plotting.overview import plot_bag
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.conversions import OUTPUTS, Message
 from hybrid_ins.ros.estimator import Estimator
@@ -242,9 +244,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _body(args: argparse.Namespace) -> int:
     if args.plot is not None:
-        from hybrid_ins.plotting import run
-
-        run.check(args.plot)
+        style.check(args.plot)
     values, topics = options.parameter_values(args), options.topics(args)
     if len(args.input) > 1 or not batch.is_bag(args.input[0]):
         if args.plot is not None:
@@ -267,9 +267,7 @@ def _body(args: argparse.Namespace) -> int:
         )
     print(estimator.summary())
     if args.plot is not None:
-        from hybrid_ins.cli import evaluate
-
-        evaluate.draw(args.output, args.plot)
+        plot_bag(args.output, args.plot)
         print(f"picture: {args.plot}")
     return 0
 

@@ -1,1 +1,1 @@
-"""Estimates compared with truth."""
+"""Accuracy and consistency of estimates: figures, tables and reports."""

@@ -1,14 +1,13 @@
 """
-One HTML file about a run: the four usual questions answered in words, picture, figures.
+A report on one run as a single HTML file: questions and answers, picture, table.
 
-Self-contained, so that it can be sent: the picture is in it, and it loads nothing.
+The picture is embedded, and the file loads nothing else.
 """
 
 from __future__ import annotations
 
 import base64
 import html
-import io
 import math
 from pathlib import Path
 
@@ -16,11 +15,11 @@ import numpy as np
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.result import Result
-from hybrid_ins.evaluation.run_reader import Recording, Series
+from hybrid_ins.evaluation.run import Run, Series
 from hybrid_ins.evaluation.statistics import Consistency
-from hybrid_ins.plotting import run
+from hybrid_ins.evaluation.table import table
 
-_SETTLED = 1.5  # a standard deviation within this factor of its last value has settled
+_SETTLED = 1.5  # a standard deviation has settled within this factor of its last value
 _PAGE = """\
 <!DOCTYPE html>
 <html lang="en">
@@ -40,7 +39,7 @@ pre {{ overflow-x: auto }}
 <dl>
 {answers}
 </dl>
-<img alt="{title}: track, errors within 3 sigma, NIS, biases, noise" src="{picture}">
+<img alt="{title}: track, errors with 3 sigma, NIS, biases, noise" src="{picture}">
 <pre>{table}</pre>
 </html>
 """
@@ -48,49 +47,48 @@ pre {{ overflow-x: auto }}
 
 def check(path: Path) -> None:
     """
-    Find out before the work whether a report can be written to `path`.
+    Check, before the work, that a report can be written to `path`.
 
     Raises
     ------
     InputError
-        Not ``.html``, no such folder, or matplotlib is not installed.
+        Not ``.html``, or no such folder.
 
     """
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report's name ends in .html")
-    run.check(path.with_suffix(".png"))
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no such folder")
 
 
-def page(recording: Recording, result: Result) -> str:
-    """Return the report as HTML."""
-    picture = io.BytesIO()
-    run.write(run.overview(recording, result), picture, "png")
-    data = base64.b64encode(picture.getvalue()).decode("ascii")
+def page(run: Run, result: Result, picture_png: bytes) -> str:
+    """Return the report as HTML, with the run's picture embedded."""
+    data = base64.b64encode(picture_png).decode("ascii")
     return _PAGE.format(
-        title=html.escape(recording.name),
+        title=html.escape(run.name),
         answers="\n".join(
             f"<dt>{html.escape(question)}</dt>\n<dd>{html.escape(answer)}</dd>"
-            for question, answer in answers(recording, result)
+            for question, answer in answers(run, result)
         ),
         picture=f"data:image/png;base64,{data}",
-        table=html.escape(result.table()),
+        table=html.escape(table(result)),
     )
 
 
-def answers(recording: Recording, result: Result) -> list[tuple[str, str]]:
-    """Answer the questions that a run is looked at with: (question, answer) each."""
+def answers(run: Run, result: Result) -> list[tuple[str, str]]:
+    """Return the questions of the report with their answers."""
     return [
-        ("How far is it off?", _accuracy(result)),
-        ("Am I consistent?", _consistency(result)),
-        ("Why were fixes refused?", _refusals(result)),
-        ("When did the biases converge?", _biases(recording, result)),
-        ("What is Q doing?", _noise(recording)),
+        ("How accurate is the estimate?", _accuracy(result)),
+        ("Are the covariances consistent?", _consistency(result)),
+        ("Why were fixes rejected?", _rejections(result)),
+        ("When did the biases converge?", _biases(run, result)),
+        ("Which process noise was used?", _noise(run)),
     ]
 
 
 def _accuracy(result: Result) -> str:
     if result.prmse is None:
-        return "There is no truth to say."
+        return "Not known: there is no truth."
     parts = [f"PRMSE {result.prmse:.3g} m, largest error {result.largest_error:.3g} m"]
     if result.heading_rmse is not None:
         parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
@@ -101,39 +99,44 @@ def _accuracy(result: Result) -> str:
 
 
 def _consistency(result: Result) -> str:
-    def said(name: str, consistency: Consistency | None) -> str:
+    def sentence(name: str, consistency: Consistency | None) -> str:
         if consistency is None:
             return ""
         low, high = consistency.effective_band
         return (
-            f"{name} is {consistency.per_dof:.2f} per dimension, "
-            f"{consistency.verdict} ({low:.2f} to {high:.2f} would be expected)."
+            f"{name} is {consistency.per_dof:.2f} per degree of freedom: "
+            f"{consistency.verdict} (95 % band {low:.2f} to {high:.2f})."
         )
 
     texts = [
-        said("NEES of the position", result.nees_position),
-        said("NIS of the fixes", result.nis_position),
+        sentence("NEES of the position", result.nees_position),
+        sentence("NIS of the fixes", result.nis_position),
     ]
     if result.nis_position is not None and result.nis_position.verdict == "overconfident":
-        texts.append("Look at clock offset, lever arm and what the receiver claims, in this order.")
-    return " ".join(filter(None, texts)) or "Neither covariances nor verdicts were recorded."
+        texts.append(
+            "Check the clock offset, the lever arm and the receiver's covariances, in this order."
+        )
+    return (
+        " ".join(filter(None, texts))
+        or "Not known: neither covariances nor verdicts were recorded."
+    )
 
 
-def _refusals(result: Result) -> str:
+def _rejections(result: Result) -> str:
     if result.fixes is None:
-        return "No verdicts were recorded."
+        return "Not known: no verdicts were recorded."
     fixes = result.fixes
     if not fixes.refused:
-        return f"None was: all {fixes.total} were fused."
+        return f"All {fixes.total} fixes were accepted."
     reasons = ", ".join(f"{count} × {reason}" for reason, count in fixes.refused.items())
-    return f"{fixes.total - fixes.accepted} of {fixes.total} were: {reasons}."
+    return f"{fixes.total - fixes.accepted} of {fixes.total} fixes were rejected: {reasons}."
 
 
-def _biases(recording: Recording, result: Result) -> str:
+def _biases(run: Run, result: Result) -> str:
     texts = []
     for name, series, scale, unit in (
-        ("accelerometer", recording.sensor_errors.accelerometer_bias, 1.0, "m/s²"),
-        ("gyroscope", recording.sensor_errors.gyroscope_bias, math.degrees(1.0), "deg/s"),
+        ("accelerometer", run.sensor_errors.accelerometer_bias, 1.0, "m/s²"),
+        ("gyroscope", run.sensor_errors.gyroscope_bias, math.degrees(1.0), "deg/s"),
     ):
         if series is None or series.sigma is None or len(series.stamp_ns) < 2:
             continue
@@ -150,12 +153,12 @@ def _biases(recording: Recording, result: Result) -> str:
             )
         )
         texts.append(f"{name.capitalize()}: {axes} {unit} (1σ).")
-    return " ".join(texts) or "They were not recorded."
+    return " ".join(texts) or "Not known: they were not recorded."
 
 
 def settling_times(series: Series, origin_ns: int) -> list[float]:
     """
-    Time [s] from which on each axis' standard deviation stays near its last value, shape (3,).
+    Return from when on [s] the standard deviation of each axis stays near its last value.
 
     Parameters
     ----------
@@ -175,11 +178,11 @@ def settling_times(series: Series, origin_ns: int) -> list[float]:
     return times
 
 
-def _noise(recording: Recording) -> str:
+def _noise(run: Run) -> str:
     texts = []
     for name, series, unit in (
-        ("accelerometer", recording.sensor_errors.accelerometer_noise, "(m/s²)²"),
-        ("gyroscope", recording.sensor_errors.gyroscope_noise, "(rad/s)²"),
+        ("accelerometer", run.sensor_errors.accelerometer_noise, "(m/s²)²"),
+        ("gyroscope", run.sensor_errors.gyroscope_noise, "(rad/s)²"),
     ):
         if series is None:
             continue
@@ -189,7 +192,7 @@ def _noise(recording: Recording) -> str:
             for axis, a, m, b in zip("xyz", low, middle, high, strict=True)
         )
         texts.append(f"{name.capitalize()}: {axes} {unit}, median and 5–95 %.")
-    sources = list(dict.fromkeys(source for _, source in recording.noise_source))
+    sources = list(dict.fromkeys(source for _, source in run.noise_source))
     if sources:
         texts.append(f"Source: {', then '.join(sources)}.")
-    return " ".join(texts) or "It was not recorded."
+    return " ".join(texts) or "Not known: it was not recorded."

@@ -1,5 +1,5 @@
 """
-What an evaluation says: the figures of one run, for programs, for people and for pictures.
+The result of an evaluation: the figures of one run.
 
 References
 ----------
@@ -10,7 +10,6 @@ References
 from __future__ import annotations
 
 import math
-import textwrap
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,40 +19,35 @@ from numpy.typing import NDArray
 from hybrid_ins.evaluation.statistics import Consistency
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
-_CORRELATED = (
-    "epochs of one run are correlated: the first band is for n independent ones, the second for"
-    " the number that these are worth"
-)
-
 
 @dataclass(frozen=True)
 class Scoring:
-    """Which epochs count. Times in seconds, `start` and `end` from the first truth epoch."""
+    """Which epochs are scored. Times [s]; `start` and `end` from the first truth epoch."""
 
     skip: float = 0.0  # after the first epoch that has an estimate
     start: float | None = None
     end: float | None = None
-    time_offset: float | None = None  # added to truth and fix stamps; None: as the verdicts say
-    include_fed: bool = False  # also epochs whose position was fed to the filter
-    max_gap: float = 0.25  # between the two estimates that an epoch is interpolated from
-    outage_gap: float = 3.0  # without an accepted fix for so long (and for 3 fix intervals)
+    time_offset: float | None = None  # added to truth and fix stamps; None: that of the verdicts
+    include_fed: bool = False  # also score epochs at the stamps of fixes
+    max_gap: float = 0.25  # longest between two estimates to interpolate
+    outage_gap: float = 3.0  # shortest outage; it also exceeds 3 fix intervals
 
 
 @dataclass(frozen=True)
 class Epochs:
-    """What became of the truth epochs between start and end."""
+    """Counts of the truth epochs between start and end."""
 
     truth: int  # all of them
     scored: int
-    fed: int  # at a fix stamp: the filter was given a measurement of this very position
+    fed: int  # at the stamp of a fix: the filter was given this position
     skipped: int
-    uncovered: int  # no estimate before or after, or too long a gap between them
+    uncovered: int  # no estimate before or after, or too far apart
     invalid: int  # NaN in truth or estimate
 
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """What was added to the stamps of truth and fixes [s]."""
+    """The clock offset added to the stamps of truth and fixes [s]."""
 
     mean: float
     low: float
@@ -63,7 +57,7 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class Outage:
-    """A stretch without accepted fixes; its errors are None where none of its end is scored."""
+    """An interval without accepted fixes; its errors are None where no epoch in it is scored."""
 
     start: float  # s, last accepted fix before it
     duration: float  # s
@@ -73,7 +67,7 @@ class Outage:
 
 @dataclass(frozen=True)
 class FixCount:
-    """What the filter did with the position fixes within the scored time."""
+    """The filter's decisions on the position fixes within the scored time."""
 
     total: int
     accepted: int
@@ -96,11 +90,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """
-    The figures of one run. None where there is nothing to compute a figure from.
-
-    `as_dict` documents the keys for programs, `table` is for people, `errors` for pictures.
-    """
+    """The figures of one run; None where a figure cannot be computed."""
 
     origin_ns: int  # zero of all times: first truth epoch (or estimate), IMU clock
     scoring: Scoring
@@ -122,20 +112,22 @@ class Result:
     nees_attitude: Consistency | None
     nis_position: Consistency | None  # accepted fixes
     nis_velocity: Consistency | None
-    nis_tested: Consistency | None  # all position fixes that came to the test, refused ones too
+    nis_tested: Consistency | None  # all position fixes that were tested, rejected ones included
     fixes: FixCount | None
     outages: tuple[Outage, ...]
     notes: tuple[str, ...]
     errors: Errors | None
 
     def outage_error(self, percentile: float) -> float | None:
-        """Percentile of the position errors at outage ends [m]; None where none is known."""
+        """Return a percentile of the position errors at the ends of outages [m], or None."""
         known = [o.end_error for o in self.outages if o.end_error is not None]
         return float(np.percentile(known, percentile)) if known else None
 
     def as_dict(self) -> dict[str, Any]:
         """
-        Give all figures as plain numbers for JSON: units in the keys, degrees for angles.
+        Return all figures as plain numbers for JSON: units in the keys, angles in degrees.
+
+        NaN and infinity, which JSON does not have, become null.
 
         Returns
         -------
@@ -156,16 +148,16 @@ class Result:
         def figures(consistency: Consistency | None) -> dict[str, object] | None:
             return None if consistency is None else consistency.as_dict()
 
-        return {
+        data = {
             "prmse_m": self.prmse,
             "pmae_m": self.pmae,
             "horizontal_rmse_m": self.horizontal_rmse,
             "vertical_rmse_m": self.vertical_rmse,
             "largest_error_m": self.largest_error,
             "velocity_rmse_mps": self.velocity_rmse,
-            "attitude_rmse_deg": _degrees(self.attitude_rmse),
-            "heading_rmse_deg": _degrees(self.heading_rmse),
-            "tilt_rmse_deg": _degrees(self.tilt_rmse),
+            "attitude_rmse_deg": degrees(self.attitude_rmse),
+            "heading_rmse_deg": degrees(self.heading_rmse),
+            "tilt_rmse_deg": degrees(self.tilt_rmse),
             "nees_position": figures(self.nees_position),
             "nees_velocity": figures(self.nees_velocity),
             "nees_attitude": figures(self.nees_attitude),
@@ -194,121 +186,19 @@ class Result:
             "scoring": asdict(self.scoring),
             "notes": list(self.notes),
         }
-
-    def table(self) -> str:
-        """Lay the figures out for a terminal, at most 80 columns."""
-        return "\n".join(
-            (
-                *map(_wrapped, self._scored_lines()),
-                *self._accuracy_lines(),
-                *self._consistency_lines(),
-                *map(_wrapped, self._fix_lines()),
-                *(_wrapped(f"note: {note}") for note in self.notes),
-            )
-        )
-
-    def _scored_lines(self) -> list[str]:
-        if self.epochs is None or self.coverage is None:
-            return ["no truth: only what the filter says of itself"]
-        e, offset = self.epochs, self.time_offset
-        left_out = [
-            f"{count} {why}"
-            for count, why in (
-                (e.fed, "at fix stamps"),
-                (e.skipped, "skipped"),
-                (e.uncovered, "without estimate"),
-                (e.invalid, "not finite"),
-            )
-            if count
-        ]
-        lines = [
-            f"scored {e.scored} of {e.truth} truth epochs"
-            + (f"; left out: {', '.join(left_out)}" if left_out else ""),
-            f"estimate covers {100 * self.coverage:.1f} % of the truth, largest gap "
-            f"{self.largest_gap:.3g} s; skipped {self.scoring.skip:g} s (--skip)",
-        ]
-        if offset.low or offset.high:
-            spread = (
-                f" ({offset.low:+.4f} to {offset.high:+.4f})" if offset.high > offset.low else ""
-            )
-            lines.append(
-                f"truth stamps shifted by {offset.mean:+.4f} s{spread}, as given by the "
-                f"{offset.source}"
-            )
-        return lines
-
-    def _accuracy_lines(self) -> list[str]:
-        if self.prmse is None:
-            return []
-        rows = (
-            ("PRMSE", self.prmse, "m", (("horizontal", self.horizontal_rmse, "m"),
-                                        ("vertical", self.vertical_rmse, "m"))),
-            ("PMAE", self.pmae, "m", (("largest", self.largest_error, "m"),)),
-            ("velocity RMSE", self.velocity_rmse, "m/s", ()),
-            ("attitude RMSE", _degrees(self.attitude_rmse), "deg",
-             (("heading", _degrees(self.heading_rmse), "deg"),
-              ("tilt", _degrees(self.tilt_rmse), "deg"))),
-        )  # fmt: skip
-        lines = ["", "accuracy"]
-        for name, value, unit, parts in rows:
-            line = f"  {name:15}{_figure(value, unit):>12}"
-            if value is not None:
-                line += "".join(f"   {part} {_figure(v, u)}" for part, v, u in parts)
-            lines.append(line)
-        return lines
-
-    def _consistency_lines(self) -> list[str]:
-        rows = [
-            ("position NEES", self.nees_position),
-            ("velocity NEES", self.nees_velocity),
-            ("attitude NEES", self.nees_attitude),
-            ("position NIS", self.nis_position),
-            ("velocity NIS", self.nis_velocity),
-        ]
-        if self.fixes is not None and self.fixes.accepted < self.fixes.total:
-            rows.insert(4, ("  with refused", self.nis_tested))
-        rows = [row for row in rows if row[1] is not None]
-        if not rows:
-            return ["", "consistency: no covariances and no verdicts to judge"]
-        lines = ["", "consistency         /dof     n  95 % band   worth  95 % band"]
-        for name, c in rows:
-            assert c is not None
-            low, high = c.band
-            wide_low, wide_high = c.effective_band
-            lines.append(
-                f"  {name:15}{c.per_dof:7.3g}{c.count:6d}  {low:4.2f}-{high:4.2f}"
-                f"{c.effective_count:8.0f}  {wide_low:4.2f}-{wide_high:<5.2f} {c.verdict}"
-            )
-        return [*lines, _wrapped(f"({_CORRELATED})", indent="  ")]
-
-    def _fix_lines(self) -> list[str]:
-        lines = [""]
-        if self.fixes is not None:
-            refused = ", ".join(f"{count} {reason}" for reason, count in self.fixes.refused.items())
-            lines.append(
-                f"fixes: {self.fixes.accepted} of {self.fixes.total} accepted"
-                + (f"; refused: {refused}" if refused else "")
-            )
-        if self.outages:
-            lasting = sorted(o.duration for o in self.outages)
-            span = f"{lasting[0]:.1f} s" + (
-                f" to {lasting[-1]:.1f} s" if lasting[-1] - lasting[0] > 0.05 else ""
-            )
-            line = f"outages: {len(self.outages)} of {span}"
-            median, p90 = self.outage_error(50), self.outage_error(90)
-            if median is not None:
-                line += f"; error at their ends: median {median:.3g} m, p90 {p90:.3g} m"
-            lines.append(line)
-        return lines if len(lines) > 1 else []
+        finite: dict[str, Any] = _finite_only(data)
+        return finite
 
 
-def _degrees(angle: float | None) -> float | None:
+def degrees(angle: float | None) -> float | None:
+    """Convert an angle from radians, if it is known."""
     return None if angle is None else math.degrees(angle)
 
 
-def _figure(value: float | None, unit: str) -> str:
-    return "not known" if value is None else f"{value:.3g} {unit}"
-
-
-def _wrapped(text: str, width: int = 80, indent: str = "") -> str:
-    return textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent + "  ")
+def _finite_only(value: Any) -> Any:
+    """Replace NaN and infinity by None."""
+    if isinstance(value, dict):
+        return {key: _finite_only(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite_only(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,20 +1,19 @@
-"""What a bag tells about a run: estimate, truth, fixes and their verdicts, biases, noise."""
+"""Reads one run of the filter from its bags."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid_ins import progress
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Topics, Verdicts
 from hybrid_ins.ros.conversions import stamp_ns as ns_of
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 
@@ -28,111 +27,9 @@ _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they en
 _CHUNK = 10_000  # messages decoded at once
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Topic names in the bags."""
-
-    odometry: str = "/odometry"
-    truth: str = "/truth/odometry"
-    truth_datum: str = "/truth/datum"
-    datum: str = "/datum"
-    fix: str = "/gnss/fix"
-    verdict: str = "/gnss/verdict"
-    bias: str = "/imu/bias"
-    accelerometer_noise: str = "/q/accelerometer"
-    gyroscope_noise: str = "/q/gyroscope"
-    diagnostics: str = "/diagnostics"
-
-
-@dataclass(frozen=True, eq=False)
-class Fixes:
-    """Valid GNSS positions, in the order of their stamps."""
-
-    stamp_ns: Stamps  # (N,) reference clock
-    lla: Array  # (N, 3) rad, rad, m; the height may be NaN
-
-    @classmethod
-    def none(cls) -> Fixes:
-        """Return an empty table."""
-        return cls(np.empty(0, np.int64), np.empty((0, 3)))
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
-
-
-@dataclass(frozen=True, eq=False)
-class Verdicts:
-    """What the filter did with each fix, in the order of their stamps."""
-
-    stamp_ns: Stamps  # (N,) of the fix, reference clock
-    kind: NDArray[np.str_]  # (N,) "position" or "velocity"
-    accepted: NDArray[np.bool_]  # (N,)
-    reason: NDArray[np.str_]  # (N,) why not
-    nis: Array  # (N,) NaN where the fix never came to the test
-    dof: Array  # (N,)
-    threshold: Array  # (N,) of nis
-    time_offset: Array  # (N,) s, added to the fix's stamp to reach the IMU clock
-
-    _TYPES: ClassVar[dict[str, type]] = {"stamp_ns": np.int64, "accepted": bool, "kind": np.str_,
-                                         "reason": np.str_}  # fmt: skip
-
-    @classmethod
-    def of(cls, rows: Iterable[tuple[int, str, bool, str, float, float, float, float]]) -> Verdicts:
-        """Collect verdicts given as tuples in the order of the fields."""
-        columns = list(zip(*sorted(rows, key=lambda row: row[0]), strict=True)) or [()] * 8
-        names = [f.name for f in fields(cls)]
-        return cls(
-            *(
-                np.array(column, cls._TYPES.get(name, float))
-                for name, column in zip(names, columns, strict=True)
-            )
-        )
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
-
-    def rows(self, keep: NDArray[np.bool_]) -> Verdicts:
-        """Return the verdicts that `keep` selects."""
-        return Verdicts(*(getattr(self, f.name)[keep] for f in fields(self)))
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Three values over time, base_link (FLU) axes."""
-
-    stamp_ns: Stamps  # (N,) IMU clock
-    values: Array  # (N, 3)
-    sigma: Array | None = None  # (N, 3) the filter's own standard deviation
-
-
-@dataclass(frozen=True, eq=False)
-class SensorErrors:
-    """What an IMU adds to its readings: biases and noise, as estimated or as they are."""
-
-    accelerometer_bias: Series | None = None  # m/s^2
-    gyroscope_bias: Series | None = None  # rad/s
-    accelerometer_noise: Series | None = None  # per-sample variance, (m/s^2)^2
-    gyroscope_noise: Series | None = None  # per-sample variance, (rad/s)^2
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """One run of the filter, as far as it was recorded."""
-
-    name: str
-    estimate: Trajectory
-    truth: Trajectory | None = None  # stamps in the reference clock
-    fixes: Fixes = field(default_factory=Fixes.none)
-    verdicts: Verdicts = field(default_factory=lambda: Verdicts.of(()))
-    sensor_errors: SensorErrors = field(default_factory=SensorErrors)
-    true_sensor_errors: SensorErrors = field(default_factory=SensorErrors)  # simulations know them
-    noise_source: tuple[tuple[int, str], ...] = ()  # (stamp_ns, name) at each change
-    notes: tuple[str, ...] = ()
-
-
-def read_recording(
+def read_run(
     estimate_path: Path | str, truth_path: Path | str | None = None, topics: Topics | None = None
-) -> Recording:
+) -> Run:
     """
     Read a run from its bag, and truth and fixes from a second one where they are not in it.
 
@@ -147,23 +44,23 @@ def read_recording(
 
     Returns
     -------
-    Recording
-        `truth` is None where `truth_path` is not given and the bag has none.
+    Run
+        Its `truth` is None where `truth_path` is not given and the bag has none.
 
     Raises
     ------
     InputError
-        A bag is unreadable, or has no estimate, or the bag given for the truth has no truth.
+        A bag is unreadable or has no estimate, or the bag given for the truth has no truth.
 
     """
     topics = topics or Topics()
     notes: list[str] = []
     with BagReader(estimate_path) as reader:
         bag = _Bag(reader, topics)
-        estimate, frames = _track(bag, topics.odometry, "--odometry", topics.datum, notes)
+        estimate, frames = _trajectory(bag, topics.odometry, "--odometry", topics.datum, notes)
         truth = truth_frames = None
         if truth_path is None and reader.count(topics.truth):
-            truth, truth_frames = _track(
+            truth, truth_frames = _trajectory(
                 bag, topics.truth, "--truth-topic", topics.truth_datum, notes
             )
         fixes = _fixes(bag, topics.fix)
@@ -174,7 +71,7 @@ def read_recording(
     if truth_path is not None:
         with BagReader(truth_path) as reader:
             bag = _Bag(reader, topics)
-            truth, truth_frames = _track(
+            truth, truth_frames = _trajectory(
                 bag, topics.truth, "--truth-topic", topics.truth_datum, notes
             )
             fixes = fixes if len(fixes) else _fixes(bag, topics.fix)
@@ -182,9 +79,9 @@ def read_recording(
     if truth_frames is not None and truth_frames != frames:
         notes.append(
             f"the estimate is of {frames[1]!r} in {frames[0]!r}, the truth of {truth_frames[1]!r} "
-            f"in {truth_frames[0]!r}: compared as if they were the same"
+            f"in {truth_frames[0]!r}: the frames are assumed to be the same"
         )
-    return Recording(
+    return Run(
         Path(estimate_path).name,
         estimate,
         truth,
@@ -198,7 +95,7 @@ def read_recording(
 
 
 class _Bag:
-    """An open bag whose small topics are read at once: every pass over a bag takes time."""
+    """An open bag whose small topics are read in one pass."""
 
     def __init__(self, reader: BagReader, topics: Topics) -> None:
         self.reader = reader
@@ -211,7 +108,7 @@ class _Bag:
                 self._messages[topic].append(message)
 
     def of(self, topic: str, type_name: str) -> list[Any]:
-        """Messages of an optional topic: none if it is not there or of another type."""
+        """Return the messages of an optional topic: none if it is missing or of another type."""
         topic = _absolute(topic)
         matches = self.reader.topics.get(topic) == type_name
         return self._messages.get(topic, []) if matches else []
@@ -221,33 +118,33 @@ def _absolute(topic: str) -> str:
     return f"/{topic.lstrip('/')}"
 
 
-def _track(
+def _trajectory(
     bag: _Bag, topic: str, option: str, datum_topic: str, notes: list[str]
 ) -> tuple[Trajectory, tuple[str, str]]:
-    """Read an Odometry topic and its frames; what had to be left out is added to `notes`."""
+    """Read an Odometry topic and its frames; faults are added to `notes`."""
     path = bag.reader.path
     topic = bag.reader.require(topic, _ODOMETRY, option)
     _, _, first = next(bag.reader.messages(topic), (None, None, None))
     if first is None:
         raise InputError(f"{path}: no message on {topic}")
-    track, faults = trajectory_from_odometry(*_odometry_rows(bag.reader, topic))
-    if not len(track):
+    trajectory, faults = trajectory_from_odometry(*_odometry_rows(bag.reader, topic))
+    if not len(trajectory):
         raise InputError(f"{path}: {topic} has no usable message: {'; '.join(faults)}")
-    places = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
-    if len(set(places)) > 1:
-        faults.append(f"{datum_topic} changed during the run; the last one counts")
-    if places and np.all(np.isfinite(places[-1])):
-        track = replace(track, datum_lla=_radians(np.array(places[-1])))
+    datums = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
+    if len(set(datums)) > 1:
+        faults.append(f"{datum_topic} changed during the run: the last one is used")
+    if datums and np.all(np.isfinite(datums[-1])):
+        trajectory = replace(trajectory, datum_lla=_radians(np.array(datums[-1])))
     notes.extend(f"{topic}: {fault}" for fault in faults)
-    return track, (first.header.frame_id, first.child_frame_id)
+    return trajectory, (first.header.frame_id, first.child_frame_id)
 
 
 def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
     """
-    Stamps (N,) and the doubles (N, 85) of every Odometry message.
+    Return stamps (N,) and the doubles (N, 85) of every Odometry message.
 
-    Whatever the frames are called, the numbers end the message: no need to decode it field by
-    field.
+    The frame names have variable length, but the doubles are at the end of the message: it need
+    not be decoded field by field.
     """
     stamps: list[int] = []
     tails: list[bytes] = []
@@ -256,7 +153,9 @@ def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:
     messages = bag.raw(topic)
     for _, _, data in progress.track(messages, f"reading {topic}", total=bag.count(topic)):
         if len(data) < size + 20 or data[:2] != b"\x00\x01":
-            raise InputError(f"{bag.path}: {topic} holds a message that is no Odometry in CDR")
+            raise InputError(
+                f"{bag.path}: {topic} holds a message that is not a CDR-encoded Odometry"
+            )
         seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
         stamps.append(seconds * 1_000_000_000 + nanoseconds)
         end = len(data) - (len(data) - 4) % 8
@@ -289,16 +188,16 @@ def _fixes(bag: _Bag, topic: str) -> Fixes:
 def _verdicts(bag: _Bag, topic: str) -> Verdicts:
     rows = []
     for message in bag.of(topic, _VERDICT):
-        said = {pair.key: pair.value for pair in message.values}
-        if not said.get("stamp", "").isdigit():
+        values = {pair.key: pair.value for pair in message.values}
+        if not values.get("stamp", "").isdigit():
             continue
         rows.append(
             (
-                int(said["stamp"]),
-                said.get("kind", "position"),
-                said.get("accepted") == "true",
-                said.get("reason", "") or str(message.message),
-                *(_number(said, name) for name in ("nis", "dof", "threshold", "time_offset")),
+                int(values["stamp"]),
+                values.get("kind", "position"),
+                values.get("accepted") == "true",
+                values.get("reason", "") or str(message.message),
+                *(_number(values, name) for name in ("nis", "dof", "threshold", "time_offset")),
             )
         )
     return Verdicts.of(rows)  # type: ignore[arg-type]
@@ -355,9 +254,9 @@ def _xyz(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-def _number(said: dict[str, str], key: str) -> float:
+def _number(values: dict[str, str], key: str) -> float:
     try:
-        return float(said.get(key, "nan"))
+        return float(values.get(key, "nan"))
     except ValueError:
         return math.nan
 

@@ -1,1 +1,1 @@
-"""Pictures."""
+"""Pictures of runs and calibrations, drawn with matplotlib."""

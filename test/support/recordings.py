@@ -1,4 +1,4 @@
-"""Trajectories with analytic figures, and recordings of them, for the tests of the evaluation."""
+"""Trajectories with analytic figures and bags of them, for tests of evaluation and plotting."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli.evaluate import main
 from hybrid_ins.core import rotations
 from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.evaluation.run_reader import Fixes, Recording, SensorErrors, Series, Verdicts
+from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Verdicts
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Trajectory
@@ -44,7 +44,7 @@ def flight(seconds: Any, speed: float = 10.0) -> Trajectory:
     )
 
 
-def claiming(track: Trajectory, sigma: float) -> Trajectory:
+def with_sigma(track: Trajectory, sigma: float) -> Trajectory:
     cov = np.tile(sigma**2 * np.eye(3), (len(track), 1, 1))
     return replace(track, position_cov=cov, velocity_cov=cov, attitude_cov=cov)
 
@@ -129,7 +129,9 @@ def bag(path: Path, truth: Trajectory | None = None) -> Iterator[BagWriter]:
         yield out
 
 
-def said(capsys: pytest.CaptureFixture[str], status: int, *arguments: Any) -> tuple[str, str]:
+def run_program(
+    capsys: pytest.CaptureFixture[str], status: int, *arguments: Any
+) -> tuple[str, str]:
     assert main([str(a) for a in arguments]) == status
     captured = capsys.readouterr()
     assert "Traceback" not in captured.err
@@ -142,8 +144,8 @@ def series(level: float) -> Series:
     return Series(stamps(at), values, 0.1 * np.abs(values))
 
 
-def whole_recording() -> Recording:
-    """A flight with everything: an outage, refusals of two kinds, biases, noise, its source."""
+def complete_run() -> Run:
+    """A flight with everything: an outage, rejections of two kinds, biases, noise, its source."""
     at = np.concatenate((np.arange(0.0, 8.0, 0.2), np.arange(13.0, 20.0, 0.2)))
     accepted = np.arange(len(at)) % 11 > 0
     nis = np.where(accepted, 3.0, 400.0)
@@ -151,9 +153,9 @@ def whole_recording() -> Recording:
     reasons = np.where(accepted, "", np.where(np.isnan(nis), "no covariance", "gate"))
     lla = LocalFrame(DATUM).lla(flight(at).position_enu @ SWAP)
     lla[3, 2] = np.nan
-    return Recording(
+    return Run(
         "a_flight",
-        shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.1]),
+        shifted(with_sigma(flight(FAST), 0.5), [-0.3, -0.4, 0.1]),
         flight(TRUTH),
         Fixes(stamps(at), lla),
         verdicts(at, accepted=accepted, nis=nis, reason=reasons),

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy import signal
 
-from hybrid_ins.plotting.run import BLUE, ORANGE
+from hybrid_ins.plotting.style import BLUE, ORANGE
 from hybrid_ins.ros.trajectory import enu_from_lla
 from tools.field.flights import Fixes, Flight, Flown
 from tools.paper.figures import _axes, _save

@@ -19,21 +19,21 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.fit import Run
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.cli.convert import DEFAULT_MAP, make_fixes, make_truth
-from hybrid_ins.cli.evaluate import evaluate
 from hybrid_ins.core.ins_filter import NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.csv_flight import read_attitude, read_imu, read_position
 from hybrid_ins.dataset.csv_table import Faults
+from hybrid_ins.evaluation.evaluate import evaluate
 from hybrid_ins.evaluation.result import Result, Scoring
-from hybrid_ins.evaluation.run_reader import Verdicts, trajectory_from_odometry
+from hybrid_ins.evaluation.run import Verdicts
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.resources import share_path
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 from hybrid_ins.simulation.sensors import RTK_STD
 
 SESSIONS = {"first": (2, 3, 4, 5, 6, 7), "second": (16, 17, 18, 19, 20, 21)}

@@ -23,7 +23,7 @@ from hybrid_ins import progress
 from hybrid_ins.cli import options, program
 from hybrid_ins.evaluation.statistics import Ratio, paired_ratio
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
-from hybrid_ins.plotting import run
+from hybrid_ins.plotting import style
 from hybrid_ins.resources import share_path
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import ImuErrors, Tone
@@ -608,7 +608,7 @@ def evaluate(args: argparse.Namespace) -> int:
     args.figures = args.out / "figures"
     args.figures.mkdir(parents=True, exist_ok=True)
     for name in FIGURES:
-        run.check(args.figures / f"{name}.png")
+        style.check(args.figures / f"{name}.png")
     if args.quick:
         args.runs = 2
     bars: list[Bar] = []

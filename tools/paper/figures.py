@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib import ticker
 
-from hybrid_ins.plotting.run import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, save
+from hybrid_ins.plotting.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, save
 from tools.paper.montecarlo import T0_NS, Flight, Run
 
 LINES = {

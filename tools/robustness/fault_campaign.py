@@ -30,7 +30,7 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import calibrate, convert, replay, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
-from hybrid_ins.evaluation.run_reader import trajectory_from_odometry
+from hybrid_ins.ros.trajectory import trajectory_from_odometry
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.faults import FAULTS, Fault, Flight
 

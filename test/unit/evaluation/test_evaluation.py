@@ -12,25 +12,27 @@ from support.recordings import (
     START_NS,
     TRUTH,
     bag,
-    claiming,
     flight,
     navsatfix,
-    said,
+    run_program,
     set_stamp,
     shifted,
     stamps,
     verdicts,
+    with_sigma,
     write_track,
     write_verdict,
 )
 
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.cli.evaluate import evaluate, main, outage_spans
+from hybrid_ins.cli.evaluate import main
 from hybrid_ins.core import rotations
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.evaluate import evaluate, outage_spans
 from hybrid_ins.evaluation.result import Result, Scoring
-from hybrid_ins.evaluation.run_reader import read_recording
+from hybrid_ins.evaluation.run_reader import read_run
+from hybrid_ins.evaluation.table import table
 from hybrid_ins.ros.trajectory import Trajectory
 
 
@@ -138,7 +140,7 @@ class TestFigures:
         assert result.fixes is not None
         assert (result.fixes.total, result.fixes.accepted) == (100, 98)
         assert result.fixes.refused == {"gate": 1, "no covariance": 1}
-        assert any("refused" in note for note in result.notes)
+        assert any("rejected" in note for note in result.notes)
 
     def test_velocity_fixes_have_a_nis_of_their_own(self) -> None:
         at = np.arange(0.05, 20.0, 0.5)
@@ -299,14 +301,14 @@ class TestWhatIsScored:
         truth = flight(TRUTH)
         bare = Trajectory(truth.stamp_ns, truth.position_enu)
 
-        result = evaluate(claiming(flight(FAST), 1.0), bare)
+        result = evaluate(with_sigma(flight(FAST), 1.0), bare)
 
         assert result.prmse == pytest.approx(0.0, abs=1e-9)
         assert result.velocity_rmse is None
         assert result.attitude_rmse is None
         assert result.nees_velocity is None
         assert result.nees_position is not None
-        assert "not known" in result.table()
+        assert "not known" in table(result)
 
     def test_few_epochs_are_said(self) -> None:
         result = evaluate(flight(FAST), flight(TRUTH), scoring=Scoring(end=0.5))
@@ -330,7 +332,7 @@ class TestWhatIsScored:
             evaluate(flight([1.0]), flight(TRUTH))
 
     def test_covariances_that_are_none_are_said(self) -> None:
-        estimate = claiming(flight(FAST), 1.0)
+        estimate = with_sigma(flight(FAST), 1.0)
         assert estimate.position_cov is not None
         cov = estimate.position_cov.copy()
         cov[:1000] = 0.0
@@ -412,7 +414,7 @@ class TestOutages:
 class TestResult:
     def test_the_dictionary_is_plain_and_complete(self) -> None:
         at = np.arange(0.0, 20.1, 0.2)
-        result = evaluate(claiming(flight(FAST), 1.0), flight(TRUTH), verdicts=verdicts(at))
+        result = evaluate(with_sigma(flight(FAST), 1.0), flight(TRUTH), verdicts=verdicts(at))
 
         data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
 
@@ -433,17 +435,17 @@ class TestResult:
         accepted = np.arange(len(at)) % 5 > 0
         reasons = np.where(accepted, "", "innovation gate: farther than the filter believes")
         result = evaluate(
-            claiming(shifted(flight(FAST[:1500]), [1.0, 2.0, 3.0]), 0.01),
+            with_sigma(shifted(flight(FAST[:1500]), [1.0, 2.0, 3.0]), 0.01),
             flight(TRUTH),
             verdicts=verdicts(at, accepted=accepted, reason=reasons),
             scoring=Scoring(skip=1.0),
         )
 
-        table = result.table()
+        shown = table(result)
 
-        assert max(len(line) for line in table.splitlines()) <= 80
+        assert max(len(line) for line in shown.splitlines()) <= 80
         for text in ("PRMSE", "PMAE", "NEES", "NIS", "overconfident", "outages", "note:", "skip"):
-            assert text in table
+            assert text in shown
 
     def test_without_truth_only_the_filter_s_own_word(self) -> None:
         result = evaluate(flight(FAST), None, verdicts=verdicts(np.arange(0.0, 20.1, 0.2)))
@@ -451,7 +453,10 @@ class TestResult:
         assert result.prmse is None
         assert result.nis_position is not None
         assert result.as_dict()["epochs"] is None
-        assert "no truth" in result.table()
+        assert "no truth" in table(result)
+
+
+# Bags
 
 
 def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
@@ -486,9 +491,9 @@ def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
         write_verdict(out, int(stamps(1.2)), kind="position", accepted="false", reason="late")
         write_verdict(out, int(stamps(1.4)), accepted="true", nis="1.5", dof="x")
 
-    recording = read_recording(tmp_path / "run")
+    run = read_run(tmp_path / "run")
 
-    for errors in (recording.sensor_errors, recording.true_sensor_errors):
+    for errors in (run.sensor_errors, run.true_sensor_errors):
         assert errors.accelerometer_bias is not None
         assert errors.gyroscope_bias is not None
         assert errors.accelerometer_bias.values[0].tolist() == [0.5, 0.0, 0.0]
@@ -498,13 +503,13 @@ def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
         assert errors.accelerometer_noise is None
         assert errors.gyroscope_noise is not None
         assert errors.gyroscope_noise.values[:, 1].tolist() == [1.0, 2.0]
-    assert [source for _, source in recording.noise_source] == ["fallback", "learned"]
-    assert len(recording.fixes) == 101  # without the one that says it is none
-    assert recording.verdicts.reason.tolist() == ["late", ""]
-    assert recording.verdicts.accepted.tolist() == [False, True]
-    assert np.isnan(recording.verdicts.dof).all()
-    assert recording.truth is not None
-    assert recording.truth.datum_lla == pytest.approx(DATUM)
+    assert [source for _, source in run.noise_source] == ["fallback", "learned"]
+    assert len(run.fixes) == 101  # without the one that says it is none
+    assert run.verdicts.reason.tolist() == ["late", ""]
+    assert run.verdicts.accepted.tolist() == [False, True]
+    assert np.isnan(run.verdicts.dof).all()
+    assert run.truth is not None
+    assert run.truth.datum_lla == pytest.approx(DATUM)
 
 
 class TestProgram:
@@ -517,7 +522,7 @@ class TestProgram:
     @pytest.fixture
     def estimate_bag(self, tmp_path: Path) -> Path:
         there = LocalFrame(DATUM).lla(np.array([30.0, -20.0, 3.0]))
-        estimate = shifted(claiming(flight(FAST), 0.5), [-0.3, -0.4, 0.0])
+        estimate = shifted(with_sigma(flight(FAST), 0.5), [-0.3, -0.4, 0.0])
         with bag(tmp_path / "estimate") as out:
             write_track(out, "/odometry", estimate.in_map_of(there))
             out.write("/datum", navsatfix(START_NS, there), START_NS)
@@ -531,7 +536,7 @@ class TestProgram:
     def test_two_bags_with_different_datums(
         self, estimate_bag: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        out, _ = said(capsys, 0, estimate_bag, "--truth", truth_bag, "--json")
+        out, _ = run_program(capsys, 0, estimate_bag, "--truth", truth_bag, "--json")
 
         figures = json.loads(out)
         assert figures["prmse_m"] == pytest.approx(0.5, abs=1e-6)
@@ -549,7 +554,7 @@ class TestProgram:
         with bag(tmp_path / "both", flight(TRUTH)) as out:
             write_track(out, "/odometry", flight(FAST))
 
-        text, _ = said(capsys, 0, tmp_path / "both")
+        text, _ = run_program(capsys, 0, tmp_path / "both")
 
         assert "scored 100 of 201 truth epochs; left out: 101 at fix stamps" in text
         assert "the estimate's datum is not in the bag" in " ".join(text.split())
@@ -557,8 +562,8 @@ class TestProgram:
     def test_no_truth_is_an_error_unless_asked_for(
         self, estimate_bag: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        _, error = said(capsys, 2, estimate_bag)
-        text, _ = said(capsys, 0, estimate_bag, "--no-truth")
+        _, error = run_program(capsys, 2, estimate_bag)
+        text, _ = run_program(capsys, 0, estimate_bag, "--no-truth")
 
         assert "--truth" in error
         assert error.count("\n") == 1
@@ -567,7 +572,7 @@ class TestProgram:
     def test_no_odometry_names_what_there_is(
         self, truth_bag: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        _, error = said(capsys, 2, truth_bag)
+        _, error = run_program(capsys, 2, truth_bag)
 
         assert "no topic /odometry" in error
         assert "/truth/odometry" in error.partition("it has")[2]
@@ -578,7 +583,7 @@ class TestProgram:
         with bag(tmp_path / "estimate") as out:
             write_track(out, "/odometry", replace(flight(FAST), quat_xyzw=None))
 
-        out_text, _ = said(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
+        out_text, _ = run_program(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
 
         figures = json.loads(out_text)
         assert figures["prmse_m"] == pytest.approx(0.0, abs=1e-6)
@@ -602,7 +607,7 @@ class TestProgram:
                 replace(estimate, position_enu=position, stamp_ns=stamp_ns, velocity_enu=None),
             )
 
-        text, _ = said(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
+        text, _ = run_program(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
 
         notes = " ".join(json.loads(text)["notes"])
         assert "1 of 2001 messages ignored: no time stamp" in notes
@@ -617,7 +622,7 @@ class TestProgram:
         with bag(tmp_path / "estimate") as out:
             write_track(out, "/odometry/filtered", flight(FAST), ("odom", "base_footprint"))
 
-        text, _ = said(
+        text, _ = run_program(
             capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--odometry",
             "odometry/filtered", "--json",
         )  # fmt: skip
@@ -661,7 +666,7 @@ class TestProgram:
     ) -> None:
         given = [str(estimate_bag) if a == "EST" else a for a in arguments]
 
-        _, error = said(capsys, 2, *given)
+        _, error = run_program(capsys, 2, *given)
 
         assert text in error
         assert error.startswith("ins_evaluate: error: ")
@@ -674,6 +679,6 @@ class TestProgram:
         with bag(tmp_path / "estimate") as out:
             write_track(out, "/odometry", replace(estimate, position_enu=np.full((5, 3), np.nan)))
 
-        _, error = said(capsys, 2, tmp_path / "estimate", "--truth", truth_bag)
+        _, error = run_program(capsys, 2, tmp_path / "estimate", "--truth", truth_bag)
 
         assert "no usable message" in error

@@ -11,24 +11,24 @@ from support.recordings import (
     START_NS,
     TRUTH,
     bag,
+    complete_run,
     flight,
-    said,
+    run_program,
     stamps,
-    whole_recording,
     write_track,
 )
 
-from hybrid_ins.cli.evaluate import evaluate_recording
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation import report
-from hybrid_ins.evaluation.run_reader import Recording, SensorErrors, Series
+from hybrid_ins.evaluation.evaluate import evaluate_run
+from hybrid_ins.evaluation.run import Run, SensorErrors, Series
 
 pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
-def whole() -> Recording:
-    return whole_recording()
+def whole() -> Run:
+    return complete_run()
 
 
 class Page(HTMLParser):
@@ -45,19 +45,22 @@ class Page(HTMLParser):
         self.loads += [str(value) for name, value in attrs if name in ("src", "href")]
 
 
-def test_the_questions_are_answered(whole: Recording) -> None:
-    answer = dict(report.answers(whole, evaluate_recording(whole)))
+def test_the_questions_are_answered(whole: Run) -> None:
+    answer = dict(report.answers(whole, evaluate_run(whole)))
 
-    assert "PRMSE 0.51 m" in answer["How far is it off?"]
-    assert "NIS of the fixes is 1.00 per dimension" in answer["Am I consistent?"]
-    assert "× gate" in answer["Why were fixes refused?"]
+    assert "PRMSE 0.51 m" in answer["How accurate is the estimate?"]
+    assert (
+        "NIS of the fixes is 1.00 per degree of freedom"
+        in answer["Are the covariances consistent?"]
+    )
+    assert "× gate" in answer["Why were fixes rejected?"]
     assert "Gyroscope" in answer["When did the biases converge?"]
-    assert "Source:" in answer["What is Q doing?"]
+    assert "Source:" in answer["Which process noise was used?"]
 
 
 def test_what_was_not_recorded_is_said() -> None:
-    bare = Recording("bare", flight(TRUTH))
-    answers = report.answers(bare, evaluate_recording(bare))
+    bare = Run("bare", flight(TRUTH))
+    answers = report.answers(bare, evaluate_run(bare))
 
     assert "no truth" in answers[0][1]
     assert all("recorded" in answer for _, answer in answers[1:])
@@ -77,16 +80,16 @@ def test_an_axis_that_no_motion_showed_is_said_not_to_have_converged() -> None:
     sigma = np.where(at < 12.0, 1.0, 0.1)[:, None] * np.ones(3)
     sigma[:, 1] = 1.0
     seen = Series(stamps(at), np.zeros((30, 3)), sigma)
-    run = replace(Recording("run", flight(TRUTH)), sensor_errors=SensorErrors(seen))
+    run = replace(Run("run", flight(TRUTH)), sensor_errors=SensorErrors(seen))
 
-    answer = dict(report.answers(run, evaluate_recording(run)))["When did the biases converge?"]
+    answer = dict(report.answers(run, evaluate_run(run)))["When did the biases converge?"]
 
     assert answer.startswith("Accelerometer: x after 12 s to ±0.1, y not yet, ±1, z after 12 s")
 
 
-def test_page_is_complete_in_itself(whole: Recording) -> None:
+def test_page_is_complete_in_itself(whole: Run) -> None:
     odd = replace(whole, name="<script>alert(1)</script> & co")
-    page = Page(report.page(odd, evaluate_recording(odd)))
+    page = Page(report.page(odd, evaluate_run(odd), b"png"))
 
     assert "script" not in page.tags
     assert len(page.loads) == 1
@@ -106,7 +109,7 @@ def test_the_program_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
         write_track(out, "/odometry", flight(FAST))
     page = tmp_path / "report.html"
 
-    text, _ = said(capsys, 0, tmp_path / "run", "--report", page)
+    text, _ = run_program(capsys, 0, tmp_path / "run", "--report", page)
 
     assert f"report: {page}" in text
     assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")

@@ -13,27 +13,28 @@ from support.recordings import (
     FAST,
     TRUTH,
     bag,
-    claiming,
+    complete_run,
     flight,
-    said,
+    run_program,
     stamps,
-    whole_recording,
+    with_sigma,
     write_track,
 )
 
 from hybrid_ins.cli import replay, simulate
-from hybrid_ins.cli.evaluate import evaluate_recording
 from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Scoring
-from hybrid_ins.evaluation.run_reader import Recording, SensorErrors, Series
-from hybrid_ins.plotting import run
+from hybrid_ins.evaluation.run import Run, SensorErrors, Series
+from hybrid_ins.plotting import style
+from hybrid_ins.plotting.overview import overview
 
 pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
-def whole() -> Recording:
-    return whole_recording()
+def whole() -> Run:
+    return complete_run()
 
 
 def texts(figure: object) -> str:
@@ -42,17 +43,17 @@ def texts(figure: object) -> str:
     return "\n".join(t.get_text() for t in figure.findobj(Text))  # type: ignore[attr-defined]
 
 
-def test_one_page_shows_everything(whole: Recording, tmp_path: Path) -> None:
-    result = evaluate_recording(whole, Scoring(skip=1.0))
+def test_one_page_shows_everything(whole: Run, tmp_path: Path) -> None:
+    result = evaluate_run(whole, Scoring(skip=1.0))
 
-    figure = run.overview(whole, result)
-    run.save(figure, tmp_path / "run.png")
+    figure = overview(whole, result)
+    style.save(figure, tmp_path / "run.png")
 
     shown = texts(figure)
     for text in (
-        "a_flight", "PRMSE 0.51 m", "east [m]", "refused fix", "east error", "north error",
+        "a_flight", "PRMSE 0.51 m", "east [m]", "rejected fix", "east error", "north error",
         "up error", "heading error", "tilt error", "body velocity error", "m/s", "deg", "NIS",
-        "threshold", "refused: gate (6)", "refused: no covariance (1)", "accelerometer bias",
+        "threshold", "rejected: gate (6)", "rejected: no covariance (1)", "accelerometer bias",
         "gyroscope bias", "accelerometer q", "learned", "time [s]; shaded: no accepted fix",
     ):  # fmt: skip
         assert text in shown, text
@@ -62,28 +63,28 @@ def test_one_page_shows_everything(whole: Recording, tmp_path: Path) -> None:
     assert int.from_bytes(header[20:24], "big") == 1000
 
 
-def test_svg_is_well_formed_and_the_same_each_time(whole: Recording, tmp_path: Path) -> None:
+def test_svg_is_well_formed_and_the_same_each_time(whole: Run, tmp_path: Path) -> None:
     for name in ("one.svg", "two.svg"):
-        run.save(run.overview(whole, evaluate_recording(whole)), tmp_path / name)
+        style.save(overview(whole, evaluate_run(whole)), tmp_path / name)
 
     assert ElementTree.parse(tmp_path / "one.svg").getroot().tag.endswith("svg")
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
 
 
-def test_without_truth_the_filter_s_own_sigma_is_drawn(whole: Recording) -> None:
+def test_without_truth_the_filter_s_own_sigma_is_drawn(whole: Run) -> None:
     alone = replace(whole, truth=None)
 
-    shown = texts(run.overview(alone, evaluate_recording(alone)))
+    shown = texts(overview(alone, evaluate_run(alone)))
 
-    assert "no truth, the filter's own ±3σ" in shown
+    assert "no truth, the filter's ±3σ" in shown
     assert "PRMSE" not in shown
 
 
 def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Path) -> None:
-    bare = Recording("bare", replace(flight(FAST), quat_xyzw=None, velocity_enu=None))
+    bare = Run("bare", replace(flight(FAST), quat_xyzw=None, velocity_enu=None))
 
-    figure = run.overview(bare, evaluate_recording(bare))
-    run.save(figure, tmp_path / "bare.png")
+    figure = overview(bare, evaluate_run(bare))
+    style.save(figure, tmp_path / "bare.png")
 
     shown = texts(figure)
     assert "no verdicts recorded" in shown
@@ -93,20 +94,20 @@ def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Pat
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 1e12])
-def test_odd_values_do_not_stop_it(whole: Recording, tmp_path: Path, value: float) -> None:
+def test_odd_values_do_not_stop_it(whole: Run, tmp_path: Path, value: float) -> None:
     estimate = whole.estimate
     assert estimate.position_cov is not None
     cov = estimate.position_cov.copy()
     cov[500:900] = value
     odd = Series(stamps(np.arange(4.0)), np.full((4, 3), value), np.full((4, 3), value))
-    recording = replace(
+    run = replace(
         whole,
         estimate=replace(estimate, position_cov=cov, attitude_cov=cov),
         sensor_errors=SensorErrors(odd, None, None, odd),
         verdicts=replace(whole.verdicts, nis=np.full(len(whole.verdicts), value)),
     )
 
-    run.save(run.overview(recording, evaluate_recording(recording)), tmp_path / "odd.png")
+    style.save(overview(run, evaluate_run(run)), tmp_path / "odd.png")
 
 
 def test_long_runs_are_thinned_without_losing_a_spike() -> None:
@@ -115,7 +116,7 @@ def test_long_runs_are_thinned_without_losing_a_spike() -> None:
     values[123_456], values[400_001] = 50.0, -60.0
     values[200] = np.nan
 
-    t, y = run._thin(at, values)
+    t, y = style.thin(at, values)
 
     assert len(t) < 4000
     assert np.nanmax(y) == 50.0
@@ -126,16 +127,16 @@ def test_long_runs_are_thinned_without_losing_a_spike() -> None:
 def test_lines_are_broken_where_time_is_missing() -> None:
     at = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(9.0, 12.0, 0.1)))
 
-    t, y = run._thin(at, at)
+    t, y = style.thin(at, at)
 
     assert np.sum(np.isnan(t)) == 1
     assert np.isnan(y[50])
 
 
 @pytest.mark.parametrize(("name", "text"), [("run.jpg", ".png or .svg"), ("run", ".png or .svg")])
-def test_other_formats_are_refused(tmp_path: Path, name: str, text: str) -> None:
+def test_other_formats_are_rejected(tmp_path: Path, name: str, text: str) -> None:
     with pytest.raises(InputError, match=text):
-        run.check(tmp_path / name)
+        style.check(tmp_path / name)
 
 
 def test_without_matplotlib_the_extra_is_named(
@@ -144,7 +145,7 @@ def test_without_matplotlib_the_extra_is_named(
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
 
     with pytest.raises(InputError, match=r"hybrid_ins\[plot\]"):
-        run.check(tmp_path / "run.png")
+        style.check(tmp_path / "run.png")
 
 
 def test_evaluation_does_not_load_matplotlib() -> None:
@@ -155,9 +156,9 @@ def test_evaluation_does_not_load_matplotlib() -> None:
 
 def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with bag(tmp_path / "run", flight(TRUTH)) as out:
-        write_track(out, "/odometry", claiming(flight(FAST), 0.5))
+        write_track(out, "/odometry", with_sigma(flight(FAST), 0.5))
 
-    text, _ = said(capsys, 0, tmp_path / "run", "--plot", tmp_path / "run.svg")
+    text, _ = run_program(capsys, 0, tmp_path / "run", "--plot", tmp_path / "run.svg")
 
     assert f"picture: {tmp_path / 'run.svg'}" in text
     assert (tmp_path / "run.svg").stat().st_size > 10_000

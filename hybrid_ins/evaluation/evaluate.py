@@ -1,0 +1,291 @@
+"""
+Accuracy and consistency of an estimate: arrays in, a frozen `Result` out.
+
+References
+----------
+.. [1] B. Or, I. Klein, *A Hybrid Model and Learning-Based Adaptive Navigation Filter*, IEEE TIM
+       71, 2022: eq. 25 (PRMSE), eq. 26 (PMAE).
+.. [2] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, section 5.4 (NEES and NIS).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.matching import after, match
+from hybrid_ins.evaluation.result import Errors, FixCount, Outage, Result, Scoring, TimeOffset
+from hybrid_ins.evaluation.run import Run, Verdicts
+from hybrid_ins.evaluation.statistics import Consistency, nees
+from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+
+
+def evaluate(
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    *,
+    fix_stamp_ns: Stamps | None = None,
+    verdicts: Verdicts | None = None,
+    scoring: Scoring | None = None,
+) -> Result:
+    """
+    Compare an estimate with the truth at the truth's epochs.
+
+    Parameters
+    ----------
+    estimate : Trajectory
+        Stamps in the IMU clock; interpolated, never extrapolated.
+    truth : Trajectory or None
+        Stamps in the reference clock. In the estimate's map; where both datums are known and
+        differ it is transformed to it. None: only the verdicts are evaluated.
+    fix_stamp_ns : ndarray, shape (K,), optional
+        Stamps of the position fixes (reference clock). Truth epochs at these stamps are not
+        scored; without verdicts all of them count as accepted.
+    verdicts : Verdicts, optional
+        The filter's decisions on the fixes.
+    scoring : Scoring, optional
+        Which epochs are scored.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputError
+        There is nothing to score: no common time, or every epoch is skipped, at the stamp of a
+        fix, or not finite.
+
+    """
+    scoring = scoring or Scoring()
+    verdicts = Verdicts.of(()) if verdicts is None else verdicts
+    positions = verdicts.rows(verdicts.kind == "position")
+    fix_ns = np.union1d(
+        np.empty(0, np.int64) if fix_stamp_ns is None else fix_stamp_ns, positions.stamp_ns
+    )
+    estimate, _ = estimate.in_order()
+    if len(estimate) < 2:
+        raise InputError("the estimate has fewer than two messages: it cannot be interpolated")
+    clock = _ClockOffset(scoring.time_offset, verdicts)
+    notes: list[str] = []
+
+    if truth is None:
+        origin_ns = int(estimate.stamp_ns[0])
+        window = (
+            after(origin_ns, max(scoring.start or 0.0, scoring.skip)),
+            int(estimate.stamp_ns[-1]) if scoring.end is None else after(origin_ns, scoring.end),
+        )
+        errors, epochs, coverage = None, None, None
+        gaps_within = estimate.stamp_ns
+        offset = clock.summary(fix_ns)
+    else:
+        truth, _ = truth.in_order()
+        if not len(truth):
+            raise InputError("the truth is empty")
+        if estimate.datum_lla is not None and truth.datum_lla is not None:
+            truth = truth.in_map_of(estimate.datum_lla)
+        truth_imu_ns = clock.to_imu(truth.stamp_ns)
+        origin_ns = int(truth_imu_ns[0])
+        errors, epochs, coverage, notes = match(estimate, truth, truth_imu_ns, fix_ns, scoring)
+        scored_ns = errors.stamp_ns[errors.scored]
+        window = int(scored_ns[0]), int(scored_ns[-1])
+        covered = (estimate.stamp_ns >= truth_imu_ns[0]) & (estimate.stamp_ns <= truth_imu_ns[-1])
+        gaps_within = estimate.stamp_ns[covered]
+        offset = clock.summary(truth.stamp_ns)
+        if not len(fix_ns):
+            notes.append("no fixes in the bag: epochs at fix stamps could not be left out")
+
+    verdict_ns = clock.to_imu(verdicts.stamp_ns)
+    in_window = verdicts.rows((verdict_ns >= window[0]) & (verdict_ns <= window[1]))
+    fused_ns = positions.stamp_ns[positions.accepted] if len(positions) else fix_ns
+    return Result(
+        origin_ns,
+        scoring,
+        epochs,
+        coverage,
+        float(np.max(np.diff(gaps_within), initial=0)) * 1e-9,
+        offset,
+        **_accuracy(errors),
+        **_nees(errors, notes),
+        **_nis(in_window, notes),
+        outages=_outages(errors, estimate, clock.to_imu(fused_ns), origin_ns, scoring.outage_gap),
+        notes=tuple(notes),
+        errors=errors,
+    )
+
+
+def evaluate_run(run: Run, scoring: Scoring | None = None) -> Result:
+    """Evaluate a run as read from its bags; its notes are added to those of the result."""
+    estimate, truth = run.estimate, run.truth
+    notes = list(run.notes)
+    if truth is not None and (estimate.datum_lla is None) != (truth.datum_lla is None):
+        missing = "estimate's" if estimate.datum_lla is None else "truth's"
+        notes.append(f"the {missing} datum is not in the bag: both maps are assumed to be the same")
+    result = evaluate(
+        estimate,
+        truth,
+        fix_stamp_ns=run.fixes.stamp_ns,
+        verdicts=run.verdicts,
+        scoring=scoring,
+    )
+    return replace(result, notes=(*result.notes, *notes))
+
+
+class _ClockOffset:
+    """Converts stamps of the reference clock (truth, fixes) to the IMU clock."""
+
+    def __init__(self, given: float | None, verdicts: Verdicts) -> None:
+        known = np.isfinite(verdicts.time_offset)
+        if given is not None:
+            self.source = "option"
+            self._since_ns, self._offset = np.zeros(1, np.int64), np.array([given])
+        elif np.any(known):
+            self.source = "verdicts"
+            self._since_ns, self._offset = verdicts.stamp_ns[known], verdicts.time_offset[known]
+        else:
+            self.source = "none"
+            self._since_ns, self._offset = np.zeros(1, np.int64), np.zeros(1)
+
+    def _in_force(self, stamp_ns: Stamps) -> Array:
+        latest = np.searchsorted(self._since_ns, stamp_ns, side="right") - 1
+        return self._offset[np.maximum(latest, 0)]
+
+    def to_imu(self, stamp_ns: Stamps) -> Stamps:
+        return stamp_ns + np.rint(1e9 * self._in_force(stamp_ns)).astype(np.int64)
+
+    def summary(self, stamp_ns: Stamps) -> TimeOffset:
+        used = self._in_force(stamp_ns) if len(stamp_ns) else self._offset
+        return TimeOffset(
+            float(np.mean(used)), float(np.min(used)), float(np.max(used)), self.source
+        )
+
+
+def _accuracy(errors: Errors | None) -> dict[str, Any]:
+    position = None if errors is None else errors.position_enu[errors.scored]
+    velocity = None if errors is None else _scored(errors, errors.velocity_enu)
+    rotation = None if errors is None else _scored(errors, errors.rotation_enu)
+    return {
+        "prmse": _rms(position),
+        "pmae": None if position is None else float(np.mean(np.sum(np.abs(position), axis=1))),
+        "horizontal_rmse": _rms(position, slice(0, 2)),
+        "vertical_rmse": _rms(position, slice(2, 3)),
+        "largest_error": None
+        if position is None
+        else float(np.max(np.linalg.norm(position, axis=1))),
+        "velocity_rmse": _rms(velocity),
+        "attitude_rmse": _rms(rotation),
+        "heading_rmse": _rms(rotation, slice(2, 3)),
+        "tilt_rmse": _rms(rotation, slice(0, 2)),
+    }
+
+
+def _scored(errors: Errors, values: Array | None) -> Array | None:
+    """Return the finite rows of the scored epochs, None if there are none."""
+    if values is None:
+        return None
+    values = values[errors.scored]
+    values = values[np.isfinite(values).all(axis=1)]
+    return values if len(values) else None
+
+
+def _rms(values: Array | None, axes: slice = slice(None)) -> float | None:
+    """Root mean square, over the epochs, of the length of each row; [1]_ eq. 25."""
+    if values is None:
+        return None
+    return float(np.sqrt(np.mean(np.sum(values[:, axes] ** 2, axis=1))))
+
+
+def _nees(errors: Errors | None, notes: list[str]) -> dict[str, Any]:
+    parts: dict[str, Any] = dict.fromkeys(("nees_position", "nees_velocity", "nees_attitude"))
+    if errors is None:
+        return parts
+    for name, error, covariance in (
+        ("position", errors.position_enu, errors.estimate.position_cov),
+        ("velocity", errors.velocity_base, errors.estimate.velocity_cov),
+        ("attitude", errors.rotation_enu, errors.estimate.attitude_cov),
+    ):
+        if error is None or covariance is None:
+            continue
+        scored = errors.scored & np.isfinite(error).all(axis=1)
+        values = nees(error[scored], covariance[scored])
+        if np.any(np.isnan(values)):
+            notes.append(
+                f"the {name} covariance is not positive definite at {np.sum(np.isnan(values))} "
+                f"of {len(values)} epochs: they have no NEES"
+            )
+        parts[f"nees_{name}"] = Consistency.of(values, error.shape[1])
+    return parts
+
+
+def _nis(verdicts: Verdicts, notes: list[str]) -> dict[str, Any]:
+    def of(rows: Verdicts) -> Consistency | None:
+        return Consistency.of(rows.nis, rows.dof)
+
+    positions = verdicts.rows(verdicts.kind == "position")
+    rejected = Counter(positions.reason[~positions.accepted].tolist())
+    tested = positions.rows(np.isfinite(positions.nis))
+    if len(tested) and np.mean(~tested.accepted) > 0.01:
+        notes.append(
+            f"{100 * np.mean(~tested.accepted):.1f} % of the tested fixes were rejected: the NIS "
+            "of the accepted ones alone is too favourable"
+        )
+    return {
+        "nis_position": of(tested.rows(tested.accepted)),
+        "nis_velocity": of(verdicts.rows((verdicts.kind == "velocity") & verdicts.accepted)),
+        "nis_tested": of(tested),
+        "fixes": FixCount(
+            len(positions), int(np.sum(positions.accepted)), dict(rejected.most_common())
+        )
+        if len(positions)
+        else None,
+    }
+
+
+def _outages(
+    errors: Errors | None, estimate: Trajectory, fused_ns: Stamps, origin_ns: int, at_least: float
+) -> tuple[Outage, ...]:
+    """Find the outages, and the error just before the next fix is fused."""
+    outages = []
+    for start_ns, end_ns in outage_spans(fused_ns, int(estimate.stamp_ns[-1]) + 1, at_least):
+        outage = Outage((start_ns - origin_ns) * 1e-9, (end_ns - start_ns) * 1e-9)
+        if errors is not None:
+            # The estimate at the stamp of the next fix already includes that fix.
+            last = estimate.stamp_ns[max(int(np.searchsorted(estimate.stamp_ns, end_ns)) - 1, 0)]
+            usable = (errors.stamp_ns > start_ns) & (errors.stamp_ns <= last)
+            usable &= np.isfinite(errors.position_enu).all(axis=1)
+            usable &= errors.stamp_ns >= errors.stamp_ns[errors.scored][0]
+            for error in errors.position_enu[usable][-1:]:
+                outage = replace(
+                    outage,
+                    end_error=float(np.linalg.norm(error)),
+                    end_horizontal_error=float(np.linalg.norm(error[:2])),
+                )
+        outages.append(outage)
+    return tuple(outages)
+
+
+def outage_spans(fused_ns: Stamps, end_ns: int, at_least: float) -> list[tuple[int, int]]:
+    """
+    Return the intervals without a fused fix, first and last stamp of each [ns].
+
+    Parameters
+    ----------
+    fused_ns : ndarray, shape (N,)
+        Sorted stamps of the fused fixes.
+    end_ns
+        End of the run, at which the last outage may end.
+    at_least
+        Shortest outage [s]; it must also exceed three times the usual fix interval.
+
+    """
+    if not len(fused_ns):
+        return []
+    interval_ns = float(np.median(np.diff(fused_ns))) if len(fused_ns) > 1 else 0.0
+    marks_ns = np.append(fused_ns, max(end_ns, int(fused_ns[-1])))
+    long = np.flatnonzero(np.diff(marks_ns) > max(1e9 * at_least, 3.0 * interval_ns))
+    return [(int(marks_ns[i]), int(marks_ns[i + 1])) for i in long]

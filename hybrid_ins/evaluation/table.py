@@ -1,0 +1,148 @@
+"""The figures of one run as text for a terminal, at most 80 columns wide."""
+
+from __future__ import annotations
+
+import textwrap
+
+from hybrid_ins.evaluation.result import Result, degrees
+
+_BANDS = (
+    "epochs of one run are correlated: the first band is for n independent values, the second for"
+    " the number of independent values that they are equivalent to"
+)
+
+
+def table(result: Result) -> str:
+    """Return the figures as lines of at most 80 columns."""
+    return "\n".join(
+        (
+            *map(_wrapped, _scored_lines(result)),
+            *_accuracy_lines(result),
+            *_consistency_lines(result),
+            *map(_wrapped, _fix_lines(result)),
+            *(_wrapped(f"note: {note}") for note in result.notes),
+        )
+    )
+
+
+def summary(result: Result) -> dict[str, float | int | None]:
+    """Return the main figures by column title, for a table of several runs."""
+    means = {
+        f"{name} {part}": None if consistency is None else consistency.mean
+        for name, part, consistency in (
+            ("NEES", "position", result.nees_position),
+            ("NIS", "position", result.nis_position),
+        )
+    }
+    return {
+        "PRMSE [m]": result.prmse,
+        "PMAE [m]": result.pmae,
+        "velocity [m/s]": result.velocity_rmse,
+        "heading [deg]": degrees(result.heading_rmse),
+        **means,
+        "coverage": result.coverage,
+        "outages": len(result.outages),
+    }
+
+
+def _scored_lines(result: Result) -> list[str]:
+    if result.epochs is None or result.coverage is None:
+        return ["no truth: only the filter's own figures"]
+    e, offset = result.epochs, result.time_offset
+    left_out = [
+        f"{count} {why}"
+        for count, why in (
+            (e.fed, "at fix stamps"),
+            (e.skipped, "skipped"),
+            (e.uncovered, "without estimate"),
+            (e.invalid, "not finite"),
+        )
+        if count
+    ]
+    lines = [
+        f"scored {e.scored} of {e.truth} truth epochs"
+        + (f"; left out: {', '.join(left_out)}" if left_out else ""),
+        f"estimate covers {100 * result.coverage:.1f} % of the truth, largest gap "
+        f"{result.largest_gap:.3g} s; skipped {result.scoring.skip:g} s (--skip)",
+    ]
+    if offset.low or offset.high:
+        spread = f" ({offset.low:+.4f} to {offset.high:+.4f})" if offset.high > offset.low else ""
+        lines.append(
+            f"truth stamps shifted by {offset.mean:+.4f} s{spread}, as given by the {offset.source}"
+        )
+    return lines
+
+
+def _accuracy_lines(result: Result) -> list[str]:
+    if result.prmse is None:
+        return []
+    rows = (
+        ("PRMSE", result.prmse, "m", (("horizontal", result.horizontal_rmse, "m"),
+                                    ("vertical", result.vertical_rmse, "m"))),
+        ("PMAE", result.pmae, "m", (("largest", result.largest_error, "m"),)),
+        ("velocity RMSE", result.velocity_rmse, "m/s", ()),
+        ("attitude RMSE", degrees(result.attitude_rmse), "deg",
+         (("heading", degrees(result.heading_rmse), "deg"),
+          ("tilt", degrees(result.tilt_rmse), "deg"))),
+    )  # fmt: skip
+    lines = ["", "accuracy"]
+    for name, value, unit, parts in rows:
+        line = f"  {name:15}{_figure(value, unit):>12}"
+        if value is not None:
+            line += "".join(f"   {part} {_figure(v, u)}" for part, v, u in parts)
+        lines.append(line)
+    return lines
+
+
+def _consistency_lines(result: Result) -> list[str]:
+    rows = [
+        ("position NEES", result.nees_position),
+        ("velocity NEES", result.nees_velocity),
+        ("attitude NEES", result.nees_attitude),
+        ("position NIS", result.nis_position),
+        ("velocity NIS", result.nis_velocity),
+    ]
+    if result.fixes is not None and result.fixes.accepted < result.fixes.total:
+        rows.insert(4, ("  with rejected", result.nis_tested))
+    rows = [row for row in rows if row[1] is not None]
+    if not rows:
+        return ["", "consistency: not known without covariances and verdicts"]
+    lines = ["", "consistency         /dof     n  95 % band  eff. n  95 % band"]
+    for name, c in rows:
+        assert c is not None
+        low, high = c.band
+        wide_low, wide_high = c.effective_band
+        lines.append(
+            f"  {name:15}{c.per_dof:7.3g}{c.count:6d}  {low:4.2f}-{high:4.2f}"
+            f"{c.effective_count:8.0f}  {wide_low:4.2f}-{wide_high:<5.2f} {c.verdict}"
+        )
+    return [*lines, _wrapped(f"({_BANDS})", indent="  ")]
+
+
+def _fix_lines(result: Result) -> list[str]:
+    lines = [""]
+    if result.fixes is not None:
+        rejected = ", ".join(f"{count} {reason}" for reason, count in result.fixes.refused.items())
+        lines.append(
+            f"fixes: {result.fixes.accepted} of {result.fixes.total} accepted"
+            + (f"; rejected: {rejected}" if rejected else "")
+        )
+    if result.outages:
+        durations = sorted(o.duration for o in result.outages)
+        span = f"{durations[0]:.1f} s" + (
+            f" to {durations[-1]:.1f} s" if durations[-1] - durations[0] > 0.05 else ""
+        )
+        line = f"outages: {len(result.outages)} of {span}"
+        median, p90 = result.outage_error(50), result.outage_error(90)
+        if median is not None:
+            line += f"; error at their ends: median {median:.3g} m, p90 {p90:.3g} m"
+        lines.append(line)
+    return lines if len(lines) > 1 else []
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "not known" if value is None else f"{value:.3g} {unit}"
+
+
+def _wrapped(text: str, width: int = 80, indent: str = "") -> str:
+    return textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent + "  ")
