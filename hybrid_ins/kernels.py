@@ -105,7 +105,7 @@ def _compile_output() -> None:
         np.zeros(N_ERROR),
         6.0,
     )
-    s, acceleration, _ = clock_offset.carry(np.zeros(N_ERROR), nav, zero, turn, 0.1)
+    s, acceleration, _ = clock_offset.propagate_sensitivity(np.zeros(N_ERROR), nav, zero, turn, 0.1)
     clock_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)

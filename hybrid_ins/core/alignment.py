@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.imu_health import UNUSABLE, find_fault
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
-from hybrid_ins.core.multiple_model import CELL_STD, headings
+from hybrid_ins.core.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
     quat_from_matrix,
@@ -285,7 +285,7 @@ class Alignment:
                 return None
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
             return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
-        return [(yaw, CELL_STD) for yaw in headings()]
+        return [(yaw, HEADING_STD) for yaw in heading_grid()]
 
 
 def _slope(fixes: list[PositionFix], p_cov: Array, scale: Array) -> tuple[Array, Array] | None:

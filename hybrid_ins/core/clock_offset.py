@@ -24,19 +24,18 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.kalman import factorise, solve
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import mean_system
-from hybrid_ins.core.snapshot import Snapshot
 from hybrid_ins.core.state import DP, DV, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
-DRIFT = 1e-3  # s per sqrt(s), of one clock against the other
-LINEAR = 0.5  # of a shift: what is left uncertain, since the motion is no straight line
-LONGEST = 60.0  # s without a fix after which the sensitivity begins anew
+RANDOM_WALK = 1e-3  # s per sqrt(s), of one clock against the other
+NONLINEARITY = 0.5  # of a shift: what is left uncertain, since the motion is no straight line
+MAX_INTERVAL = 60.0  # s without a fix after which the sensitivity begins anew
 MEMORY = 40.0  # corrections over which the misfit is averaged
 
 
-class ClockOffset(Snapshot):
+class ClockOffsetObserver:
     """
     Estimates what is missing from the offset that was added to the fixes' stamps.
 
@@ -49,34 +48,36 @@ class ClockOffset(Snapshot):
 
     Attributes
     ----------
-    missing : float
-        [s]; positive: a larger offset should be added.
+    residual : float
+        Offset still to be added to the stamps of fixes [s].
     """
 
     def __init__(self, std: float) -> None:
-        self.missing = 0.0
+        self.residual = 0.0
         self._variance = std**2
         self._s: Array | None = None
         self._t_ns = 0
         self._velocity_n = np.zeros(3)
         self._C_nb = np.eye(3)
-        self._misfit = 1.0
+        self._nis_scale = 1.0
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of `missing` [s]."""
-        return math.sqrt(self._variance * max(self._misfit, 1.0))
+        """Standard deviation of `residual` [s]."""
+        return math.sqrt(self._variance * max(self._nis_scale, 1.0))
 
-    def learn(self, correction: Correction) -> None:
+    def update(self, correction: Correction) -> None:
         """Take a correction, or a measurement that was refused, into account."""
         nav = correction.nav
         velocity_n = nav[VELOCITY].copy()
         T = (correction.t_ns - self._t_ns) * 1e-9
         if self._s is not None:
-            self._variance += DRIFT**2 * max(T, 0.0)
-        if self._s is None or not 0.0 <= T <= LONGEST:
-            self._s, T = following(velocity_n), 0.0
-        s, acceleration_n, C_nb = carry(self._s, nav, self._velocity_n, self._C_nb, T)
+            self._variance += RANDOM_WALK**2 * max(T, 0.0)
+        if self._s is None or not 0.0 <= T <= MAX_INTERVAL:
+            self._s, T = initial_sensitivity(velocity_n), 0.0
+        s, acceleration_n, C_nb = propagate_sensitivity(
+            self._s, nav, self._velocity_n, self._C_nb, T
+        )
         if correction.fused:
             information, pull, nis = regress(
                 s,
@@ -86,35 +87,35 @@ class ClockOffset(Snapshot):
                 correction.H,
                 correction.S,
                 correction.K,
-                self.missing,
+                self.residual,
             )
-            self._misfit += (nis / len(correction.z) - self._misfit) / MEMORY
+            self._nis_scale += (nis / len(correction.z) - self._nis_scale) / MEMORY
             gain = self._variance / (1.0 + self._variance * information)
-            self.missing += gain * pull
+            self.residual += gain * pull
             self._variance *= 1.0 - gain * information
         self._s, self._t_ns = s, correction.t_ns
         self._velocity_n, self._C_nb = velocity_n + correction.dx[DV], C_nb
 
-    def believe(self, missing: float, sigma: float) -> None:
+    def set_estimate(self, residual: float, sigma: float) -> None:
         """Take over what others have found, too [s]."""
-        self.missing = missing
-        self._variance = sigma**2 / max(self._misfit, 1.0)
+        self.residual = residual
+        self._variance = sigma**2 / max(self._nis_scale, 1.0)
 
     def shift(self, by: float) -> Array:
         """From now on ``by`` [s] more is added; returns what the state is off by that, (15,)."""
-        self.missing -= by
-        self._variance += (LINEAR * by) ** 2
+        self.residual -= by
+        self._variance += (NONLINEARITY * by) ** 2
         moved = np.zeros(N_ERROR) if self._s is None else by * self._s
         self._velocity_n = self._velocity_n + moved[DV]
         return moved
 
-    def reseat(self, velocity_n: Array) -> None:
+    def restart(self, velocity_n: Array) -> None:
         """Take note that the state was put near the fixes."""
-        self._s = following(velocity_n)
+        self._s = initial_sensitivity(velocity_n)
         self._velocity_n = velocity_n.copy()
 
 
-def following(velocity_n: Array) -> Array:
+def initial_sensitivity(velocity_n: Array) -> Array:
     """Sensitivity, shape (15,), of a state that was read off the fixes."""
     s = np.zeros(N_ERROR)
     s[DP] = -velocity_n
@@ -122,7 +123,7 @@ def following(velocity_n: Array) -> Array:
 
 
 @kernel()
-def carry(s, nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
+def propagate_sensitivity(s, nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     """
     Move the sensitivity on with the error dynamics.
 
@@ -178,7 +179,7 @@ def regress(s, velocity_n, acceleration_n, z, H, S, K, missing):  # type: ignore
     Returns
     -------
     information, pull, nis : float
-        With what ``missing`` leaves of the innovation, r, and its factor h on the offset:
+        With what ``residual`` leaves of the innovation, r, and its factor h on the offset:
         h' S^-1 h, h' S^-1 r, r' S^-1 r.
     """
     m = len(z)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.kalman import log_determinant
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.snapshot import Snapshot
 
 Array = NDArray[np.float64]
 
@@ -48,8 +47,8 @@ class Verdict:
         Standard deviations used for the measurement, NED [m or m/s].
     log_det : float
         Logarithm of the determinant of the innovation's covariance.
-    reset : bool
-        The state was opened for this measurement, see `Gate`.
+    inflated : bool
+        The covariance was inflated for this measurement, see `Gate`.
     jump : bool
         It is refused, and belongs to a run of refusals that began with a jump: no error of an
         INS grows that fast.
@@ -63,11 +62,11 @@ class Verdict:
     threshold: float
     sigma: Array
     log_det: float = 0.0
-    reset: bool = False
+    inflated: bool = False
     jump: bool = False
 
     @classmethod
-    def refused(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
+    def rejected(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
         """Return the verdict on a measurement that never met the state."""
         return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
 
@@ -82,13 +81,13 @@ class _Refusals:
     jump: bool  # the first came out of the blue
 
 
-class Gate(Snapshot):
+class Gate:
     """
     Chi-square test of the innovation, with a limit on how long it may say no.
 
     Measurements that are refused without interruption for ``patience`` seconds, and agree with
     each other, are taken for right and the state for wrong: the next one opens the state
-    (`Verdict.reset`). Those that contradict each other have to wait three times as long, but not
+    (`Verdict.inflated`). Those that contradict each other have to wait three times as long, but not
     for ever. Where the covariance has grown meanwhile until such a measurement barely fits, the
     state is as wrong, and opened as well.
 
@@ -104,11 +103,6 @@ class Gate(Snapshot):
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
         self._refusals: dict[str, _Refusals] = {}
-
-    def __copy__(self) -> Gate:
-        twin = super().__copy__()
-        twin._refusals = dict(self._refusals)
-        return twin
 
     def judge(
         self,
@@ -130,19 +124,20 @@ class Gate(Snapshot):
         log_det = log_determinant(S)
         kind, t_ns = measurement.kind, measurement.t_ns
         last = self._refusals.get(kind)
+        others = {k: run for k, run in self._refusals.items() if k != kind}
         first_ns = last.first_ns if last else t_ns
         agreeing_ns = last.agreeing_ns if last and _agree(last.z, z, R) else t_ns
         patience_ns = self._patience_ns
         if nis <= threshold:
             barely = nis > BARELY * threshold and t_ns - agreeing_ns > patience_ns // 3
             if not (barely and measurement.aiding):
-                self._refusals.pop(kind, None)
+                self._refusals = others
                 return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
         elif not measurement.aiding or (
             t_ns - agreeing_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
             jump = last.jump if last else _jumps(kind, z, R, interval)
-            self._refusals[kind] = _Refusals(first_ns, agreeing_ns, z, jump)
+            self._refusals = {**others, kind: _Refusals(first_ns, agreeing_ns, z, jump)}
             return Verdict(
                 measurement,
                 False,
@@ -154,7 +149,7 @@ class Gate(Snapshot):
                 log_det,
                 jump=jump,
             )
-        self._refusals.pop(kind, None)
+        self._refusals = others
         return Verdict(
             measurement,
             True,
@@ -164,7 +159,7 @@ class Gate(Snapshot):
             threshold,
             sigma,
             log_det,
-            reset=True,
+            inflated=True,
         )
 
 

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.clock_offset import ClockOffset
+from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.kalman import correct, inject, innovation
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.noise import Correction, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
 from hybrid_ins.core.state import (
@@ -39,8 +40,8 @@ from hybrid_ins.core.state import (
     VELOCITY,
     NavState,
     covariance,
+    inflate_covariance,
     pack,
-    widened,
 )
 
 Array = NDArray[np.float64]
@@ -73,20 +74,11 @@ class FilterSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseEstimate:
-    """Levels that a regressor read off the IMU; None when it could not tell."""
-
-    t_ns: int  # ns, end of its window
-    q: Array | None  # (6,) per-sample variances
-    kind: ClassVar[str] = "noise estimate"
-
-
-@dataclass(frozen=True, slots=True)
 class NoiseChange:
-    """Another noise model, from its stamp on."""
+    """Other noise, from its stamp on."""
 
     t_ns: int
-    noise: NoiseModel
+    noise: FilterNoise
     kind: ClassVar[str] = "noise change"
 
 
@@ -119,9 +111,9 @@ class Checkpoint:
     t_ns: int
     n_done: int
     nav: Array
-    noise: NoiseModel
+    noise: FilterNoise
     gate: Gate
-    clock: ClockOffset
+    clock: ClockOffsetObserver
     corrected_ns: int
 
 
@@ -137,12 +129,12 @@ class InsFilter:
         Stamp of the last IMU sample before the first to be processed [ns].
     sample : ndarray, shape (6,)
         That sample: specific force [m/s²] and angular rate [rad/s], b.
-    noise, process : NoiseModel, ProcessNoise
-        Levels, and their way to Qc.
+    noise : FilterNoise
+        Qc, and the factor on the covariance of fixes.
     gate : Gate
         Decides which measurements are fused.
     ring : ImuRing
-        Holds the recent IMU samples; its owner pushes each sample before `process_imu`.
+        Holds the recent IMU samples; its owner pushes each sample before `predict`.
     settings : FilterSettings
         See there.
 
@@ -154,7 +146,7 @@ class InsFilter:
         Its stamp [ns].
     long_step_ns : int
         A longer step [ns] is a gap in the samples.
-    clock : ClockOffset
+    clock : ClockOffsetObserver
         What the innovations say of the fixes' clock; changes nothing by itself.
     verdicts : deque of Verdict
         One for each measurement submitted, in order of decision; the owner empties it.
@@ -165,8 +157,7 @@ class InsFilter:
         initial: NavState,
         t_ns: int,
         sample: Array,
-        noise: NoiseModel,
-        process: ProcessNoise,
+        noise: FilterNoise,
         gate: Gate,
         ring: ImuRing,
         settings: FilterSettings,
@@ -175,12 +166,11 @@ class InsFilter:
         self.nav[LAST_F], self.nav[LAST_W] = sample[:3], sample[3:]
         self.t_ns = t_ns
         self.noise = noise
-        self.process = process
         self.gate = gate
-        self.clock = ClockOffset(settings.clock_std)
+        self.clock = ClockOffsetObserver(settings.clock_std)
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
-        self.long_step_ns = int(max(LONG_STEP * process.period, SHORTEST_GAP) * 1e9)
+        self.long_step_ns = int(max(LONG_STEP * noise.process.period, SHORTEST_GAP) * 1e9)
         self._interval = settings.covariance_interval - 1e-6
         self._horizon_ns = int(settings.max_delay * 1e9)
         self._spacing_ns = max(self._horizon_ns // 4, 50_000_000)
@@ -189,7 +179,7 @@ class InsFilter:
         self._done: list[Event] = []  # those after the oldest rewind point
         self._n_done = 0  # all there ever were
         self._points: list[Checkpoint] = []
-        self.nav[PSD] = process.psd(noise.levels())
+        self.nav[PSD] = noise.psd()
         self._remember()
         self._schedule()
 
@@ -210,7 +200,7 @@ class InsFilter:
         """Stamp of the first measurement that waits for its samples; far ahead if none does."""
         return self._pending[0].t_ns if self._pending else NEVER_NS
 
-    def process_imu(
+    def predict(
         self, t_ns: int, fx: float, fy: float, fz: float, wx: float, wy: float, wz: float
     ) -> None:
         """
@@ -227,9 +217,9 @@ class InsFilter:
         )
         self.t_ns = t_ns
 
-    def process_imu_block(self, samples: NDArray[np.void], rows: Array = NO_ROWS) -> None:
+    def predict_block(self, samples: NDArray[np.void], rows: Array = NO_ROWS) -> None:
         """
-        Advance over many IMU samples (``SAMPLE_DTYPE``); the result is that of `process_imu`.
+        Advance over many IMU samples (``SAMPLE_DTYPE``); the result is that of `predict`.
 
         ``rows``, shape (N, N_NAV), receives the flat state after each sample; empty: none.
         """
@@ -252,7 +242,7 @@ class InsFilter:
         elif isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
-            self.verdicts.append(Verdict.refused(event, "too old", self.age(event)))
+            self.verdicts.append(Verdict.rejected(event, "too old", self.age(event)))
 
     def withdraw(self) -> list[Measurement]:
         """Take back and return the measurements that wait for their samples."""
@@ -285,7 +275,7 @@ class InsFilter:
         self._schedule()
 
     def _schedule(self) -> None:
-        """Set when `process_imu` has to do more than a step."""
+        """Set when `predict` has to do more than a step."""
         self._next_ns = self._points[-1].t_ns + self._spacing_ns
         if self._pending:
             self._next_ns = min(self._next_ns, self._pending[0].t_ns)
@@ -328,7 +318,7 @@ class InsFilter:
         ):
             P[block, block] += std**2 * np.eye(3)
         pack(P, nav[COVARIANCE])
-        self.noise.forget(evidence=False)
+        self.noise.restart(keep_weights=True)
 
     def _between(self, t_ns: int, following: NDArray[np.void]) -> NDArray[np.void]:
         """Return the IMU sample at ``t_ns`` on the line from the last sample to the following."""
@@ -344,21 +334,21 @@ class InsFilter:
         self._n_done += 1
         propagation.flush(self.nav)
         if isinstance(event, NoiseChange):
-            self.noise = event.noise
+            self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
-            self.noise.refresh(event.t_ns, event.q)
+            self.noise.take_estimate(event)
         elif isinstance(event, ClockShift):
             inject(self.nav, self.clock.shift(event.by))
         elif isinstance(event, CovarianceInflation):
-            pack(widened(covariance(self.nav), event.std), self.nav[COVARIANCE])
-            self.noise.forget(evidence=False)
+            pack(inflate_covariance(covariance(self.nav), event.std), self.nav[COVARIANCE])
+            self.noise.restart(keep_weights=True)
         else:
             self._fuse(event)
-        self.nav[PSD] = self.process.psd(self.noise.levels())
+        self.nav[PSD] = self.noise.psd()
 
     def _fuse(self, measurement: Measurement) -> None:
         if not np.isfinite(self.nav).all():
-            self.verdicts.append(Verdict.refused(measurement, "the state is lost"))
+            self.verdicts.append(Verdict.rejected(measurement, "the state is lost"))
             return
         z, H, R = measurement.linearise(self.nav)
         if measurement.aiding:
@@ -370,27 +360,27 @@ class InsFilter:
         before = self.nav.copy()
         dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
         if verdict.accepted:
-            if verdict.reset:
-                open_state(self.nav, z, H, interval)
+            if verdict.inflated:
+                inflate_to_innovation(self.nav, z, H, interval)
             dx, K = correct(self.nav, z, H, R)
         if not measurement.aiding:
             return
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
-        if verdict.reset:
-            self.noise.forget(evidence=True)
-        if verdict.reset or verdict.jump:
+        if verdict.inflated:
+            self.noise.restart(keep_weights=False)
+        if verdict.inflated or verdict.jump:
             return
         C_nb = matrix_from_quat(self.nav[QUAT])
         correction = Correction(
             measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
         )
-        self.clock.learn(correction)
-        reseat = self.noise.learn(correction)
-        if reseat is not None:
-            inject(self.nav, reseat.dx)
-            pack(reseat.P, self.nav[COVARIANCE])
-            self.clock.reseat(self.nav[VELOCITY])
+        self.clock.update(correction)
+        moved = self.noise.take_correction(correction)
+        if moved is not None:
+            inject(self.nav, moved.dx)
+            pack(moved.P, self.nav[COVARIANCE])
+            self.clock.restart(self.nav[VELOCITY])
 
     def _remember(self) -> None:
         """Keep a rewind point, and drop those that no measurement may reach any more."""
@@ -441,7 +431,7 @@ class InsFilter:
         return True
 
 
-def open_state(nav: Array, z: Array, H: Array, interval: float) -> None:
+def inflate_to_innovation(nav: Array, z: Array, H: Array, interval: float) -> None:
     """
     Widen the covariance so that an innovation ``z`` far outside it is believed.
 

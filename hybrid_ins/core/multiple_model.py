@@ -42,42 +42,47 @@ from hybrid_ins.core.state import (
     QUAT,
     NavState,
     covariance,
+    inflate_covariance,
     pack,
-    widened,
 )
 
 Array = NDArray[np.float64]
-Begin = Callable[[NavState, FilterSettings], InsFilter]
+FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
 
-CELLS = 12
-CELL_STD = math.pi / CELLS  # rad, half a cell: neighbours overlap
+N_HEADINGS = 12
+HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
 HEADING_KNOWN = ((0.1, 1_000_000_000), (0.2, 10_000_000_000))
 """The mixture's heading is known to that [rad] for so long [ns]: one filter does the rest."""
 
-STEP_NS, STEPS = 100_000_000, 6
-CLOCKS_NS = tuple(STEP_NS * k for k in range(-STEPS, STEPS + 1))  # added to the fixes' stamps
-REACH_NS = CLOCKS_NS[-1]
-CLOCK_STD = 0.05  # s, half a cell
-CLOCK_KNOWN = (0.05, 2_000_000_000)  # s, ns
-ASTRAY_SPEED, ASTRAY_TURN = 3.0, 0.1  # m/s, rad, that a wrong clock leads a state astray by
+OFFSET_STEP_NS, N_OFFSET_STEPS = 100_000_000, 6
+OFFSETS_NS = tuple(
+    OFFSET_STEP_NS * k for k in range(-N_OFFSET_STEPS, N_OFFSET_STEPS + 1)
+)  # added to the fixes' stamps
+MAX_OFFSET_NS = OFFSETS_NS[-1]
+OFFSET_STD = 0.05  # s, half a cell
+OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, ns
+WRONG_CLOCK_SPEED_STD, WRONG_CLOCK_TILT_STD = (
+    3.0,
+    0.1,
+)  # m/s, rad, that a wrong clock leads a state astray by
 
-LEAST_WEIGHT = 1e-6  # a hypothesis below that is dropped
-MEMORY = 25.0  # innovations over which the best one's fit is averaged
+MIN_WEIGHT = 1e-6  # a hypothesis below that is dropped
+NIS_MEMORY = 25.0  # innovations over which the best one's fit is averaged
 
 
-def headings() -> Array:
-    """Return the headings [rad] that hypotheses start from, shape (CELLS,)."""
-    return 2.0 * math.pi * np.arange(CELLS) / CELLS
+def heading_grid() -> Array:
+    """Return the headings [rad] that hypotheses start from, shape (N_HEADINGS,)."""
+    return 2.0 * math.pi * np.arange(N_HEADINGS) / N_HEADINGS
 
 
-def opened(state: NavState, offset: float) -> NavState:
+def with_clock_offset(state: NavState, offset: float) -> NavState:
     """Return what is left of a state if the fixes that led to it were ``offset`` [s] younger."""
     std = np.zeros(N_ERROR)
-    std[DV], std[EPS] = ASTRAY_SPEED, ASTRAY_TURN
+    std[DV], std[EPS] = WRONG_CLOCK_SPEED_STD, WRONG_CLOCK_TILT_STD
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
-    return replace(state, lla=lla, P=moved @ widened(state.P, std) @ moved.T)
+    return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
 
 
 class Decision(NamedTuple):
@@ -96,7 +101,7 @@ class MultipleModelBank:
     ----------
     states : sequence of NavState
         What to start with, all at one time: one for each heading.
-    begin : callable
+    make_filter : callable
         Given a state at that time and settings, returns a filter.
     settings : FilterSettings
         For those.
@@ -117,28 +122,28 @@ class MultipleModelBank:
     def __init__(
         self,
         states: Sequence[NavState],
-        begin: Begin,
+        make_filter: FilterFactory,
         settings: FilterSettings,
         clock: bool = False,
     ) -> None:
         self._heading_open, self.clock_open = len(states) > 1, clock
         if clock:
-            settings = replace(settings, clock_std=CLOCK_STD)
+            settings = replace(settings, clock_std=OFFSET_STD)
             pairs = [
-                (offset_ns, opened(state, offset_ns * 1e-9))
-                for offset_ns in CLOCKS_NS
+                (offset_ns, with_clock_offset(state, offset_ns * 1e-9))
+                for offset_ns in OFFSETS_NS
                 for state in states
             ]
         else:
             pairs = [(0, state) for state in states]
         self._offsets_ns = [offset_ns for offset_ns, _ in pairs]
-        self.filters = [begin(state, settings) for _, state in pairs]
+        self.filters = [make_filter(state, settings) for _, state in pairs]
         self.log_weights = np.full(len(pairs), -math.log(len(pairs)))
-        self._first_ns = self.best.t_ns + REACH_NS if clock else 0
-        self._lag_ns = REACH_NS + STEP_NS if clock else 0
+        self._first_ns = self.best.t_ns + MAX_OFFSET_NS if clock else 0
+        self._lag_ns = MAX_OFFSET_NS + OFFSET_STEP_NS if clock else 0
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in pairs]
-        self._misfit = 1.0
+        self._nis_scale = 1.0
         self._since: dict[object, int] = {}  # ns, when something became true that still is
 
     @property
@@ -192,7 +197,7 @@ class MultipleModelBank:
         samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
         if len(samples):
             for hypothesis in self.filters:
-                hypothesis.process_imu_block(samples)
+                hypothesis.predict_block(samples)
         return self._weigh_decided()
 
     def _weigh_decided(self) -> list[Verdict]:
@@ -210,7 +215,7 @@ class MultipleModelBank:
             verdicts = [decided.pop(key) for decided in self._decided]
             told.append(replace(verdicts[self._best], measurement=self._waiting.pop(key)))
             self._weigh(verdicts)
-        for k in np.flatnonzero(self.log_weights < math.log(LEAST_WEIGHT))[::-1].tolist():
+        for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
             self.log_weights = np.delete(self.log_weights, k)
         return told
@@ -224,20 +229,20 @@ class MultipleModelBank:
         dof = len(verdicts[0].sigma)
         log_det = np.array([v.log_det for v in verdicts])
         # Where even the best fits badly the noise is wrong, and differences mean less.
-        self._misfit += (nis[self._best] / dof - self._misfit) / MEMORY
-        self.log_weights -= 0.5 * (nis / max(1.0, self._misfit) + log_det)
+        self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
+        self.log_weights -= 0.5 * (nis / max(1.0, self._nis_scale) + log_det)
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading spread about the best [rad]: mean offset and σ."""
         mean, sigma = self._mixture(*self._about_best())
-        return mean, sigma * math.sqrt(max(1.0, self._misfit))
+        return mean, sigma * math.sqrt(max(1.0, self._nis_scale))
 
     def clock(self) -> tuple[float, float]:
         """Return what is missing from the fixes' stamps, and its standard deviation [s]."""
         missing = [
-            offset_ns * 1e-9 + hypothesis.clock.missing
+            offset_ns * 1e-9 + hypothesis.clock.residual
             for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
         ]
         return self._mixture(np.array(missing), np.array([f.clock.sigma**2 for f in self.filters]))
@@ -267,7 +272,7 @@ class MultipleModelBank:
             self._has_lasted(("heading", std), turn_std <= std, lasting_ns)
             for std, lasting_ns in HEADING_KNOWN
         ]
-        clock_known = self._has_lasted("clock", clock_std <= CLOCK_KNOWN[0], CLOCK_KNOWN[1])
+        clock_known = self._has_lasted("clock", clock_std <= OFFSET_KNOWN[0], OFFSET_KNOWN[1])
         if (self._heading_open and not any(heading_known)) or (self.clock_open and not clock_known):
             return None
         winner, offset_ns = self.best, self._offsets_ns[self._best]
@@ -276,9 +281,11 @@ class MultipleModelBank:
         P[8, 8] += max(0.0, turn_std**2 + turn**2 - P[8, 8])
         pack(P, winner.nav[COVARIANCE])
         if self.clock_open:
-            winner.clock.believe(missing - offset_ns * 1e-9, clock_std)
+            winner.clock.set_estimate(missing - offset_ns * 1e-9, clock_std)
         winner.verdicts.extendleft(reversed(self._decided[self._best].values()))
-        return Decision(winner, offset_ns * 1e-9, self.clock_open and abs(offset_ns) == REACH_NS)
+        return Decision(
+            winner, offset_ns * 1e-9, self.clock_open and abs(offset_ns) == MAX_OFFSET_NS
+        )
 
     def _has_lasted(self, what: object, true: bool, lasting_ns: int) -> bool:
         """Tell whether something is true, and was for so long."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.imu_health import NO_GRAVITY, UNUSABLE, Fault, find_fault
 from hybrid_ins.core.ins_filter import (
@@ -23,11 +24,10 @@ from hybrid_ins.core.ins_filter import (
     FilterSettings,
     InsFilter,
     NoiseChange,
-    NoiseEstimate,
 )
 from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
-from hybrid_ins.core.multiple_model import Begin, Decision, MultipleModelBank
-from hybrid_ins.core.noise import NoiseModel, ProcessNoise
+from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
+from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
 from hybrid_ins.core.state import (
@@ -81,10 +81,8 @@ class Navigator:
     ----------
     alignment, settings : AlignmentSettings, FilterSettings
         See there.
-    make_process : callable
-        Given the IMU's sample period [s], returns the way from levels to Qc.
     make_noise : callable
-        Given that, returns a fresh noise model for a new filter.
+        Given the IMU's sample period [s], returns fresh noise for a new filter.
     make_gate : callable
         Returns a fresh gate.
     max_gap : float
@@ -122,8 +120,7 @@ class Navigator:
         self,
         alignment: AlignmentSettings,
         settings: FilterSettings,
-        make_process: Callable[[float], ProcessNoise],
-        make_noise: Callable[[ProcessNoise], NoiseModel],
+        make_noise: Callable[[float], FilterNoise],
         make_gate: Callable[[], Gate],
         max_gap: float,
         zero_updates: bool = True,
@@ -136,7 +133,6 @@ class Navigator:
         self.refusal = ""
         self._alignment_settings = alignment
         self._settings = settings
-        self._make_process = make_process
         self._make_noise = make_noise
         self._make_gate = make_gate
         self.max_gap_ns = int(max_gap * 1e9)
@@ -212,7 +208,7 @@ class Navigator:
         self.last_ns = t_ns
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
         if self.filter is not None:
-            self.filter.process_imu(t_ns, fx, fy, fz, wx, wy, wz)
+            self.filter.predict(t_ns, fx, fy, fz, wx, wy, wz)
         elif t_ns >= self._attempt_ns:
             self._attempt(t_ns)
         return True
@@ -222,7 +218,7 @@ class Navigator:
         assert self.filter is not None
         self.ring.extend(samples)
         self.last_ns = int(samples["t_ns"][-1])
-        self.filter.process_imu_block(samples, rows)
+        self.filter.predict_block(samples, rows)
 
     def _admit(self, t_ns: int) -> bool:
         """Deal with a stamp that does not follow the last one closely."""
@@ -283,8 +279,8 @@ class Navigator:
             if start is None:
                 return
             stamps = self.ring.latest(256)["t_ns"]
-            process = self._make_process(float(np.median(np.diff(stamps))) * 1e-9)
-            begin = self._beginning(start.t_ns, start.sample, process)
+            period = float(np.median(np.diff(stamps))) * 1e-9
+            begin = self._beginning(start.t_ns, start.sample, period)
             if len(start.states) == 1:
                 self._run(begin(start.states[0], self._settings))
             else:
@@ -304,7 +300,7 @@ class Navigator:
     def _by_many_clocks(self, filters: Sequence[InsFilter]) -> MultipleModelBank:
         """Return what has an open clock around filters of one time and one clock."""
         first = filters[0]
-        begin = self._beginning(first.t_ns, first.sample, first.process)
+        begin = self._beginning(first.t_ns, first.sample, first.noise.process.period)
         return MultipleModelBank(
             [known.state for known in filters], begin, self._settings, clock=True
         )
@@ -327,7 +323,7 @@ class Navigator:
             self.bank.advance(self.ring, self.last_ns)
             self._decide(self.bank)
 
-    def _beginning(self, t_ns: int, sample: Array, process: ProcessNoise) -> Begin:
+    def _beginning(self, t_ns: int, sample: Array, period: float) -> FilterFactory:
         """Return what starts a filter at an IMU sample."""
 
         def begin(state: NavState, settings: FilterSettings) -> InsFilter:
@@ -335,8 +331,7 @@ class Navigator:
                 state,
                 t_ns,
                 sample,
-                self._make_noise(process),
-                process,
+                self._make_noise(period),
                 self._make_gate(),
                 self.ring,
                 settings,
@@ -352,12 +347,12 @@ class Navigator:
         winner = decision.filter
         missed = self.ring.after(winner.t_ns)
         if len(missed):
-            winner.process_imu_block(missed)
+            winner.predict_block(missed)
         if self.filter is not None:  # It has told of each fix already, but for those that wait.
             winner.withdraw()
             winner.verdicts.clear()
             self.verdicts.extend(
-                Verdict.refused(measurement, "clock offset found")
+                Verdict.rejected(measurement, "clock offset found")
                 for measurement in self.filter.withdraw()
             )
         if bank.clock_open:
@@ -377,11 +372,11 @@ class Navigator:
         """Take an aiding measurement; its verdict appears in ``verdicts``."""
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
-            self.verdicts.append(Verdict.refused(measurement, "repeated stamp"))
+            self.verdicts.append(Verdict.rejected(measurement, "repeated stamp"))
             return
         if self.ring.count and measurement.t_ns - self.last_ns > self.max_gap_ns + AHEAD_NS:
             self.verdicts.append(
-                Verdict.refused(
+                Verdict.rejected(
                     measurement,
                     "stamped ahead of the IMU",
                     (self.last_ns - measurement.t_ns) * 1e-9,
@@ -390,14 +385,14 @@ class Navigator:
             return
         self._seen.append(key)
         if self._stands_still(measurement):
-            self.verdicts.append(Verdict.refused(measurement, "same position while moving"))
+            self.verdicts.append(Verdict.rejected(measurement, "same position while moving"))
             return
         self._take(measurement)
 
     def _take(self, measurement: Measurement) -> None:
         if not self._give(measurement):
             self.alignment.observe(measurement)
-            self.verdicts.append(Verdict.refused(measurement, "aligning"))
+            self.verdicts.append(Verdict.rejected(measurement, "aligning"))
 
     def _give(self, measurement: Measurement) -> bool:
         """Give a measurement to all that run; False if there is none, or none so old."""
@@ -471,9 +466,9 @@ class Navigator:
     def heed(self, verdict: Verdict) -> None:
         """Start over when the state had to be opened again and again: its heading is wrong."""
         if verdict.measurement.kind == "position":
-            plain = verdict.accepted and not verdict.reset
+            plain = verdict.accepted and not verdict.inflated
             self._agreed_ns = verdict.measurement.t_ns if plain else 0
-        if not verdict.reset or self.filter is None:
+        if not verdict.inflated or self.filter is None:
             return
         t_ns = verdict.measurement.t_ns
         self._opened.append(t_ns)

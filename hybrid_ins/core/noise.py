@@ -1,35 +1,40 @@
 """
-The seam behind which the process noise varies.
+Process-noise models: per-sample variances of the IMU, and their way to the density Qc.
 
-A `NoiseModel` tells the noise level ``q`` of each IMU channel before a prediction and may learn
-from a correction; the filter never knows which one it holds. `ProcessNoise` turns q into the power
-spectral densities Qc that the error model takes.
+A `NoiseModel` gives the variance ``q`` of each IMU channel before a prediction and may learn from
+what is observed afterwards; the filter never knows which one it holds. `ProcessNoise` turns q into
+the power spectral densities Qc that the error model takes.
 
 References
 ----------
 .. [1] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
-       2022, eq. (7), (16)-(19).
+       2022, eq. (7), (19).
 """
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from hybrid_ins.core.snapshot import Snapshot
-from hybrid_ins.core.state import DV, EPS
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseEstimate:
+    """Variances that a regressor estimated from a window of IMU samples."""
+
+    t_ns: int  # ns, end of the window
+    q: Array | None  # (6,) per-sample variances; None where the window was unusable
+    kind: ClassVar[str] = "noise estimate"
+
+
+@dataclass(frozen=True, slots=True)
 class Correction:
     """
-    What a measurement tells about the process noise, and what it did to the state.
+    What a measurement shows of the noise, and what it did to the state.
 
     Attributes
     ----------
@@ -52,7 +57,9 @@ class Correction:
     nav : ndarray, shape (N_FLAT,)
         Flat state before it.
     fused : bool
-        False for a measurement that the gate refused: K and dx are zero.
+        False for a measurement that the gate rejected: K and dx are zero.
+    restarted : bool
+        The state was changed by other means than measurements since the previous correction.
     """
 
     t_ns: int
@@ -65,66 +72,27 @@ class Correction:
     interval: float
     nav: Array
     fused: bool
-
-
-@dataclass(frozen=True, slots=True)
-class StateCorrection:
-    """Where the state belongs by another noise than the one that it was run with."""
-
-    dx: Array  # (15,) to be added to the state
-    P: Array  # (15, 15) covariance after that
-
-
-class Scale(Protocol):
-    """What `ScaledNoise` asks of `NoiseScale`."""
-
-    def scale(self) -> tuple[float, float]:
-        """Return the factors on the variances of accelerometer and gyroscope."""
-        ...
-
-    def gnss(self) -> float:
-        """Return the factor on the covariance of fixes."""
-        ...
-
-    def learn(self, correction: Correction, psd: Array) -> StateCorrection | None:
-        """Take a correction into account, given Qc's diagonal (12,) at factor 1."""
-        ...
-
-    def forget(self, evidence: bool) -> None:
-        """See `NoiseModel.forget`."""
-        ...
+    restarted: bool = False
 
 
 class NoiseModel(Protocol):
-    """Levels before a prediction, learn after a correction. Copied for every rewind point."""
+    """
+    Variances before a prediction, learning after a measurement.
 
-    @property
-    def source(self) -> str:
-        """What the levels in force come from: constant, learned, fallback, innovation."""
-        ...
+    Implementations replace their arrays and never change them in place: a shallow copy is a
+    checkpoint.
+    """
 
     def levels(self) -> Array:
         """Per-sample variances now: accelerometer x y z, gyroscope x y z, shape (6,), b frame."""
         ...
 
-    @property
-    def fix_factor(self) -> float:
-        """Factor on the covariance that fixes claim."""
-        ...
-
-    def refresh(self, t_ns: int, q: Array | None) -> None:
-        """Take a regressor's levels at a stamp, shape (6,), or None when it could not tell."""
-        ...
-
-    def learn(self, correction: Correction) -> StateCorrection | None:
-        """Take a correction into account; may say where the state belongs instead."""
-        ...
-
-    def forget(self, evidence: bool) -> None:
+    def learn(self, observation: NoiseEstimate | Correction) -> bool:
         """
-        Drop what refers to the present state: it is moved for another reason than noise.
+        Take an observation into account.
 
-        With ``evidence`` also what was learned: it came from measurements that proved wrong.
+        Returns True where stand-in variances have given way to estimated ones: what was found
+        out about the former does not hold for the latter.
         """
         ...
 
@@ -164,16 +132,13 @@ PAPER_CONSTANTS = {"cq1": (0.002, 0.02), "cq2": (0.001, 0.01), "cq3": (0.002, 0.
 
 class ConstantNoise:
     """
-    Levels that never change.
+    Variances that never change.
 
     Parameters
     ----------
     q : ndarray, shape (6,)
         Per-sample variances [(m/s²)², (rad/s)²].
     """
-
-    source = "constant"
-    fix_factor = 1.0
 
     def __init__(self, q: Array) -> None:
         self._q = np.array(q, float)
@@ -182,36 +147,35 @@ class ConstantNoise:
         """See `NoiseModel.levels`."""
         return self._q
 
-    def refresh(self, t_ns: int, q: Array | None) -> None:
-        """Ignore the estimate."""
-
-    def learn(self, correction: Correction) -> None:
-        """Ignore the correction."""
-
-    def forget(self, evidence: bool) -> None:
-        """See `NoiseModel.forget`."""
+    def learn(self, observation: NoiseEstimate | Correction) -> bool:
+        """Ignore the observation."""
+        return False
 
 
-class LearnedNoise(Snapshot):
+class LearnedNoise:
     """
-    Levels that a regressor reads off the IMU, and a constant while it cannot tell.
+    Variances that a regressor estimates from the IMU; a constant while it has no estimate.
 
-    What it reads holds motion and vibration besides noise: an upper bound, since at no frequency
-    do they lie below the noise. Where recordings have told the noise of ordinary motion
-    (``fallback``) and what is hardly ever exceeded there (B, ``background``), a level L counts as
-    L - B²/L more than that: nothing below B, nearly all of L far above.
+    The estimate contains motion and vibration besides noise, so it is an upper bound. Where
+    recordings have shown the noise of ordinary motion (``fallback``) and the level that is rarely
+    exceeded there (B, ``background``), an estimate L counts as L - B²/L above the fallback:
+    nothing below B, nearly all of L far above.
 
     Parameters
     ----------
     fallback : ndarray, shape (6,)
-        Levels before the first estimate, and when the last one is older than ``HOLD_NS``: asked
-        once a second or more often, the regressor has given way within a second.
+        Variances before the first estimate, and once the last one is older than ``HOLD_NS``. With
+        an estimate requested at least once a second, the fallback is in force within a second.
     background : ndarray, shape (6,), optional
-        See above; zero where it is not known: levels are taken as they are read.
+        See above; zero where it is not known: estimates are used as they are.
+
+    Attributes
+    ----------
+    on_fallback : bool
+        There is no usable estimate.
     """
 
     HOLD_NS = 500_000_000
-    fix_factor = 1.0
 
     def __init__(self, fallback: Array, background: Array | None = None) -> None:
         self._fallback = np.array(fallback, float)
@@ -220,153 +184,27 @@ class LearnedNoise(Snapshot):
         self._estimated_ns: int | None = None
 
     @property
-    def source(self) -> str:
-        """See `NoiseModel.source`."""
-        return "fallback" if self._estimated_ns is None else "learned"
+    def on_fallback(self) -> bool:
+        """See above."""
+        return self._estimated_ns is None
 
     def levels(self) -> Array:
         """See `NoiseModel.levels`."""
         return self._q
 
-    def refresh(self, t_ns: int, q: Array | None) -> None:
-        """Take a regressor's levels, or let the old ones grow stale."""
+    def learn(self, observation: NoiseEstimate | Correction) -> bool:
+        """Take a regressor's estimate, or let the last one expire."""
+        if isinstance(observation, Correction):
+            return False
+        t_ns, q = observation.t_ns, observation.q
         if q is not None:
-            self._q, self._estimated_ns = self._beyond_background(q), t_ns
-        elif self._estimated_ns is not None and t_ns - self._estimated_ns > self.HOLD_NS:
+            replaced = self._estimated_ns is None
+            self._q, self._estimated_ns = self._above_background(q), t_ns
+            return replaced
+        if self._estimated_ns is not None and t_ns - self._estimated_ns > self.HOLD_NS:
             self._q, self._estimated_ns = self._fallback, None
+        return False
 
-    def _beyond_background(self, q: Array) -> Array:
+    def _above_background(self, q: Array) -> Array:
         share = np.divide(self._background, q, out=np.ones(6), where=q > self._background)
         return np.asarray(np.minimum(q, self._fallback + q * (1.0 - share**2)))
-
-    def learn(self, correction: Correction) -> None:
-        """Ignore the correction."""
-
-    def forget(self, evidence: bool) -> None:
-        """See `NoiseModel.forget`."""
-
-
-class InnovationNoise:
-    """
-    Levels from the filter's own innovations, eq. (16)-(18) of [1]_.
-
-    ``K C K'`` is what the corrections of one GNSS interval moved the state by. As process noise
-    that is a sum over the interval's IMU steps, so its density is K C K' over the interval; its
-    diagonal on velocity and misalignment, turned into b, gives the levels. A high level raises the
-    gain that measures it: the levels stay bounded, but settle far above the noise. (Taken
-    literally, as the Q^d of every single IMU step, they run away by many orders of magnitude and
-    the filter follows the fixes blindly; ``literal`` does that for comparison.)
-
-    Parameters
-    ----------
-    initial, floor : ndarray, shape (6,)
-        Levels before the first ``window`` corrections; lowest levels ever.
-    window : int
-        Number of innovations averaged, the paper's xi.
-    process : ProcessNoise
-        Converts the density back to levels.
-    literal : bool
-        See above.
-    """
-
-    source = "innovation"
-    fix_factor = 1.0
-
-    def __init__(
-        self,
-        initial: Array,
-        floor: Array,
-        window: int,
-        process: ProcessNoise,
-        literal: bool = False,
-    ) -> None:
-        self._q = np.array(initial, float)
-        self._floor = np.array(floor, float)
-        self._window = window
-        self._process = process
-        self._literal = literal
-        self._innovations: tuple[Array, ...] = ()
-
-    def levels(self) -> Array:
-        """See `NoiseModel.levels`."""
-        return self._q
-
-    def refresh(self, t_ns: int, q: Array | None) -> None:
-        """Ignore the estimate."""
-
-    def learn(self, correction: Correction) -> None:
-        """Average the innovations and map them through the present gain."""
-        if not correction.fused or correction.interval <= 0.0 or len(correction.z) != 3:
-            return
-        self._innovations = (*self._innovations, correction.z)[-self._window :]
-        if len(self._innovations) < self._window:
-            return
-        moved = np.array(self._innovations) @ correction.K.T
-        interval = self._process.period if self._literal else correction.interval
-        density = np.concatenate(
-            [
-                np.mean((moved[:, block] @ correction.C_nb) ** 2, axis=0) / interval
-                for block in (DV, EPS)
-            ]
-        )
-        self._q = np.maximum(self._process.q(density), self._floor)
-
-    def forget(self, evidence: bool) -> None:
-        """See `NoiseModel.forget`."""
-        self._innovations = ()
-
-
-class ScaledNoise:
-    """
-    Another model's levels, times what the innovations say of them.
-
-    Parameters
-    ----------
-    inner : NoiseModel
-        Tells the levels that the IMU shows.
-    process : ProcessNoise
-        Converts them to densities.
-    scale : NoiseScale
-        Finds the factors.
-    """
-
-    def __init__(self, inner: NoiseModel, process: ProcessNoise, scale: Scale) -> None:
-        self.inner = inner
-        self.scale = scale
-        self._process = process
-
-    def __copy__(self) -> ScaledNoise:
-        return ScaledNoise(copy.copy(self.inner), self._process, copy.copy(self.scale))
-
-    @property
-    def source(self) -> str:
-        """See `NoiseModel.source`."""
-        return self.inner.source
-
-    @property
-    def fix_factor(self) -> float:
-        """See `NoiseModel.fix_factor`."""
-        return self.scale.gnss()
-
-    def levels(self) -> Array:
-        """See `NoiseModel.levels`."""
-        a, g = self.scale.scale()
-        levels: Array = self.inner.levels() * np.array((a, a, a, g, g, g))
-        return levels
-
-    def refresh(self, t_ns: int, q: Array | None) -> None:
-        """See `NoiseModel.refresh`; what a fallback had to be raised by says nothing of levels."""
-        before = self.source
-        self.inner.refresh(t_ns, q)
-        if self.source != before == "fallback" and max(self.scale.scale()) > 1.0:
-            self.scale.forget(evidence=True)
-
-    def learn(self, correction: Correction) -> StateCorrection | None:
-        """See `NoiseModel.learn`."""
-        self.inner.learn(correction)
-        return self.scale.learn(correction, self._process.psd(self.inner.levels()))
-
-    def forget(self, evidence: bool) -> None:
-        """See `NoiseModel.forget`."""
-        self.inner.forget(evidence)
-        self.scale.forget(evidence)

@@ -1,19 +1,19 @@
 """
-What the IMU cannot show: how far its errors exceed its noise, told by the fixes.
+Noise factors from the innovations: a bank of filters that differ in their assumed noise.
 
 A clock offset, a tilted or flexing mount, scale errors: to the filter they are process noise that
-no look at the IMU reveals. The innovations do, but their size alone does not say whether the IMU
-or the receiver is to blame. Their sequence does: process noise makes successive errors grow
-together, a wrong R makes them jump back and forth, an outlier comes alone. So a grid of
-hypotheses (factors on the accelerometer's and the gyroscope's noise, and on R) is compared by the
-likelihood that each would have given the whole sequence.
+IMU readings do not contain. The innovations do, but their size alone does not show whether the IMU
+or the receiver causes it. Their sequence does: process noise makes successive errors grow
+together, a wrong R makes them alternate, an outlier is isolated. So a grid of hypotheses (factors
+on the noise of the accelerometer, of the gyroscope, and on R) is compared by the likelihood that
+each gives to the whole sequence, [1]_.
 
-The factors may also fall below 1, by a decade and a half: vibration that the regressor reads above
-the frequencies of motion need not reach down to those that integrate into position.
+The factors may also be below 1, by a decade and a half: vibration that the regressor measures
+above the frequencies of motion need not extend down to those that integrate into position.
 
-Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. What the
-running filter knows is in its innovations and corrections; a hypothesis only keeps how far its
-own estimate leads the running one.
+Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
+running filter's innovations and corrections carry all that its readings showed; a hypothesis only
+keeps the offset of its own estimate from the running one.
 
 References
 ----------
@@ -26,14 +26,14 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.noise import Correction, StateCorrection
+from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import advance, mean_system
 from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.snapshot import Snapshot
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY, covariance
 
 Array = NDArray[np.float64]
@@ -41,22 +41,26 @@ Array = NDArray[np.float64]
 DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
 RATE_DECADES = np.array([-1.5, 0.0, 3.0])  # on the gyroscope's
 GNSS_DECADES = np.array([0.0, 0.7, 1.5, 3.0])  # on R
-LEAVING = 2.0  # nats that a factor other than 1 must be worth: the model is right until shown wrong
-COST = (1.0, 1.0, 2.0)  # and each of its decades
-LESS, LESS_COST = 1.5, 0.3  # the same of factors below 1: vibration is an upper bound
-MARGIN = 0.1  # decades that are not told from none
+FACTOR_COST = 2.0  # nats of evidence that a factor above 1 needs
+DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
+REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
+DEAD_BAND = 0.1  # decades that count as none
 MEMORY = 20.0  # s over which the likelihood is remembered
-TAIL = 6.0  # degrees of freedom of an innovation, [2]_
-RESEAT = 3.0  # rise of a factor
-LONGEST = 3.0  # s without a fix: beyond it the mean motion does not stand for the IMU any more
+TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
+CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
+MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
 _A, _G, _R = (
     grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")
 )
-_PRIOR = -sum(
+_LOG_PRIOR = -sum(
     (
-        np.where(grid < 0.0, LESS - LESS_COST * grid, LEAVING * (grid > 0.0) + cost * grid)
-        for grid, cost in zip((_A, _G, _R), COST, strict=True)
+        np.where(
+            grid < 0.0,
+            REDUCTION_COST - REDUCTION_DECADE_COST * grid,
+            FACTOR_COST * (grid > 0.0) + cost * grid,
+        )
+        for grid, cost in zip((_A, _G, _R), DECADE_COST, strict=True)
     ),
     np.zeros(_A.size),
 )
@@ -64,72 +68,79 @@ _DECADES = np.stack((_A, _G, _R))
 _FACTORS = 10.0**_DECADES
 
 
-class NoiseScale(Snapshot):
-    """
-    Factors on the process noise, from the likelihood of the innovations.
+@dataclass(frozen=True, slots=True)
+class StateCorrection:
+    """Where the state belongs under other noise than the one that it was propagated with."""
 
-    Nothing is changed in place: a shallow copy is a snapshot.
+    dx: Array  # (15,) to be added to the state
+    P: Array  # (15, 15) covariance after that
+
+
+class NoiseMultipleModelBank:
+    """
+    Factors on the assumed noise, from the likelihood of the innovations.
+
+    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+
+    Attributes
+    ----------
+    imu_factors : (float, float)
+        On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
+    fix_factor : float
+        On the covariance that fixes claim, 1 to 10³: receivers claim too small ones, too.
     """
 
     def __init__(self) -> None:
-        self._evidence = np.zeros(len(_PRIOR))  # log-likelihood of each hypothesis, fading
+        self.imu_factors = (1.0, 1.0)
+        self.fix_factor = 1.0
+        self._log_likelihood = np.zeros(len(_LOG_PRIOR))  # of each hypothesis, fading
         self._P: Array | None = None  # (120, hypotheses), packed
-        self._lead = np.zeros((N_ERROR, len(_PRIOR)))  # own minus running estimate
+        self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))  # own minus running estimate
         self._t_ns = 0
         self._velocity_n = np.zeros(3)  # after the last correction
         self._C_nb = np.eye(3)
-        self._scale = (1.0, 1.0)
-        self._seated = np.ones(3)  # lowest since the state was last put where it belongs
-        self._gnss = 1.0
+        self._lowest = np.ones(3)  # factors since the running state was last corrected
 
-    def scale(self) -> tuple[float, float]:
-        """Factors on the noise variances of accelerometer and gyroscope, 0.04 to 10⁴ and 10³."""
-        return self._scale
-
-    def gnss(self) -> float:
-        """Factor on the fixes' covariance, 1 to 10³: receivers claim too much, too."""
-        return self._gnss
-
-    def forget(self, evidence: bool) -> None:
-        """Begin the hypotheses anew at the next correction, with the evidence or without."""
+    def restart(self, *, keep_weights: bool) -> None:
+        """Start the hypotheses anew at the next correction, with their weights or without."""
         self._P = None
-        if evidence:
-            self._evidence = np.zeros(len(_PRIOR))
-            self._scale, self._gnss, self._seated = (1.0, 1.0), 1.0, np.ones(3)
+        if not keep_weights:
+            self._log_likelihood = np.zeros(len(_LOG_PRIOR))
+            self.imu_factors, self.fix_factor, self._lowest = (1.0, 1.0), 1.0, np.ones(3)
 
-    def learn(self, correction: Correction, psd: Array) -> StateCorrection | None:
+    def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """
-        Take a correction, or a measurement that was refused, into account.
+        Take a correction, or a measurement that was rejected, into account.
 
-        Returns where the state belongs when the factors have risen: the running filter, with too
-        small a noise, has gone astray meanwhile, the hypotheses that are believed now have not.
+        Returns where the state belongs when the factors have risen: the running filter has
+        drifted with too small a noise meanwhile, the hypotheses that are likely now have not.
 
         Parameters
         ----------
         correction : Correction
-            With the state before it, its S with `gnss` in force; dx is zero if the measurement
-            was refused.
+            With the state before it, and its S with ``fix_factor`` in force; dx is zero if the
+            measurement was rejected.
         psd : ndarray, shape (12,)
             Qc's diagonal at factor 1.
 
         Notes
         -----
-        After more than ``LONGEST`` without a fix the hypotheses begin anew with the running
-        filter's covariance, and their evidence stays as it was.
+        After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
+        filter's covariance, and their likelihoods stay as they were.
         """
         nav = correction.nav
         P = covariance(nav)
         C_nb = matrix_from_quat(nav[QUAT])
         T = (correction.t_ns - self._t_ns) * 1e-9
-        if self._P is None or not 0.0 <= T <= LONGEST:
-            self._P = np.tile(nav[COVARIANCE][:, None], len(_PRIOR))
-            self._lead = np.zeros((N_ERROR, len(_PRIOR)))
+        if self._P is None or not 0.0 <= T <= MAX_INTERVAL:
+            self._P = np.tile(nav[COVARIANCE][:, None], len(_LOG_PRIOR))
+            self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))
             T = 0.0
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
-        R = (correction.S - correction.H @ P @ correction.H.T) / self._gnss
-        self._P, self._lead, gained = advance(
+        R = (correction.S - correction.H @ P @ correction.H.T) / self.fix_factor
+        self._P, self._state_offset, log_likelihood = advance(
             self._P,
-            self._lead,
+            self._state_offset,
             F,
             T,
             C_mean,
@@ -139,31 +150,36 @@ class NoiseScale(Snapshot):
             correction.H,
             R,
             correction.dx,
-            TAIL,
+            TAIL_DOF,
         )
-        evidence = self._evidence * np.exp(-T / MEMORY) + gained
-        self._evidence = evidence - evidence.max()
+        total = self._log_likelihood * np.exp(-T / MEMORY) + log_likelihood
+        self._log_likelihood = total - total.max()
         self._t_ns = correction.t_ns
         self._velocity_n = nav[VELOCITY] + correction.dx[DV]
         self._C_nb = C_nb
-        posterior = self._evidence + _PRIOR
-        weights = np.exp(posterior - posterior.max())
+        log_weights = self._log_likelihood + _LOG_PRIOR
+        weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
+        return self._mix(weights)
+
+    def _mix(self, weights: Array) -> StateCorrection | None:
+        """Set the factors to the mixture's mean; where they have risen, correct the state."""
         a, g, r = map(_factor, (_DECADES @ weights).tolist())
-        self._scale, self._gnss = (a, g), r
+        self.imu_factors, self.fix_factor = (a, g), r
         factors = np.array([a, g, r])
-        risen = np.max(factors / self._seated)
-        self._seated = np.minimum(self._seated, factors)
-        if risen < RESEAT:
+        risen = np.max(factors / self._lowest)
+        self._lowest = np.minimum(self._lowest, factors)
+        if risen < CORRECTION_RATIO:
             return None
-        self._seated = factors
-        dx = self._lead @ weights
-        apart = self._lead - dx[:, None]
-        P = (self._P @ weights)[PLACES] + (weights * apart) @ apart.T
-        self._lead, self._velocity_n = apart, self._velocity_n + dx[DV]
+        assert self._P is not None
+        self._lowest = factors
+        dx = self._state_offset @ weights
+        deviation = self._state_offset - dx[:, None]
+        P = (self._P @ weights)[PLACES] + (weights * deviation) @ deviation.T
+        self._state_offset, self._velocity_n = deviation, self._velocity_n + dx[DV]
         return StateCorrection(dx, P)
 
 
 def _factor(decades: float) -> float:
-    """Of so many decades, less the margin towards 1."""
-    return float(10.0 ** math.copysign(max(0.0, abs(decades) - MARGIN), decades))
+    """Return the factor of a mean exponent, reduced by the dead band."""
+    return float(10.0 ** math.copysign(max(0.0, abs(decades) - DEAD_BAND), decades))

@@ -1,9 +1,9 @@
 """
-One step of many covariances at once: the bank of hypotheses that `noise_scale` weighs.
+Prediction and update of many covariances at once: a step of `NoiseMultipleModelBank`.
 
-They differ in their noise alone and share transition and measurement. Written out as loops over
-the hypotheses, which the compiler turns into vector instructions, one for each number in transition
-and measurement that is not zero.
+The hypotheses differ in their noise alone and share transition and measurement. The step is
+written as loops over the hypotheses, which the compiler turns into vector instructions, one for
+each element of transition and measurement that is not zero.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hybrid_ins.core.strapdown import rotation
 @kernel()
 def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     """
-    Error dynamics over the time since a correction, without a look at the IMU.
+    Error dynamics over the time since a correction, without IMU samples.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath={"contract"})
-def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type: ignore[no-untyped-def]
+def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  # type: ignore[no-untyped-def]
     """
     Predict and update every hypothesis.
 
     Parameters
     ----------
-    P_all, lead_all : ndarray, shape (120, n), (15, n)
-        Covariances as packed upper triangles, and how far each estimate leads the running
-        filter's: a hypothesis a column.
+    P_all, offset_all : ndarray, shape (120, n), (15, n)
+        Covariances as packed upper triangles, and the offset of each estimate from the
+        running filter's: one hypothesis per column.
     F, T : ndarray, float
         System matrix, shape (15, 15), and the time to go [s].
     C, psd : ndarray, shape (3, 3), (12,)
@@ -71,17 +71,17 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
         The running filter's innovation, measurement matrix, covariance at factor 1.
     dx : ndarray, shape (15,)
         By which the running filter was corrected.
-    tail : float
+    tail_dof : float
         Degrees of freedom of an innovation.
 
     Returns
     -------
-    P, lead, gained : ndarray, shape (120, n), (15, n), (n,)
+    P, offset, log_likelihood : ndarray, shape (120, n), (15, n), (n,)
         After the update, and the log-likelihood of the innovation.
     """
     count, m = P_all.shape[1], z.shape[0]
     transition, noise = _transition_and_noise(F, T, C, psd)
-    P, lead = np.zeros_like(P_all), np.zeros_like(lead_all)
+    P, offset = np.zeros_like(P_all), np.zeros_like(offset_all)
     half = np.empty((N_ERROR, count))
     for i in range(N_ERROR):  # P <- A P A', a row of A P at a time, three columns of A at a time
         half[:] = 0.0
@@ -90,7 +90,9 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
             if u == 0.0 and v == 0.0 and w == 0.0:
                 continue
             for h in range(count):
-                lead[i, h] += u * lead_all[k, h] + v * lead_all[k + 1, h] + w * lead_all[k + 2, h]
+                offset[i, h] += (
+                    u * offset_all[k, h] + v * offset_all[k + 1, h] + w * offset_all[k + 2, h]
+                )
             for j in range(N_ERROR):
                 at, at1, at2 = PLACES[k, j], PLACES[k + 1, j], PLACES[k + 2, j]
                 for h in range(count):
@@ -116,24 +118,31 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
                     place = PLACES[i, k]
                     for h in range(count):
                         PHt[a, i, h] += H[a, k] * P[place, h]
-    S, white, weight, gained = (np.empty((m, m)), np.empty(m), np.ones(count), np.empty(count))
+    S, white, weight, log_likelihood = (
+        np.empty((m, m)),
+        np.empty(m),
+        np.ones(count),
+        np.empty(count),
+    )
     for h in range(count):
         for repeat in range(2):
             for a in range(m):
                 white[a] = z[a]
                 for k in range(N_ERROR):
-                    white[a] -= H[a, k] * lead[k, h]
+                    white[a] -= H[a, k] * offset[k, h]
                 for b in range(a + 1):
                     S[a, b] = weight[h] * factors[2, h] * R[a, b]
                     for k in range(N_ERROR):
                         S[a, b] += H[a, k] * PHt[b, k, h]
             nis, log_det = _whiten(S, white)
             if repeat == 0:
-                gained[h] = -0.5 * log_det - 0.5 * (tail + m) * np.log1p(nis / (tail - 1.3))
+                log_likelihood[h] = -0.5 * log_det - 0.5 * (tail_dof + m) * np.log1p(
+                    nis / (tail_dof - 1.3)
+                )
                 if nis <= m:
                     break
                 # An outlier is weighted down, by each hypothesis for itself.
-                weight[h] = (tail + nis) / (tail + m)
+                weight[h] = (tail_dof + nis) / (tail_dof + m)
         for a in range(m):
             own[a, h] = white[a]
             # With S = L L' and W = P H' L'^-1: K z = W L^-1 z and P - K H P = P - W W'.
@@ -143,15 +152,15 @@ def advance(P_all, lead_all, F, T, C, psd, factors, z, H, R, dx, tail):  # type:
                 PHt[a, i, h] /= S[a, a]
     for i in range(N_ERROR):
         for h in range(count):
-            lead[i, h] -= dx[i]
+            offset[i, h] -= dx[i]
         for a in range(m):
             for h in range(count):
-                lead[i, h] += PHt[a, i, h] * own[a, h]
+                offset[i, h] += PHt[a, i, h] * own[a, h]
             for j in range(i, N_ERROR):
                 place = PLACES[i, j]
                 for h in range(count):
                     P[place, h] -= PHt[a, i, h] * PHt[a, j, h]
-    return P, lead, gained
+    return P, offset, log_likelihood
 
 
 @register_jitable

@@ -7,8 +7,8 @@ The compiled filter step: mechanisation at every IMU sample, covariance with it 
 
 from __future__ import annotations
 
+from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.covariance_step import covariance_step
 from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.state import (
     BIAS_A,

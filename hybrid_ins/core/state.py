@@ -121,7 +121,7 @@ class NavState:
         return nav
 
 
-def widened(P: Array, std: Array) -> Array:
+def inflate_covariance(P: Array, std: Array) -> Array:
     """Return P, shape (n, n), with errors at least as large as ``std``, shape (n,)."""
     return np.asarray(P + np.diag(np.maximum(std**2 - np.diag(P), 0.0)))
 

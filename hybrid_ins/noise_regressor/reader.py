@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.ins_filter import NoiseEstimate
+from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.samples import ImuRing, as_numbers
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor

@@ -347,7 +347,7 @@ def verdict_status(verdict: Verdict, time_offset: float) -> Status:
         text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
     return status(
         "gnss",
-        0 if verdict.accepted and not verdict.reset else 1,
+        0 if verdict.accepted and not verdict.inflated else 1,
         text,
         {
             "stamp": measurement.t_ns - round(time_offset * 1e9),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hybrid_ins import parameters
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, InsFilter, NoiseChange
 from hybrid_ins.core.measurements import Measurement
@@ -27,13 +28,12 @@ from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
-    InnovationNoise,
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
-    ScaledNoise,
 )
-from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.samples import SAMPLE_DTYPE, steps_since
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_NAV
 from hybrid_ins.noise_regressor.reader import NoiseReader
@@ -113,7 +113,6 @@ class Estimator:
                 *conversions.first_biases(values),
             ),
             FilterSettings(values["covariance_interval"], values["gnss.max_delay"]),
-            self._make_process,
             self._make_noise,
             self._make_gate,
             values["imu.max_gap"],
@@ -140,7 +139,14 @@ class Estimator:
 
     # Parameters become parts of the filter.
 
-    def _make_noise(self, process: ProcessNoise) -> NoiseModel:
+    def _make_noise(self, period: float) -> FilterNoise:
+        process = self._make_process(period)
+        factors = None
+        if self.values["noise.mode"] == "learned" and self.values["noise.innovation_scale"]:
+            factors = NoiseMultipleModelBank()
+        return FilterNoise(self._make_noise_model(process), process, factors)
+
+    def _make_noise_model(self, process: ProcessNoise) -> NoiseModel:
         mode = self.values["noise.mode"]
         constant = np.repeat(
             (self.values["noise.q_accelerometer"], self.values["noise.q_gyroscope"]), 3
@@ -148,7 +154,7 @@ class Estimator:
         if mode in PAPER_CONSTANTS:
             return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
         if mode == "learned":
-            learned = LearnedNoise(
+            return LearnedNoise(
                 constant,
                 np.concatenate(
                     (
@@ -157,9 +163,6 @@ class Estimator:
                     )
                 ),
             )
-            if self.values["noise.innovation_scale"]:
-                return ScaledNoise(learned, process, NoiseScale())
-            return learned
         if mode in ("innovation", "innovation_literal"):
             floor = np.repeat(
                 (self.values["noise.q_accelerometer_min"], self.values["noise.q_gyroscope_min"]), 3
@@ -282,10 +285,10 @@ class Estimator:
             self.navigator.open_clock(self.values["gnss.time_offset.estimate"])
         self._place_sensors()
         for running in self.navigator.filters:
-            running.process = self._make_process(running.process.period)
             running.gate = self._make_gate()
-            if any(name.startswith("noise.") for name in changes):
-                running.submit(NoiseChange(running.t_ns, self._make_noise(running.process)))
+            if any(name.startswith("noise.") or name.endswith("_bias_walk") for name in changes):
+                noise = self._make_noise(running.noise.process.period)
+                running.submit(NoiseChange(running.t_ns, noise))
         if any(name.startswith("noise.") for name in changes):
             self._reader = self._make_reader()
 
@@ -534,7 +537,7 @@ class Estimator:
 
     def _correct_clock(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""
-        missing, sigma = running.clock.missing, running.clock.sigma
+        missing, sigma = running.clock.residual, running.clock.sigma
         if sigma < CLOCK_USABLE and abs(missing) > max(0.3 * sigma, 1e-3):
             self._clock_moved += missing
             running.submit(ClockShift(running.t_ns, missing))
@@ -552,7 +555,7 @@ class Estimator:
         clock = decision.filter.clock
         self._log(
             "info",
-            f"clock offset found: {self._gnss.time_offset + clock.missing:+.3f} ± "
+            f"clock offset found: {self._gnss.time_offset + clock.residual:+.3f} ± "
             f"{clock.sigma:.3f} s",
         )
 
@@ -561,7 +564,7 @@ class Estimator:
         running, bank = self.navigator.filter, self.navigator.bank
         if bank is not None and bank.clock_open:
             return bank.clock()
-        return None if running is None else (running.clock.missing, running.clock.sigma)
+        return None if running is None else (running.clock.residual, running.clock.sigma)
 
     def _clock_fault(self) -> str:
         """Say what is suspicious about the fixes' clock; empty where nothing is."""
@@ -569,7 +572,7 @@ class Estimator:
         if running is None:
             return ""
         sigma = running.clock.sigma
-        total = self._gnss.time_offset + running.clock.missing
+        total = self._gnss.time_offset + running.clock.residual
         if self.values["gnss.time_offset.estimate"]:
             settled = self._clock_settled
             if settled is not None and abs(total - settled) > max(CLOCK_WRONG, 5.0 * sigma):
@@ -577,7 +580,7 @@ class Estimator:
                     f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
                     "and receiver stamp by one clock?"
                 )
-        elif abs(running.clock.missing) > max(CLOCK_WRONG, 5.0 * sigma):
+        elif abs(running.clock.residual) > max(CLOCK_WRONG, 5.0 * sigma):
             return (
                 f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
                 f"{self._gnss.time_offset:+.3f} s: run ins_calibrate, or set "
@@ -670,7 +673,7 @@ class Estimator:
             if verdict.accepted:
                 self.fixes_fused += 1
                 self._fused_ns = verdict.measurement.t_ns
-                if verdict.reset:
+                if verdict.inflated:
                     self.counts["gnss: state opened"] += 1
                     self._log("warn", f"gnss: {verdict.reason}")
             else:
@@ -787,7 +790,7 @@ class Estimator:
 
     def _noise_status(self) -> Status:
         running = self.navigator.filter
-        source = running.noise.source if running else "none"
+        source = _source(running.noise) if running else "none"
         reader = self._reader
         if source == "learned" and reader is not None:
             source = f"learned ({reader.regressor.name})"
@@ -852,16 +855,23 @@ class Estimator:
         return f"{self.fixes_fused} fixes fused" + (f"; {refused}" if refused else "")
 
 
-def _imu_disagrees(noise: NoiseModel) -> bool:
+def _source(noise: FilterNoise) -> str:
+    """Return where the variances in force come from."""
+    if isinstance(noise.model, LearnedNoise):
+        return "fallback" if noise.model.on_fallback else "learned"
+    return "innovation" if isinstance(noise.model, InnovationNoise) else "constant"
+
+
+def _imu_disagrees(noise: FilterNoise) -> bool:
     """Tell whether the fixes ask for much more noise of the IMU than it shows."""
-    return isinstance(noise, ScaledNoise) and max(noise.scale.scale()) > DISAGREEMENT
+    return max(noise.imu_factors) > DISAGREEMENT
 
 
-def _factors(noise: NoiseModel) -> dict[str, float]:
+def _factors(noise: FilterNoise) -> dict[str, float]:
     """What the innovations multiply the noise by; empty where they do not."""
-    if not isinstance(noise, ScaledNoise):
+    if noise.factors is None:
         return {}
-    accelerometer, gyroscope = noise.scale.scale()
+    accelerometer, gyroscope = noise.imu_factors
     return {
         "factor_accelerometer": accelerometer,
         "factor_gyroscope": gyroscope,

@@ -23,11 +23,18 @@ from scipy.stats import t as student
 from support.analytic_motion import difference
 
 from hybrid_ins.core import earth, noise_spectral, propagation
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseEstimate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.kalman import correct, inject
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, LearnedNoise, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise import (
+    ConstantNoise,
+    LearnedNoise,
+    NoiseEstimate,
+    NoiseModel,
+    ProcessNoise,
+)
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import (
     N_ERROR,
@@ -108,8 +115,7 @@ def one_run(
         NavState.from_flat(nav),
         0,
         readings[0],
-        noise,
-        ProcessNoise(BIAS_WALK, dt),
+        FilterNoise(noise, ProcessNoise(BIAS_WALK, dt)),
         Gate({3: np.inf}, 1.0),
         ring,
         FilterSettings(interval),
@@ -126,7 +132,7 @@ def one_run(
             for end in range(start + WINDOW, k, 3 * WINDOW):
                 window = readings[end - WINDOW : end].T
                 ins.submit(NoiseEstimate(int(samples["t_ns"][end]), noise_spectral.plateau(window)))
-        ins.process_imu_block(samples[start : k + 1])
+        ins.predict_block(samples[start : k + 1])
         start = k + 1
         propagation.flush(ins.nav)
         errors.append(difference(true_state(k).to_flat(), ins.nav))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.runs import begin, fly, stamped_early, through_estimator
 
-from hybrid_ins.core.clock_offset import ClockOffset
+from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.ins_filter import ClockShift
 from hybrid_ins.core.state import N_NAV
 from tools.paper.montecarlo import Scenario, draw
@@ -19,7 +19,7 @@ SCENE = Scenario("flight", rate=100.0, duration=45.0)
 @pytest.mark.parametrize("offset", [0.0, 0.03, -0.05])
 def test_offset_is_told_with_its_uncertainty(offset: float) -> None:
     ins, _ = fly(stamped_early(draw(SCENE, 1), offset))
-    assert ins.clock.missing == pytest.approx(offset, abs=0.02)
+    assert ins.clock.residual == pytest.approx(offset, abs=0.02)
     assert ins.clock.sigma < 0.01
 
 
@@ -29,9 +29,9 @@ def test_looking_for_it_leaves_the_state_alone_to_the_last_bit(
     run = stamped_early(draw(SCENE, 1), 0.05)
     looking = fly(run, late=0.1)[0]
     assert looking.clock.sigma < 0.02
-    monkeypatch.setattr(ClockOffset, "learn", lambda self, correction: None)
+    monkeypatch.setattr(ClockOffsetObserver, "update", lambda self, correction: None)
     blind = fly(run, late=0.1)[0]
-    assert blind.clock.missing == 0.0
+    assert blind.clock.residual == 0.0
 
     assert looking.nav.tobytes() == blind.nav.tobytes()
 
@@ -40,7 +40,7 @@ def test_late_fixes_tell_the_same() -> None:
     run = stamped_early(draw(SCENE, 2), 0.03)
     run = replace(run, fixes=tuple(f for f in run.fixes if f.t_ns < run.samples["t_ns"][-100]))
     in_time, late = fly(run)[0], fly(run, late=0.35)[0]
-    assert late.clock.missing == pytest.approx(in_time.clock.missing, abs=1e-9)
+    assert late.clock.residual == pytest.approx(in_time.clock.residual, abs=1e-9)
 
 
 def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
@@ -57,7 +57,7 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
         # WHEN the last fixes and the shift come in order, or after the samples
         for event in (*fixes[:-2], *(() if late else (fixes[-2], shift, fixes[-1]))):
             ins.submit(event)
-        ins.process_imu_block(run.samples[1:split])
+        ins.predict_block(run.samples[1:split])
         if late:
             for event in (shift, fixes[-1], fixes[-2]):
                 ins.submit(event)

@@ -11,7 +11,13 @@ from support.runs import stamped_early, through_estimator
 
 from hybrid_ins.core import multiple_model
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.multiple_model import ASTRAY_SPEED, ASTRAY_TURN, CELLS, STEPS, opened
+from hybrid_ins.core.multiple_model import (
+    N_HEADINGS,
+    N_OFFSET_STEPS,
+    WRONG_CLOCK_SPEED_STD,
+    WRONG_CLOCK_TILT_STD,
+    with_clock_offset,
+)
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.ros.estimator import Estimator
 from tools.paper.montecarlo import Run, Scenario, draw
@@ -114,7 +120,7 @@ def test_the_filter_that_takes_over_is_where_it_says() -> None:
             np.searchsorted(run.samples["t_ns"], running.t_ns) + 1 : run.scored[k] + 1
         ]
         if len(ahead):
-            running.process_imu_block(ahead)
+            running.predict_block(ahead)
         assert running.t_ns == now
         off = (run.lla[k] - running.nav[LLA]) * curvature_scale(run.lla[k])
         nees.append(off**2 / running.nav[COVARIANCE][DIAGONAL][:3])
@@ -152,11 +158,11 @@ def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     assert search is not None and len(search.filters) > 1
     assert search.decide() is None
     missing, sigma = search.clock()
-    monkeypatch.setattr(multiple_model, "CLOCK_KNOWN", (1.0, 0))
+    monkeypatch.setattr(multiple_model, "OFFSET_KNOWN", (1.0, 0))
     decision = search.decide()
     assert decision is not None
     winner = decision.filter
-    assert decision.offset + winner.clock.missing == pytest.approx(missing)
+    assert decision.offset + winner.clock.residual == pytest.approx(missing)
     assert winner.clock.sigma == pytest.approx(sigma)
 
 
@@ -192,7 +198,7 @@ def test_while_nothing_moves_nothing_is_said() -> None:
     assert offset(estimator) == 0.0
     assert found(estimator)[1] > 0.2
     assert estimator.navigator.bank is not None
-    assert len(estimator.navigator.bank.filters) == 2 * STEPS + 1
+    assert len(estimator.navigator.bank.filters) == 2 * N_OFFSET_STEPS + 1
     assert "the search goes on" in estimator.diagnostics(estimator.navigator.last_ns)[-1].text
 
 
@@ -200,7 +206,7 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     run = standing(draw(SCENE, 1))
     estimator = estimating(until(run, 10.0), **AUTO)
     bank = estimator.navigator.bank
-    assert bank is not None and len(bank.filters) <= CELLS
+    assert bank is not None and len(bank.filters) <= N_HEADINGS
 
     # WHEN the vehicle flies off
     moving = draw(SCENE, 1)
@@ -209,7 +215,7 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     estimator = estimating(until(replace(run, samples=samples), 12.0), **AUTO)
     # THEN there are
     bank = estimator.navigator.bank
-    assert bank is not None and len(bank.filters) > CELLS
+    assert bank is not None and len(bank.filters) > N_HEADINGS
     assert "clock offset" in estimator.navigator.waiting_for
 
 
@@ -244,13 +250,13 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
         np.zeros(3),
         np.diag(np.full(15, 1e-4)),
     )
-    there = opened(state, 0.5)
+    there = with_clock_offset(state, 0.5)
 
     moved = (there.lla - state.lla) * curvature_scale(state.lla)
     np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
     std = np.sqrt(np.diag(there.P))
-    np.testing.assert_allclose(std[DV], ASTRAY_SPEED)
-    np.testing.assert_allclose(std[EPS], ASTRAY_TURN)
-    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * ASTRAY_SPEED))
+    np.testing.assert_allclose(std[DV], WRONG_CLOCK_SPEED_STD)
+    np.testing.assert_allclose(std[EPS], WRONG_CLOCK_TILT_STD)
+    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * WRONG_CLOCK_SPEED_STD))
     # A velocity that was too low has put the state too little back.
-    np.testing.assert_allclose(there.P[DP, DV], -0.5 * ASTRAY_SPEED**2 * np.eye(3))
+    np.testing.assert_allclose(there.P[DP, DV], -0.5 * WRONG_CLOCK_SPEED_STD**2 * np.eye(3))

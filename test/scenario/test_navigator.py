@@ -161,7 +161,7 @@ def test_outage_is_dead_reckoned_with_growing_covariance_and_ends_without_a_spik
 
     assert spread[-1] > 2.0 * spread[10]
     returned = [v for v in run.verdicts[before:] if v.measurement.t_ns >= stamp(70.0)]
-    assert all(v.accepted and not v.reset for v in returned)
+    assert all(v.accepted and not v.inflated for v in returned)
     assert run.errors(navigator, 80.0)[0] < 0.4
 
 
@@ -174,7 +174,7 @@ def test_shift_of_all_fixes_wins_after_the_patience_and_is_said() -> None:
 
     refused = [v for v in run.verdicts if not v.accepted and v.measurement.t_ns >= stamp(30.0)]
     assert 14 <= len(refused) <= 18
-    assert sum(v.reset for v in run.verdicts) == 1
+    assert sum(v.inflated for v in run.verdicts) == 1
     assert run.errors(navigator, 60.0)[0] == pytest.approx(40.0, abs=0.5)
     assert run.errors(navigator, 60.0)[2] < 0.1
 
@@ -191,7 +191,7 @@ def test_wild_fixes_for_a_while_do_not_move_the_state() -> None:
         shift=lambda t: rng.normal(0.0, 200.0) if 30.0 <= t < 36.0 else 0.0,
     )
     # WHEN for twice the patience each contradicts the others
-    assert not any(v.reset for v in run.verdicts)
+    assert not any(v.inflated for v in run.verdicts)
     assert run.errors(navigator, 36.0)[0] < 2.0
 
 

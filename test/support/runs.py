@@ -8,10 +8,11 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise, ScaledNoise
-from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -23,15 +24,13 @@ Q = np.repeat([4e-4, 4e-6], 3)
 
 def begin(run: Run) -> InsFilter:
     stamps = run.samples["t_ns"]
-    process = ProcessNoise(run.bias_walk, 0.01)
     ring = ImuRing()
     ring.extend(run.samples[:1])
     return InsFilter(
         run.start,
         int(stamps[0]),
         np.concatenate((run.samples["f"][0], run.samples["w"][0])),
-        ScaledNoise(ConstantNoise(Q), process, NoiseScale()),
-        process,
+        FilterNoise(ConstantNoise(Q), ProcessNoise(run.bias_walk, 0.01), NoiseMultipleModelBank()),
         Gate({3: 25.0}, 3.0),
         ring,
         FilterSettings(max_delay=1.0),
@@ -46,13 +45,13 @@ def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
         stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))
         if stop > at + 1:
             ins.ring.extend(run.samples[at + 1 : stop])
-            ins.process_imu_block(run.samples[at + 1 : stop])
+            ins.predict_block(run.samples[at + 1 : stop])
             at = stop - 1
         ins.submit(fix)
-        factors.append((*ins.noise.scale.scale(), ins.noise.fix_factor))  # type: ignore[attr-defined]
+        factors.append((*ins.noise.imu_factors, ins.noise.fix_factor))
     if at + 1 < len(stamps):
         ins.ring.extend(run.samples[at + 1 :])
-        ins.process_imu_block(run.samples[at + 1 :])
+        ins.predict_block(run.samples[at + 1 :])
     return ins, np.array(factors)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from hybrid_ins.core.alignment import AlignmentSettings, yaw_of
 from hybrid_ins.core.chi_square import quantile
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import PositionFix
@@ -48,8 +49,9 @@ def make_navigator(
             np.full(3, 0.01),
         ),
         FilterSettings(),
-        lambda period: ProcessNoise(np.repeat([1e-6, 1e-8], 3), period),
-        lambda process: ConstantNoise(Q),
+        lambda period: FilterNoise(
+            ConstantNoise(Q), ProcessNoise(np.repeat([1e-6, 1e-8], 3), period)
+        ),
         lambda: Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
         max_gap,
         on_restart=on_restart,

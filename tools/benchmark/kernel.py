@@ -18,6 +18,7 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core import propagation
 from hybrid_ins.core.earth import curvature_scale, lla_to_ecef
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.kalman import correct
@@ -492,13 +493,11 @@ def _timed(call: Callable[[], object], repetitions: int, calls: int) -> list[flo
 def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
     ring = ImuRing()
     ring.extend(run.samples[:1])
-    process = ProcessNoise(run.bias_walk, 1.0 / rate)
     ins = InsFilter(
         run.start,
         int(run.samples["t_ns"][0]),
         np.array(reading(run, 0)),
-        ConstantNoise(run.q[0]),
-        process,
+        FilterNoise(ConstantNoise(run.q[0]), ProcessNoise(run.bias_walk, 1.0 / rate)),
         Gate({3: np.inf}, 3.0),
         ring,
         FilterSettings(),
@@ -509,7 +508,7 @@ def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
 def _update_call(run: Run) -> Callable[[], None]:
     ins, ring = _filter(run, RATE)
     ring.extend(run.samples[1:200])
-    ins.process_imu_block(run.samples[1:200])
+    ins.predict_block(run.samples[1:200])
     fix = PositionFix(ins.t_ns, run.start.lla, run.fixes[0].covariance_n, LEVER)
 
     def call() -> None:
@@ -534,7 +533,7 @@ def _rewinds(rate: float, repetitions: int, fixes: int) -> list[float]:
                 break
             if stop > at:
                 ring.extend(run.samples[at:stop])
-                ins.process_imu_block(run.samples[at:stop])
+                ins.predict_block(run.samples[at:stop])
                 at = stop
             start = time.perf_counter()
             ins.submit(fix)

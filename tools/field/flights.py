@@ -19,7 +19,7 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.fit import Run
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.cli.convert import DEFAULT_MAP, make_fixes, make_truth
-from hybrid_ins.core.ins_filter import NoiseEstimate
+from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.dataset.column_map import load_map

@@ -29,19 +29,19 @@ from numpy.typing import NDArray
 
 from hybrid_ins import parameters
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
-    InnovationNoise,
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
-    ScaledNoise,
 )
-from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.rotations import (
     left_jacobian,
     quat_conjugate,
@@ -316,10 +316,6 @@ def fly(run: Run, method: Method) -> Flight:
         The regressor cannot be loaded.
     """
     samples, stamps = run.samples, run.samples["t_ns"]
-    period = float(np.median(np.diff(stamps))) * 1e-9
-    process = ProcessNoise(
-        PAPER_WALK if method.as_printed else run.bias_walk, period, not method.as_printed
-    )
     ring = ImuRing()
     ring.extend(samples[:1])
     first = np.concatenate((samples["f"][0], samples["w"][0]))
@@ -329,8 +325,7 @@ def fly(run: Run, method: Method) -> Flight:
         run.start,
         int(stamps[0]),
         first,
-        _noise_model(method, run, process),
-        process,
+        noise_of(method, run),
         Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0),
         ring,
         settings,
@@ -345,7 +340,7 @@ def fly(run: Run, method: Method) -> Flight:
             stop = int(np.searchsorted(stamps, t_ns, side="right"))
             if stop > at + 1:
                 ring.extend(samples[at + 1 : stop])
-                ins.process_imu_block(samples[at + 1 : stop])
+                ins.predict_block(samples[at + 1 : stop])
                 at = stop - 1
             if isinstance(act, int):
                 state = ins.state
@@ -354,7 +349,7 @@ def fly(run: Run, method: Method) -> Flight:
                     error[act] = np.nan
                     break
                 P[act], q[act] = state.P, ins.noise.levels()
-                fallback[act] = ins.noise.source == "fallback"
+                fallback[act] = _on_fallback(ins)
             else:
                 act()
     return Flight(
@@ -369,7 +364,10 @@ def _events(
     stamps = run.samples["t_ns"]
     if method.kind == "oracle":
         for k in np.flatnonzero(np.diff(run.q[:, 0])).tolist():
-            change = NoiseChange(int(stamps[k + 1]), ConstantNoise(run.q[k + 1]))
+            change = NoiseChange(
+                int(stamps[k + 1]),
+                FilterNoise(ConstantNoise(run.q[k + 1]), process_of(method, run)),
+            )
             yield change.t_ns, 0, partial(ins.submit, change)
     if method.kind in ("learned", "scaled"):
         reader = NoiseReader(
@@ -387,20 +385,36 @@ def _events(
 def _refresh(ins: InsFilter, reader: NoiseReader, smoothing: float) -> None:
     """Give the filter the levels of its youngest samples."""
     estimate = reader.read(ins.ring, ins.t_ns)
-    if smoothing > 0.0 and estimate.q is not None and ins.noise.source == "learned":
+    if smoothing > 0.0 and estimate.q is not None and not _on_fallback(ins):
         kept = ins.noise.levels() ** smoothing
         estimate = replace(estimate, q=kept * estimate.q ** (1.0 - smoothing))
     ins.submit(estimate)
+
+
+def _on_fallback(ins: InsFilter) -> bool:
+    return isinstance(ins.noise.model, LearnedNoise) and ins.noise.model.on_fallback
+
+
+def process_of(method: Method, run: Run) -> ProcessNoise:
+    """Return the way from variances to Qc that a method uses."""
+    period = float(np.median(np.diff(run.samples["t_ns"]))) * 1e-9
+    walk = PAPER_WALK if method.as_printed else run.bias_walk
+    return ProcessNoise(walk, period, not method.as_printed)
+
+
+def noise_of(method: Method, run: Run) -> FilterNoise:
+    """Return the noise that a filter assumes under a method."""
+    process = process_of(method, run)
+    factors = NoiseMultipleModelBank() if method.kind == "scaled" else None
+    return FilterNoise(_noise_model(method, run, process), process, factors)
 
 
 def _noise_model(method: Method, run: Run, process: ProcessNoise) -> NoiseModel:
     q = np.repeat(method.q, 3)
     if method.kind == "oracle":
         return ConstantNoise(run.q[0])
-    if method.kind == "learned":
+    if method.kind in ("learned", "scaled"):
         return LearnedNoise(q)
-    if method.kind == "scaled":
-        return ScaledNoise(LearnedNoise(q), process, NoiseScale())
     if method.kind in ("innovation", "literal"):
         floor = np.repeat(
             [

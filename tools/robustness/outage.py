@@ -18,7 +18,6 @@ from tqdm import tqdm
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.noise import ProcessNoise
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import N_ERROR
 from hybrid_ins.evaluation.statistics import mean_band, nees
@@ -41,15 +40,13 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
     run = montecarlo.draw(scenario, seed)
     samples = run.samples
     stamps = samples["t_ns"]
-    process = ProcessNoise(run.bias_walk, float(np.median(np.diff(stamps))) * 1e-9)
     ring = ImuRing()
     ring.extend(samples[:1])
     ins = InsFilter(
         run.start,
         int(stamps[0]),
         np.concatenate((samples["f"][0], samples["w"][0])),
-        montecarlo._noise_model(method, run, process),
-        process,
+        montecarlo.noise_of(method, run),
         Gate({m: chi_square.quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
         ring,
         FilterSettings(max_delay=0.2),
@@ -63,7 +60,7 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
         stop = int(np.searchsorted(stamps, t_ns, side="right"))
         if stop > at + 1:
             ring.extend(samples[at + 1 : stop])
-            ins.process_imu_block(samples[at + 1 : stop])
+            ins.predict_block(samples[at + 1 : stop])
             at = stop - 1
         if not isinstance(act, int):
             act()

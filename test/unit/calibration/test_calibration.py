@@ -30,6 +30,7 @@ from hybrid_ins.cli.calibrate import (
     ordinary_levels,
     table,
 )
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import PositionFix
@@ -115,8 +116,7 @@ def test_compiled_pass_is_the_filter() -> None:
         initial,
         int(stamps[0]),
         run.samples[0],
-        ConstantNoise(psd[[0, 1, 2, 3, 4, 5]]),
-        ProcessNoise(psd[6:], 1.0),
+        FilterNoise(ConstantNoise(psd[:6]), ProcessNoise(psd[6:], 1.0)),
         Gate(dict.fromkeys((1, 2, 3), 1e9), 3.0),
         ImuRing(),
         FilterSettings(0.01),
@@ -125,7 +125,7 @@ def test_compiled_pass_is_the_filter() -> None:
         own.submit(
             PositionFix(round(run.aid_t[k] * 1e9) + 10**9, run.aid[k], run.aid_R[k], LEVER_B)
         )
-    own.process_imu_block(samples[1:])
+    own.predict_block(samples[1:])
     # THEN both judge every fix alike
     expected = np.array([verdict.nis for verdict in own.verdicts])
     np.testing.assert_allclose(nis[: len(expected)], expected, rtol=1e-5)

@@ -31,7 +31,7 @@ def gate() -> Gate:
 def test_sound_fix_is_accepted_with_all_that_was_used(gate: Gate) -> None:
     verdict = judge(gate, 1.0, 0.5)
 
-    assert verdict.accepted and not verdict.reset and verdict.reason == ""
+    assert verdict.accepted and not verdict.inflated and verdict.reason == ""
     assert verdict.nis == pytest.approx(0.375) and verdict.threshold == 21.1
     assert verdict.sigma == pytest.approx([1.0, 1.0, 1.0])
     assert verdict.log_det == pytest.approx(3.0 * np.log(2.0))
@@ -48,21 +48,21 @@ def test_fixes_that_agree_win_after_the_patience(gate: Gate) -> None:
     verdicts = [judge(gate, t, 50.0 + 0.1 * t) for t in np.arange(0.0, 4.0, 0.5)]
 
     assert [v.accepted for v in verdicts[:6]] == [False] * 6
-    assert verdicts[6].accepted and verdicts[6].reset and "3.0 s" in verdicts[6].reason
+    assert verdicts[6].accepted and verdicts[6].inflated and "3.0 s" in verdicts[6].reason
     assert not verdicts[7].accepted  # and from there on as before
 
 
 def test_shift_that_grows_is_agreement(gate: Gate) -> None:
     verdicts = [judge(gate, t, 10.0 + 10.0 * t) for t in np.arange(0.0, 4.0, 1.0)]
 
-    assert verdicts[-1].reset
+    assert verdicts[-1].inflated
 
 
 def test_fixes_that_contradict_each_other_wait_longer_but_not_for_ever(gate: Gate) -> None:
     verdicts = [judge(gate, t, RNG.normal(0.0, 100.0, 3)) for t in np.arange(0.0, 9.5, 0.5)]
 
     assert not any(v.accepted for v in verdicts[:12])
-    assert any(v.reset for v in verdicts)
+    assert any(v.inflated for v in verdicts)
 
 
 def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
@@ -72,7 +72,7 @@ def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
 
     assert not judge(gate, 3.5, 50.0).accepted
     assert not judge(gate, 6.0, 50.0).accepted
-    assert judge(gate, 6.5, 50.0).reset
+    assert judge(gate, 6.5, 50.0).inflated
 
 
 def test_fix_that_barely_fits_after_refusals_that_agree_opens_the_state(gate: Gate) -> None:
@@ -84,11 +84,11 @@ def test_fix_that_barely_fits_after_refusals_that_agree_opens_the_state(gate: Ga
     barely = judge(gate, 2.0, 3.0)
     well = judge(twin, 2.0, 1.0)
 
-    assert barely.nis < barely.threshold and barely.reset
-    assert well.accepted and not well.reset
+    assert barely.nis < barely.threshold and barely.inflated
+    assert well.accepted and not well.inflated
     alone = Gate({3: 21.1}, patience=3.0)
     judge(alone, 0.0, 5.0)
-    assert not judge(alone, 0.2, 3.0).reset
+    assert not judge(alone, 0.2, 3.0).inflated
 
 
 def test_kinds_are_judged_apart(gate: Gate) -> None:
@@ -111,5 +111,5 @@ def test_copy_does_not_share_its_memory(gate: Gate) -> None:
     twin = copy.copy(gate)
     judge(gate, 1.0, 0.0)
 
-    assert judge(twin, 3.0, 50.0).reset
+    assert judge(twin, 3.0, 50.0).inflated
     assert not judge(gate, 3.0, 50.0).accepted

@@ -1,5 +1,7 @@
 """What an IMU's readings show to be wrong with it, and what they do not."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -69,10 +71,10 @@ def test_sound_readings_have_none(noise: tuple[float, float]) -> None:
     assert find_fault(window(*noise)) is None
 
 
-def test_propellers_are_no_spikes(flights) -> None:
-    from tools.field import flights
+def test_propellers_are_no_spikes(flights: Path) -> None:
+    from tools.field.flights import load
 
-    flight = flights.load(flights, 20, 1)
+    flight = load(flights, 20, 1)
     samples = np.zeros(len(flight.stamp_ns), SAMPLE_DTYPE)
     samples["t_ns"] = flight.stamp_ns
     samples["f"], samples["w"] = flight.force, flight.rate

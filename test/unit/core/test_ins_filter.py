@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from support.analytic_motion import Series, Truth, Wave, difference, travel
 
 from hybrid_ins.core import earth
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import (
     FilterSettings,
     InsFilter,
     Measurement,
     NoiseChange,
-    NoiseEstimate,
 )
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise import ConstantNoise, NoiseEstimate, ProcessNoise
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import LLA, N_ERROR, N_NAV, PSD, QUAT, VELOCITY, Array, NavState
@@ -72,6 +72,10 @@ def fix(
     )
 
 
+def constant(q: np.ndarray, period: float = 0.01) -> FilterNoise:
+    return FilterNoise(ConstantNoise(q), ProcessNoise(BIAS_WALK, period))
+
+
 def make_filter(
     truth: Truth,
     *,
@@ -94,8 +98,7 @@ def make_filter(
         state,
         int(truth.t_ns[0]),
         truth.readings[0],
-        ConstantNoise(Q),
-        ProcessNoise(BIAS_WALK, float(truth.t[1] - truth.t[0])),
+        constant(Q, float(truth.t[1] - truth.t[0])),
         Gate(dict.fromkeys(range(1, 7), threshold), patience),
         ring,
         FilterSettings(covariance_interval=interval, max_delay=max_delay),
@@ -110,14 +113,14 @@ def fly(
         t_ns = int(sample["t_ns"])
         reading = (*sample["f"].tolist(), *sample["w"].tolist())
         ins.ring.push(t_ns, *reading)
-        ins.process_imu(t_ns, *reading)
+        ins.predict(t_ns, *reading)
         for measurement in (arrivals or {}).get(t_ns, []):
             ins.submit(measurement)
 
 
 def fly_block(ins: InsFilter, samples: np.ndarray) -> None:
     ins.ring.extend(samples)
-    ins.process_imu_block(samples)
+    ins.predict_block(samples)
 
 
 # Fixes at their own stamp
@@ -182,7 +185,7 @@ def test_blocks_of_any_length_are_the_same_as_sample_by_sample() -> None:
         for start in range(0, len(samples), length):
             piece = slice(start, start + length)
             block.ring.extend(samples[piece])
-            block.process_imu_block(samples[piece], kept[piece])
+            block.predict_block(samples[piece], kept[piece])
         np.testing.assert_array_equal(block.nav[:N_NAV], live.nav[:N_NAV])
         np.testing.assert_array_equal(kept, rows)
 
@@ -289,7 +292,7 @@ def test_fix_that_is_too_old_is_refused_with_its_age(
 
 def test_noise_takes_effect_at_its_stamp_also_when_late() -> None:
     truth = flight()
-    change = NoiseChange(SECOND + 3_000_000, ConstantNoise(100.0 * Q))
+    change = NoiseChange(SECOND + 3_000_000, constant(100.0 * Q))
     in_order, late = make_filter(truth), make_filter(truth)
     in_order.submit(change)
     fly_block(in_order, imu(truth)[1:])
@@ -307,7 +310,7 @@ def test_very_late_noise_takes_effect_now() -> None:
     ins = make_filter(truth, max_delay=0.5)
     fly(ins, imu(truth)[1:301])
 
-    ins.submit(NoiseChange(SECOND, ConstantNoise(100.0 * Q)))
+    ins.submit(NoiseChange(SECOND, constant(100.0 * Q)))
     ins.submit(NoiseEstimate(SECOND, Q))
 
     np.testing.assert_allclose(ins.nav[PSD][:6], 100.0 * Q * 0.01)
@@ -446,7 +449,7 @@ def test_fixes_refused_for_long_are_believed_at_last() -> None:
 
     accepted = [v.accepted for v in ins.verdicts]
     assert accepted == [True] * 5 + [False] * 5 + [True] * 9
-    opened = [v for v in ins.verdicts if v.reset]
+    opened = [v for v in ins.verdicts if v.inflated]
     assert [v.measurement.t_ns for v in opened] == [11 * SECOND // 5]
     assert "opened" in opened[0].reason
     assert difference(truth.flat(-1), ins.nav)[0] == pytest.approx(-50.0, abs=0.5)
@@ -460,7 +463,7 @@ def test_one_good_fix_makes_the_gate_patient_again() -> None:
         ins.submit(fix(truth, k * SECOND // 5, (0.0, 0.0, 0.0) if k % 4 == 0 else (9.0, 0.0, 0.0)))
     fly_block(ins, imu(truth)[1:])
 
-    assert not any(v.reset for v in ins.verdicts)
+    assert not any(v.inflated for v in ins.verdicts)
     assert [v.accepted for v in ins.verdicts] == [k % 4 == 0 for k in range(1, 20)]
 
 

@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange, NoiseEstimate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
     Correction,
-    InnovationNoise,
     LearnedNoise,
+    NoiseEstimate,
     NoiseModel,
     ProcessNoise,
-    ScaledNoise,
 )
-from hybrid_ins.core.noise_multiple_model import NoiseScale
+from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, N_FLAT, NavState
 
@@ -52,6 +53,7 @@ def correction(
         "interval": interval,
         "nav": np.zeros(N_FLAT),
         "fused": True,
+        "restarted": False,
     }
     return Correction(**{f.name: given[f.name] for f in dataclasses.fields(Correction)})
 
@@ -96,47 +98,46 @@ def test_constant_stays_constant() -> None:
     given = Q.copy()
     noise = ConstantNoise(given)
     given[:] = 9.0
-    noise.refresh(1, 5.0 * Q)
+    noise.learn(NoiseEstimate(1, 5.0 * Q))
     noise.learn(correction(np.ones(3)))
 
     assert noise.levels() == pytest.approx(Q)
-    assert noise.source == "constant"
 
 
 def test_learned_starts_on_the_fallback_and_says_so() -> None:
     noise = LearnedNoise(FALLBACK)
-    noise.refresh(0, None)
+    noise.learn(NoiseEstimate(0, None))
 
     assert noise.levels() == pytest.approx(FALLBACK)
-    assert noise.source == "fallback"
+    assert noise.on_fallback
 
 
 def test_an_estimate_is_in_force_at_once() -> None:
     noise = LearnedNoise(FALLBACK)
-    noise.refresh(10**9, Q)
+    noise.learn(NoiseEstimate(10**9, Q))
 
     assert noise.levels() == pytest.approx(Q)
-    assert noise.source == "learned"
+    assert not noise.on_fallback
 
 
 def test_refused_estimates_fall_back_within_a_second_and_the_next_good_one_counts() -> None:
     # GIVEN a good estimate
     noise = LearnedNoise(FALLBACK)
-    noise.refresh(0, Q)
+    noise.learn(NoiseEstimate(0, Q))
 
     # WHEN every further one is refused
-    sources = []
+    fallback = []
     for k in range(1, 11):
-        noise.refresh(k * REFRESH_NS, None)
-        sources.append(noise.source)
+        noise.learn(NoiseEstimate(k * REFRESH_NS, None))
+        fallback.append(noise.on_fallback)
 
     # THEN one bad window does no harm, the fallback is in force within a second, and goes again
-    assert sources[0] == "learned"
-    assert sources[4:] == ["fallback"] * 6
+    assert not fallback[0]
+    assert fallback[4:] == [True] * 6
     assert noise.levels() == pytest.approx(FALLBACK)
-    noise.refresh(11 * REFRESH_NS, 2.0 * Q)
+    noise.learn(NoiseEstimate(11 * REFRESH_NS, 2.0 * Q))
     assert noise.levels() == pytest.approx(2.0 * Q)
-    assert noise.source == "learned"
+    assert not noise.on_fallback
 
 
 def test_only_what_exceeds_the_background_counts_as_more_than_the_constant() -> None:
@@ -144,7 +145,7 @@ def test_only_what_exceeds_the_background_counts_as_more_than_the_constant() -> 
     noise = LearnedNoise(FALLBACK, 100.0 * FALLBACK)
 
     def counts(times: float) -> float:
-        noise.refresh(0, times * FALLBACK)
+        noise.learn(NoiseEstimate(0, times * FALLBACK))
         ratio = noise.levels() / FALLBACK
         assert np.ptp(ratio) < 1e-9
         return float(ratio[0])
@@ -182,7 +183,6 @@ def test_innovation_levels_are_the_mean_square_correction_over_the_interval() ->
     mean_square = 0.25 * (first**2 + second**2) / 2.0
     expected = np.concatenate((mean_square, 0.01 * mean_square)) / 0.2 / 0.01
     assert noise.levels() == pytest.approx(expected)
-    assert noise.source == "innovation"
 
 
 def test_only_the_last_innovations_count() -> None:
@@ -248,39 +248,51 @@ def test_corrections_without_three_components_or_without_time_teach_nothing() ->
 )
 def test_a_shallow_copy_is_a_snapshot(noise: NoiseModel) -> None:
     """The filter keeps copies to rewind to: what comes later must not reach them."""
-    noise.refresh(10**9, Q)
+    noise.learn(NoiseEstimate(10**9, Q))
     for _ in range(2):
         noise.learn(correction(np.ones(3)))
     snapshot = copy.copy(noise)
-    before, source = snapshot.levels().copy(), snapshot.source
+    before = snapshot.levels().copy()
 
-    noise.refresh(2 * 10**9, 7.0 * Q)
+    noise.learn(NoiseEstimate(2 * 10**9, 7.0 * Q))
     for _ in range(3):
         noise.learn(correction(np.full(3, 5.0)))
-    noise.refresh(9 * 10**9, None)
+    noise.learn(NoiseEstimate(9 * 10**9, None))
 
     assert snapshot.levels() == pytest.approx(before)
-    assert snapshot.source == source
 
 
-def test_factors_on_the_fallback_say_nothing_of_what_is_learned_afterwards(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    forgot: list[bool] = []
-    scale = NoiseScale()
-    monkeypatch.setattr(scale, "forget", lambda evidence: forgot.append(evidence))
-    noise = ScaledNoise(LearnedNoise(FALLBACK), process(), scale)
-    noise.refresh(0, Q)
-    noise.refresh(10**9, None)
-    assert noise.source == "fallback" and not forgot
-    noise.refresh(2 * 10**9, Q)
-    assert noise.source == "learned" and not forgot  # nothing was raised
+def test_factors_on_the_fallback_are_dropped_once_there_is_an_estimate() -> None:
+    restarts: list[bool] = []
 
-    noise.refresh(3 * 10**9, None)
-    monkeypatch.setattr(scale, "scale", lambda: (50.0, 1.0))
-    noise.refresh(4 * 10**9, Q)
+    class Factors(NoiseMultipleModelBank):
+        def restart(self, *, keep_weights: bool) -> None:
+            restarts.append(keep_weights)
 
-    assert noise.source == "learned" and forgot == [True]
+    factors, model = Factors(), LearnedNoise(FALLBACK)
+    noise = FilterNoise(model, process(), factors)
+    noise.take_estimate(NoiseEstimate(0, Q))
+    noise.take_estimate(NoiseEstimate(10**9, None))
+    assert model.on_fallback and not restarts
+    noise.take_estimate(NoiseEstimate(2 * 10**9, Q))
+    assert not model.on_fallback and not restarts  # no factor was above 1
+
+    noise.take_estimate(NoiseEstimate(3 * 10**9, None))
+    factors.imu_factors = (50.0, 1.0)
+    noise.take_estimate(NoiseEstimate(4 * 10**9, Q))
+
+    assert not model.on_fallback and restarts == [False]
+
+
+def test_innovations_from_before_a_restart_are_dropped() -> None:
+    noise = FilterNoise(InnovationNoise(FALLBACK, np.zeros(6), 2, process()), process())
+    noise.take_correction(correction(np.full(3, 100.0)))
+    noise.restart(keep_weights=True)
+    noise.take_correction(correction(np.ones(3)))
+    assert noise.levels() == pytest.approx(FALLBACK)
+    noise.take_correction(correction(np.ones(3)))
+
+    assert noise.levels()[:3] == pytest.approx(np.full(3, 1.0 / 0.2 / 0.01))
 
 
 def test_an_estimate_reaches_the_covariance_at_its_stamp_also_when_it_comes_late() -> None:
@@ -300,7 +312,7 @@ def test_another_model_takes_over_without_touching_the_state() -> None:
     rate = 100
     ins = still_filter(ConstantNoise(Q), rate)
     before = advance(ins, rate, 0.5)
-    ins.submit(NoiseChange(ins.t_ns, ConstantNoise(4.0 * Q)))
+    ins.submit(NoiseChange(ins.t_ns, FilterNoise(ConstantNoise(4.0 * Q), process(1.0 / rate))))
     at_change = ins.state
     after = advance(ins, rate, 0.5)
 
@@ -324,8 +336,7 @@ def still_filter(noise: NoiseModel, rate: int) -> InsFilter:
         state,
         10**9,
         np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0]),
-        noise,
-        process(1.0 / rate),
+        FilterNoise(noise, process(1.0 / rate)),
         Gate({3: 30.0}, 3.0),
         ImuRing(),
         FilterSettings(),
@@ -337,5 +348,5 @@ def advance(ins: InsFilter, rate: int, duration: float) -> NavState:
     samples["t_ns"] = ins.t_ns + 10**9 // rate * np.arange(1, len(samples) + 1)
     samples["f"][:, 2] = -9.8
     ins.ring.extend(samples)
-    ins.process_imu_block(samples)
+    ins.predict_block(samples)
     return ins.state

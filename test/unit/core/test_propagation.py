@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support.analytic_motion import Series, Truth, Wave, travel
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.covariance_step import covariance_step
+from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.error_model import discretise, noise_matrix, system_matrix
 from hybrid_ins.core.state import (
     B_A,

@@ -1,0 +1,101 @@
+"""
+All that a filter assumes about noise: Qc, and the factor on the covariance of fixes.
+
+References
+----------
+.. [1] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
+       2022, eq. (5)-(7).
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank, StateCorrection
+
+Array = NDArray[np.float64]
+
+
+class FilterNoise:
+    """
+    A noise model, its way to Qc, and the factors that the innovations put on it.
+
+    A copy is a checkpoint.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Per-sample variances of the IMU.
+    process : ProcessNoise
+        Converts them to densities.
+    factors : NoiseMultipleModelBank, optional
+        Estimates factors on those variances and on the covariance of fixes; none: all are 1.
+    """
+
+    def __init__(
+        self,
+        model: NoiseModel,
+        process: ProcessNoise,
+        factors: NoiseMultipleModelBank | None = None,
+    ) -> None:
+        self.model = model
+        self.process = process
+        self.factors = factors
+        self._restarted = False
+
+    def __copy__(self) -> FilterNoise:
+        twin = FilterNoise(copy.copy(self.model), self.process, copy.copy(self.factors))
+        twin._restarted = self._restarted
+        return twin
+
+    @property
+    def imu_factors(self) -> tuple[float, float]:
+        """Factors on the variances of accelerometer and gyroscope."""
+        return (1.0, 1.0) if self.factors is None else self.factors.imu_factors
+
+    @property
+    def fix_factor(self) -> float:
+        """Factor on the covariance that fixes claim."""
+        return 1.0 if self.factors is None else self.factors.fix_factor
+
+    def levels(self) -> Array:
+        """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
+        levels = self.model.levels()
+        if self.factors is None:
+            return levels
+        a, g = self.factors.imu_factors
+        return np.asarray(levels * np.array((a, a, a, g, g, g)))
+
+    def psd(self) -> Array:
+        """Return the diagonal of Qc, shape (12,)."""
+        return self.process.psd(self.levels())
+
+    def take_estimate(self, estimate: NoiseEstimate) -> None:
+        """Take a regressor's estimate; factors above 1 that a stand-in needed are dropped."""
+        replaced = self.model.learn(estimate)
+        if replaced and self.factors is not None and max(self.imu_factors) > 1.0:
+            self.factors.restart(keep_weights=False)
+
+    def take_correction(self, correction: Correction) -> StateCorrection | None:
+        """Take a correction, or a rejected measurement; may return where the state belongs."""
+        self.model.learn(replace(correction, restarted=self._restarted))
+        self._restarted = False
+        if self.factors is None:
+            return None
+        return self.factors.update(correction, self.process.psd(self.model.levels()))
+
+    def restart(self, *, keep_weights: bool) -> None:
+        """
+        Drop what refers to the present state: it is changed by other means than measurements.
+
+        Without ``keep_weights`` the factors are dropped too: they were learned from measurements
+        that proved inconsistent with the state.
+        """
+        self._restarted = True
+        if self.factors is not None:
+            self.factors.restart(keep_weights=keep_weights)
