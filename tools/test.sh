@@ -1,16 +1,29 @@
 #!/usr/bin/env bash
-# Set up, lint, check the types and run the tests. Arguments go to pytest:
+# Set up, then check the format, lint and types, and run the tests on all processors.
 #
-#   tools/test.sh                  everything
-#   tools/test.sh -k alignment     the tests about alignment
+#   tools/test.sh                  everything that a change of the package can break
+#   tools/test.sh all              also the research results and the training of the regressors
+#   tools/test.sh -k alignment     some of the tests: options go to pytest
+#   tools/test.sh -n 0 --pdb       in one process, as a debugger needs it
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-bash tools/setup.sh plot test
+extras=(plot fleet lint test)
+folders=(test/unit test/scenario test/system)
+if [ "${1:-}" = all ]; then
+    shift
+    extras+=(train)
+    folders+=(test/research)
+fi
+bash tools/setup.sh "${extras[@]}"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
 export PATH=$PWD/.venv/bin:$PATH
 
 status=0
+ruff format --check --quiet || {
+    echo "tools/test.sh: run ruff format" >&2
+    status=1
+}
 ruff check --quiet || status=1
 if python -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     mypy --no-error-summary || status=1
@@ -18,5 +31,12 @@ else
     echo "tools/test.sh: types are not checked: those of the numpy for Python 3.10 are too old" >&2
 fi
 [ $status = 0 ] || echo "tools/test.sh: the checks above failed; now the tests" >&2
-python -m pytest "$@" || status=$?
+
+named=()
+for word in "$@"; do
+    [ ! -e "${word%%::*}" ] || named+=("$word")
+done
+[ ${#named[@]} = 0 ] || folders=()
+python -m hybrid_ins.kernels >/dev/null # once, not in every process
+python -m pytest -n "$(nproc)" --dist worksteal "${folders[@]}" "$@" || status=$?
 exit $status
