@@ -20,10 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # each process has one core to itself
-
 import numpy as np
-from joblib import Parallel, delayed
 
 from hybrid_ins import parameters, progress
 from hybrid_ins.calibration.fit import Pass
@@ -39,6 +36,7 @@ from tools.field.flights import IMUS, SESSIONS, Fixes, Flight, as_run, fixes, fl
 from tools.paper import montecarlo
 from tools.paper.evaluate import Bar, at_most, table
 from tools.paper.montecarlo import Method, Scenario
+from tools.parallel import run_parallel
 
 OURS, TUNED, BEST = "HB-AEKF, ours", "tuned on the other session", "best constant in hindsight"
 NO_BACKGROUND = {
@@ -355,12 +353,7 @@ def run_all(
     arguments: Sequence[tuple[Any, ...]],
 ) -> list[Row]:
     """Do all parts in some processes; returns their rows in order."""
-    if jobs == 1:
-        parts: Iterable[list[Row]] = (cache.run(function, a) for a in arguments)
-    else:
-        parts = Parallel(jobs, return_as="generator")(
-            delayed(cache.run)(function, a) for a in arguments
-        )
+    parts = run_parallel(cache.run, [(function, words) for words in arguments], jobs)
     return [row for part in progress.track(parts, label, len(arguments), "part") for row in part]
 
 

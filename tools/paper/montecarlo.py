@@ -16,10 +16,7 @@ References
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -56,6 +53,7 @@ from hybrid_ins.evaluation.statistics import nees
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.simulation.motions import Motion, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
+from tools.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
@@ -455,7 +453,7 @@ def fly_all(
     scenario: Scenario, methods: Sequence[Method], seeds: Sequence[int], jobs: int = 1
 ) -> Iterator[tuple[int, list[Flight]]]:
     """
-    Fly every method on the run of every seed; yields (seed, flights) as they are done.
+    Fly every method on the run of every seed; yields (seed, flights) in their order.
 
     Parameters
     ----------
@@ -464,17 +462,8 @@ def fly_all(
     jobs : int
         Processes to use; 1 stays in this one.
     """
-    if jobs <= 1:
-        for seed in seeds:
-            yield seed, _fly_one(scenario, methods, seed)
-        return
-    # Each process has one core to itself: their linear algebra must not fight over them.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context) as pool:
-        waiting = {pool.submit(_fly_one, scenario, methods, seed): seed for seed in seeds}
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
+    flown = run_parallel(_fly_one, [(scenario, methods, seed) for seed in seeds], jobs)
+    yield from zip(seeds, flown, strict=True)
 
 
 def _fly_one(scenario: Scenario, methods: Sequence[Method], seed: int) -> list[Flight]:

@@ -20,17 +20,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
-from tqdm import tqdm
 
-from hybrid_ins import parameters
+from hybrid_ins import parameters, progress
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import calibrate, convert, replay, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import trajectory_from_odometry
+from tools.parallel import run_parallel
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.faults import FAULTS, Fault, Flight
 
@@ -527,13 +526,9 @@ def _body(args: argparse.Namespace) -> int:
         if args.flight:
             cases.append(make_recorded(Path(folder), args.flight, args.imu, args.time_offset))
         clean = {case.name: replayed(case, None, Path(folder)).trace for case in cases}
-        jobs = [
-            joblib.delayed(attempt)(case, fault.name, clean[case.name])
-            for fault in faults
-            for case in cases
-        ]
-        parallel = joblib.Parallel(args.jobs, return_as="generator")
-        rows += tqdm(parallel(jobs), total=len(jobs), desc="faults", disable=None)
+        runs = [(case, fault.name, clean[case.name]) for fault in faults for case in cases]
+        results = run_parallel(attempt, runs, args.jobs)
+        rows += progress.track(results, "faults", len(runs), "run")
         if args.live:
             rows += _live(faults, cases, clean, Path(folder))
     print(table(rows))
@@ -556,13 +551,9 @@ def _live(
     chosen = [fault for fault in faults if fault.name in LIVE]
     return [
         attempt_live(case, fault, clean[case.name], folder)
-        for fault in tqdm(chosen, desc="live", disable=None)
+        for fault in progress.track(chosen, "live", len(chosen), "run")
     ]
 
 
 if __name__ == "__main__":
-    from tools.robustness import (
-        fault_campaign,  # what is in __main__ cannot be sent to other processes
-    )
-
-    raise SystemExit(fault_campaign.main())
+    sys.exit(main())

@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
@@ -33,6 +31,7 @@ from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, car_drive, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 from tools.field import flights
+from tools.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
@@ -275,9 +274,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--verbose", action="store_true", help="print every run")
     args = parser.parse_args(argv)
-    progress.hide()
     cases = [simulated(kind, seed) for kind in KINDS for seed in range(args.simulated)]
-    parallel = joblib.Parallel(args.jobs, return_as="generator")
     if args.data:
         numbers = [n for session in flights.SESSIONS.values() for n in session]
         keys = [(n, imu) for n in numbers for imu in args.imus]
@@ -285,21 +282,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             json.loads(args.offsets.read_text()) if (args.offsets and args.offsets.exists()) else {}
         )
         missing = [key for key in keys if "{}/{}".format(*key) not in kept]
-        found = parallel(joblib.delayed(calibrated)(args.data, *key) for key in missing)
+        found = run_parallel(calibrated, [(args.data, *key) for key in missing], args.jobs)
         for key, offset in zip(
-            missing, tqdm(found, total=len(missing), desc="offsets"), strict=True
+            missing, progress.track(found, "offsets", len(missing), "flight"), strict=True
         ):
             kept["{}/{}".format(*key)] = offset
             if args.offsets:
                 args.offsets.write_text(json.dumps(kept, indent=1))
         cases += [recorded(args.data, n, imu, kept[f"{n}/{imu}"]) for n, imu in keys]
-    rows = [
-        row
-        for part in tqdm(
-            parallel(joblib.delayed(run)(case) for case in cases), total=len(cases), desc="runs"
-        )
-        for row in part
-    ]
+    flown = run_parallel(run, [(case,) for case in cases], args.jobs)
+    rows = [row for part in progress.track(flown, "runs", len(cases), "run") for row in part]
     print(
         "| runs | number | within 5° after 20 s | median | largest | silently wrong "
         "| aligned after | position RMSE ratio: median, RMS |\n|---|---|---|---|---|---|---|---|"
@@ -323,6 +315,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from tools.robustness import heading  # what is in __main__ cannot be sent to other processes
-
-    raise SystemExit(heading.main())
+    raise SystemExit(main())

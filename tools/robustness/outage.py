@@ -11,10 +11,9 @@ import argparse
 import os
 from collections.abc import Sequence
 
-import joblib
 import numpy as np
-from tqdm import tqdm
 
+from hybrid_ins import progress
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
@@ -24,6 +23,7 @@ from hybrid_ins.evaluation.statistics import mean_band, nees
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight
 from tools.paper import montecarlo
 from tools.paper.montecarlo import T0_NS, Method, Scenario
+from tools.parallel import run_parallel
 
 OUTAGE = (60.0, 60.0)  # s, start and duration
 FIRST = 5  # fixes after the return
@@ -95,15 +95,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     good = True
     for kind in KINDS:
         for mode in args.modes:
-            jobs = (joblib.delayed(fly)(kind, mode, 7000 + k) for k in range(args.runs))
-            results = list(
-                tqdm(
-                    joblib.Parallel(args.jobs, return_as="generator")(jobs),
-                    total=args.runs,
-                    desc=kind,
-                    disable=None,
-                )
-            )
+            runs = [(kind, mode, 7000 + k) for k in range(args.runs)]
+            flown = run_parallel(fly, runs, args.jobs)
+            results = list(progress.track(flown, kind, args.runs, "run"))
             states = np.array([r[0] for r in results]).mean(axis=0)
             nis = np.array([r[1] for r in results])
             refused = sum(r[2] for r in results)
@@ -128,6 +122,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from tools.robustness import outage  # what is in __main__ cannot be sent to other processes
-
-    raise SystemExit(outage.main())
+    raise SystemExit(main())

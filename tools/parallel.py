@@ -1,0 +1,44 @@
+"""One function over many arguments, on several processors of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import starmap
+from typing import Any, TypeVar
+
+from hybrid_ins import progress
+
+T = TypeVar("T")
+
+
+def run_parallel(
+    function: Callable[..., T], arguments: Iterable[tuple[Any, ...]], jobs: int
+) -> Iterator[T]:
+    """
+    Yield ``function(*words)`` for each tuple of words, in their order.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that another process can import it.
+    arguments : iterable of tuple
+        Of values that can be pickled.
+    jobs : int
+        Processes; 1 stays in this one.
+    """
+    if jobs == 1:
+        yield from starmap(function, arguments)
+        return
+    # Each process has a processor to itself: their linear algebra must not compete for them.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, spawn, initializer=progress.hide) as pool:
+        futures = [pool.submit(function, *words) for words in arguments]
+        try:
+            for future in futures:
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
