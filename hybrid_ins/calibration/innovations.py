@@ -1,8 +1,8 @@
 """
 The innovations of a whole recording for given parameters, in one compiled pass.
 
-What `InsFilter` does to a recording in order and without a gate, made to be called thousands of
-times by an optimiser.
+It is `InsFilter` over a recording in order and without a gate, for an optimiser that calls it
+thousands of times.
 
 References
 ----------
@@ -35,7 +35,7 @@ POSITION, VELOCITY = 0, 1
 
 @kernel(nogil=True)
 def innovations(  # type: ignore[no-untyped-def]
-    nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, rows
+    nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, states
 ):
     """
     Run the filter from ``nav`` over all samples and aiding measurements, in order of time.
@@ -54,16 +54,16 @@ def innovations(  # type: ignore[no-untyped-def]
     interval : float
         The covariance is propagated once this much time [s] is pending.
     tail : float
-        Degrees of freedom of the heavy-tailed noise that measurements are taken to have: one that
-        lies beyond what they promise is weighted down rather than gated [2]_; 0: Gaussian.
+        Degrees of freedom of the Student-t distribution assumed for the measurements: outliers
+        are given less weight rather than gated [2]_; 0: Gaussian.
     z, S, nis : ndarray, shape (M, 3), (M, 3, 3), (M,)
-        Written: innovations, covariances, normalised squares; NaN where a measurement lies outside
-        the samples, or in a component that was not given (S there: unit diagonal).
-    rows : ndarray, shape (M, N_NAV) or (0, N_NAV)
-        Written where there is room: the flat state after each measurement.
+        Written: innovations, covariances, normalised squares; NaN for a measurement outside the
+        samples and for a component that was not given (S there: unit diagonal).
+    states : ndarray, shape (M, N_NAV) or (0, N_NAV)
+        Written if it is not empty: the flat state after each measurement.
     """
     z[:], S[:], nis[:] = np.nan, np.nan, np.nan
-    keep = rows.shape[0] > 0
+    keep = states.shape[0] > 0
     count, n, i, k, now = aid_t.shape[0], t.shape[0], 1, 0, t[0]
     nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
     f, w = nav[LAST_F], nav[LAST_W]
@@ -73,7 +73,7 @@ def innovations(  # type: ignore[no-untyped-def]
         aiding = k < count and aid_t[k] <= t[i]
         then = aid_t[k] if aiding else t[i]
         if then > now:
-            # Between two samples the reading lies on their line.
+            # Between two samples the reading is interpolated linearly.
             s, a = samples[i], (then - now) / (t[i] - now)
             step(
                 nav,
@@ -97,7 +97,7 @@ def innovations(  # type: ignore[no-untyped-def]
             residual, H = velocity_model(nav, aid[k], lever_b)
         nis[k] = _fuse(nav, residual, H, aid_R[k], tail, z[k], S[k])
         if keep:
-            rows[k] = nav[:N_NAV]
+            states[k] = nav[:N_NAV]
         k += 1
 
 
@@ -125,11 +125,11 @@ def _fuse(nav, residual, H, R, tail, z, S):  # type: ignore[no-untyped-def]
 
 def log_likelihood(z: Array, S: Array, nis: Array, tail: float) -> Array:
     """
-    Log-density, shape (M,), of innovations that `innovations` wrote; [1]_.
+    Return the log-density (M,) of the innovations written by `innovations`; [1]_.
 
-    Multivariate Student t with ``tail`` degrees of freedom, eq. (1) of [2]_, its scale such that
-    Gaussian innovations of covariance S are the likeliest ones; Gaussian for ``tail`` 0. Zero for
-    a measurement that was outside the samples.
+    Multivariate Student t with ``tail`` degrees of freedom, eq. (1) of [2]_, scaled so that
+    Gaussian innovations have the largest likelihood at their own covariance; Gaussian for ``tail``
+    0. Zero for a measurement outside the samples.
     """
     m = np.sum(np.isfinite(z), axis=1)
     used = np.isfinite(nis)
@@ -155,8 +155,8 @@ def gaussian_scale(tail: float, m: int) -> float:
     """
     Return the b for which (1 + nis / b)^-((tail + m) / 2) is unbiased on Gaussian data.
 
-    That is where the mean of (tail + m) nis / (b + nis) over chi-square(m) is m: a Student t of
-    covariance S would take Gaussian innovations for larger than they are.
+    There, the mean of (tail + m) nis / (b + nis) over chi-square(m) is m. A Student t of
+    covariance S would overestimate the covariance of Gaussian innovations.
     """
     if m == 0:
         return tail
@@ -167,6 +167,6 @@ def gaussian_scale(tail: float, m: int) -> float:
     )
 
 
-def empty_rows(count: int = 0) -> Array:
-    """Return room for ``count`` flat states."""
+def empty_states(count: int = 0) -> Array:
+    """Return an array for ``count`` flat states."""
     return np.zeros((count, N_NAV))

@@ -23,16 +23,17 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters, progress
-from hybrid_ins.calibration.fit import Pass
+from hybrid_ins.calibration.derived import next_biases
+from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.cli import options, program
-from hybrid_ins.cli.calibrate import calibrate, next_biases
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.statistics import Ratio, paired_ratio
 from hybrid_ins.resources import share_path
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.simulation.sensors import ImuErrors
 from tools.field import figures
-from tools.field.flights import IMUS, SESSIONS, Fixes, Flight, as_run, fixes, fly, load
+from tools.field.flights import IMUS, SESSIONS, Fixes, Flight, as_recording, fixes, fly, load
 from tools.paper import montecarlo
 from tools.paper.evaluate import Bar, at_most, table
 from tools.paper.montecarlo import Method, Scenario
@@ -235,14 +236,14 @@ def calibrate_task(data: Path, numbers: Sequence[int], imu: int) -> list[Row]:
     flights = [load(data, number, imu) for number in numbers]
     given = parameters.defaults()
     found = calibrate(
-        [as_run(f, fixes(f, 5.0, 0, ())) for f in flights],
+        [as_recording(f, fixes(f, 5.0, 0, ())) for f in flights],
         given,
         own_offsets=True,
         search=1.0,
         antenna_is_base=True,
     )
     exact = calibrate(
-        [as_run(f, Fixes(f.truth.stamp_ns, f.position.lla, TRUTH)) for f in flights],
+        [as_recording(f, Fixes(f.truth.stamp_ns, f.position.lla, TRUTH)) for f in flights],
         {**given, "gnss.time_offset.value": found.values["gnss.time_offset.value"]},
         own_offsets=True,
         search=0.3,
@@ -272,7 +273,7 @@ def calibrate_task(data: Path, numbers: Sequence[int], imu: int) -> list[Row]:
     ]
 
 
-def _biases(others: Sequence[Pass]) -> dict[str, Any]:
+def _biases(others: Sequence[FilterPass]) -> dict[str, Any]:
     """
     Biases at a flight's start, by the session's other flights.
 

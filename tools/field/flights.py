@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags.flight_bag import GnssRecord, stamps
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.calibration.fit import Run
 from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.cli.convert import DEFAULT_MAP, make_fixes, make_truth
 from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -274,11 +274,11 @@ def fly(
     return Flown(result, estimator)
 
 
-def as_run(flight: Flight, aid: Fixes) -> Run:
+def as_recording(flight: Flight, aid: Fixes) -> Recording:
     """Return what ``ins_calibrate`` would read from the bag."""
     origin = int(flight.stamp_ns[0])
     count = len(aid.stamp_ns)
-    return Run(
+    return Recording(
         f"{flight.name}/{flight.imu}",
         (flight.stamp_ns - origin) * 1e-9,
         np.ascontiguousarray(np.hstack((flight.force @ FLIP, flight.rate @ FLIP))),

@@ -12,24 +12,19 @@ from support.scenes import scene
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.calibration.fit import Pass, Run
+from hybrid_ins.calibration.derived import next_biases, ordinary_levels
+from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import Calibration, Findings, add_lever_arm, calibrate
 from hybrid_ins.calibration.innovations import (
     POSITION,
-    empty_rows,
+    empty_states,
     gaussian_scale,
     innovations,
     log_likelihood,
 )
-from hybrid_ins.cli.calibrate import (
-    Calibration,
-    _Report,
-    antenna_is_base,
-    calibrate,
-    main,
-    next_biases,
-    ordinary_levels,
-    table,
-)
+from hybrid_ins.calibration.recording import Recording, antenna_is_base
+from hybrid_ins.calibration.report import table
+from hybrid_ins.cli.calibrate import main
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
@@ -51,7 +46,7 @@ def a_run(
     seed: int = 0,
     duration: float = 45.0,
     standing: bool = False,
-) -> Run:
+) -> Recording:
     """A simulated recording whose fixes are stamped ``offset`` early."""
     trajectory = (
         motions.static(duration) if standing else motions.quadrotor_flight(duration, seed=seed)
@@ -59,7 +54,7 @@ def a_run(
     fix_times = np.arange(0.37, duration - 0.2, 0.2)
     seen = scene(trajectory, seed=seed, fix_times=fix_times, lever_arm_b=LEVER_B)
     M = len(fix_times)
-    return Run(
+    return Recording(
         "simulated",
         seen.t,
         np.hstack((seen.force, seen.rate)),
@@ -70,7 +65,7 @@ def a_run(
     )
 
 
-def run_pass(run: Run, nav: Array, tail: float = 0.0) -> tuple[Array, Array, Array]:
+def run_pass(run: Recording, nav: Array, tail: float = 0.0) -> tuple[Array, Array, Array]:
     M = len(run.aid_t)
     z, S, nis = np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M)
     innovations(
@@ -87,12 +82,12 @@ def run_pass(run: Run, nav: Array, tail: float = 0.0) -> tuple[Array, Array, Arr
         z,
         S,
         nis,
-        empty_rows(),
+        empty_states(),
     )
     return z, S, nis
 
 
-def first_state(run: Run) -> NavState:
+def first_state(run: Recording) -> NavState:
     truth = sensors.sample(motions.quadrotor_flight(10.0, seed=0), np.array([0.0]))
     P = np.diag(np.repeat([1.0, 0.25, 0.01, 0.01, 1e-4], 3))
     return NavState(
@@ -175,9 +170,9 @@ def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
     values = parameters.defaults()
     assert antenna_is_base([bag], values)
     assert not antenna_is_base([bag], {**values, "gnss.antenna_position": [0.0, 0.0, 0.1]})
-    # WHEN the lever arm is told
-    report = _Report(found.fitted, found.fitted, found.after, dict(values), 0.01)  # type: ignore[arg-type]
-    report.lever(np.eye(3), antenna_is_base=True)
+    # WHEN the lever arm is added
+    report = Findings(dict(values))
+    add_lever_arm(report, found.fitted, np.eye(3), antenna_is_base=True)
     # THEN it is the IMU that is away from the base
     arm = np.array(found.values["gnss.antenna_position"])
     np.testing.assert_allclose(report.values["imu.position"], -arm)
@@ -198,7 +193,7 @@ def test_biases_are_found_for_the_next_start(found: Calibration) -> None:
 
 
 def test_biases_that_differ_from_start_to_start_are_known_no_better_than_that() -> None:
-    def last_state(bias_g: float) -> Pass:
+    def last_state(bias_g: float) -> FilterPass:
         nav = NavState(
             np.zeros(3),
             np.zeros(3),
@@ -207,7 +202,7 @@ def test_biases_that_differ_from_start_to_start_are_known_no_better_than_that() 
             np.full(3, bias_g),
             np.diag(np.full(15, 1e-8)),
         ).to_flat()
-        return Pass(np.zeros((1, 3)), np.eye(3)[None], np.ones(1), nav[None, :N_NAV])
+        return FilterPass(np.zeros((1, 3)), np.eye(3)[None], np.ones(1), nav[None, :N_NAV])
 
     steady = next_biases([last_state(0.01)] * 6)[1]
     spread = next_biases([last_state(0.01 + d) for d in (-0.004, 0.004, -0.002, 0.002, 0, 0)])[1]

@@ -1,0 +1,215 @@
+"""The filter over one recording for given parameters, from its initial state to its innovations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.innovations import (
+    POSITION,
+    empty_states,
+    innovations,
+    log_likelihood,
+)
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.earth import curvature_scale, normal_gravity
+from hybrid_ins.core.rotations import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_from_rpy,
+)
+from hybrid_ins.core.state import N_ERROR, PSD, NavState
+
+Array = NDArray[np.float64]
+
+TAIL = 8.0  # degrees of freedom of the Student-t innovations
+INTERVAL = 0.02 - 1e-6  # s between propagations of the covariance
+TILT_STD = 0.1  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Nominal:
+    """Nominal parameters: where the search starts, and the initial biases."""
+
+    time_offset: float  # s
+    lever_b: Array  # (3,) m, antenna relative to the IMU
+    psd_a: float  # (m/s²)²/Hz
+    psd_g: float  # (rad/s)²/Hz
+    walk_a: float  # m/s²/√s
+    walk_g: float  # rad/s/√s
+    bias_a: Array  # (3,) m/s², b
+    bias_a_std: Array  # (3,) m/s²
+    bias_g: Array  # (3,) rad/s, b
+    bias_g_std: Array  # (3,) rad/s
+
+
+@dataclass(frozen=True, eq=False)
+class FilterPass:
+    """The innovations of the filter over one recording."""
+
+    z: Array  # (M, 3)
+    S: Array  # (M, 3, 3)
+    nis: Array  # (M,)
+    states: Array  # (M, N_NAV) after each measurement, or (0, N_NAV)
+
+    @property
+    def log_likelihood(self) -> Array:
+        """Log-density of each innovation, shape (M,)."""
+        return log_likelihood(self.z, self.S, self.nis, TAIL)
+
+
+def initial_state(
+    recording: Recording,
+    offset: float,
+    lever_b: Array,
+    nominal: Nominal,
+    yaw: float,
+    yaw_std: float,
+) -> tuple[int, Array]:
+    """
+    Return the sample and the flat state at which the filter starts.
+
+    A polynomial through the first fixes, robust to outliers, gives position, velocity and
+    acceleration; the specific force that corresponds to this acceleration gives the tilt. Samples
+    and fixes on both sides of the start are used.
+
+    Parameters
+    ----------
+    recording : Recording
+    offset : float
+        Clock offset added to the stamps of fixes [s].
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m].
+    nominal : Nominal
+    yaw, yaw_std : float
+        Heading from north and its standard deviation [rad].
+    """
+    fixes = np.flatnonzero(recording.aid_kind == POSITION)
+    t_fix = recording.aid_t[fixes] + offset
+    first = int(np.searchsorted(recording.t, t_fix[0]))
+    first = min(max(first, 0), len(recording.t) - 2)
+    now = recording.t[first]
+    window = fixes[: max(4, int(np.searchsorted(t_fix, now + 1.5)))]
+    dt = recording.aid_t[window] + offset - now
+    origin = recording.aid[window[0]].copy()
+    height = recording.aid[window, 2]
+    origin[2] = height[np.isfinite(height)][0] if np.any(np.isfinite(height)) else 0.0
+    scale = curvature_scale(origin)
+    positions = np.nan_to_num((recording.aid[window] - origin) * scale)
+    order = 2 if len(window) > 3 and np.ptp(dt) > 0.5 else 1
+    design = np.vander(dt, order + 1, increasing=True)
+    R0 = np.nan_to_num(recording.aid_R[window[0]], posinf=1e4)
+    coefficients, weights = _robust_polynomial(design, positions, np.sqrt(np.diag(R0)))
+    spread = np.linalg.pinv((design * weights[:, None]).T @ design)
+    position, velocity = coefficients[0], coefficients[1]
+    acceleration = 2.0 * coefficients[2] if order == 2 else np.zeros(3)
+    acceleration = np.clip(acceleration, -5.0, 5.0)
+    near = slice(
+        int(np.searchsorted(recording.t, now - 0.5)),
+        int(np.searchsorted(recording.t, now + min(max(dt[-1], 0.5), 1.5))) + 1,
+    )
+    force_n = acceleration - np.array([0.0, 0.0, normal_gravity(origin[0], origin[2])[1]])
+    quat = _levelled(recording, near, first, force_n, yaw, nominal)
+    P = np.zeros((N_ERROR, N_ERROR))
+    P[:3, :3] = R0 * max(spread[0, 0], 0.2) + 0.05**2 * np.eye(3)
+    P[3:6, 3:6] = R0 * spread[1, 1] + 0.5**2 * np.eye(3)
+    P[range(6, 15), range(6, 15)] = (
+        np.concatenate((np.full(3, TILT_STD), nominal.bias_a_std, nominal.bias_g_std)) ** 2
+    )
+    P[8, 8] = yaw_std**2
+    position = position - matrix_from_quat(quat) @ lever_b
+    state = NavState(origin + position / scale, velocity, quat, nominal.bias_a, nominal.bias_g, P)
+    return first, state.to_flat()
+
+
+def _robust_polynomial(design: Array, positions: Array, std: Array) -> tuple[Array, Array]:
+    """Return coefficients (order + 1, 3) of least absolute residuals and row weights (K,)."""
+    weights: Array = np.ones(len(design))
+    for _ in range(20):
+        root = np.sqrt(weights)[:, None]
+        coefficients = np.linalg.lstsq(root * design, root * positions, rcond=None)[0]
+        away = np.linalg.norm((positions - design @ coefficients) / std, axis=1)
+        weights = np.asarray(1.0 / np.maximum(away, 1.5), float)
+    return np.asarray(coefficients, float), weights / np.max(weights)
+
+
+def _levelled(
+    recording: Recording, near: slice, first: int, f_n: Array, yaw: float, nominal: Nominal
+) -> Array:
+    """Return the attitude at sample ``first`` with the mean specific force of ``near`` on f_n."""
+    f, w = (
+        recording.samples[near, :3] - nominal.bias_a,
+        recording.samples[near, 3:] - nominal.bias_g,
+    )
+    dt = np.diff(recording.t[near], prepend=recording.t[near][0])
+    angle = np.cumsum(w * dt[:, None], axis=0)
+    angle -= angle[max(first - near.start, 0)]
+    C_first = matrix_from_quat(quat_from_rotvec(angle))  # b of each sample to b of sample `first`
+    f_b = np.mean(np.einsum("kij,kj->ki", C_first, f), axis=0)
+    f_b /= np.linalg.norm(f_b)
+    f_n = f_n / np.linalg.norm(f_n)
+    roll, pitch = math.atan2(-f_b[1], -f_b[2]), math.atan2(f_b[0], math.hypot(f_b[1], f_b[2]))
+    C = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
+    up = C @ f_b
+    axis = np.cross(up, f_n)
+    return quat_from_matrix(matrix_from_quat(quat_from_rotvec(axis)) @ C)
+
+
+def run_filter(
+    recording: Recording,
+    offset: float,
+    lever_b: Array,
+    psd: Array,
+    gnss_scale: float,
+    nominal: Nominal,
+    yaw: float,
+    yaw_std: float,
+    keep_states: bool = False,
+) -> FilterPass:
+    """
+    Run the filter over a recording with the given parameters.
+
+    Parameters
+    ----------
+    recording : Recording
+    offset : float
+        Clock offset added to the stamps of fixes [s].
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m].
+    psd : ndarray, shape (12,)
+        Diagonal of Qc.
+    gnss_scale : float
+        Factor on the covariances of the measurements.
+    nominal : Nominal
+    yaw, yaw_std : float
+        Heading at the start, from north, and its standard deviation [rad].
+    keep_states : bool
+        Keep the state after each measurement.
+    """
+    first, nav = initial_state(recording, offset, lever_b, nominal, yaw, yaw_std)
+    nav[PSD] = psd
+    M = len(recording.aid_t)
+    result = FilterPass(
+        np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M), empty_states(M if keep_states else 0)
+    )
+    innovations(
+        nav,
+        recording.t[first:],
+        recording.samples[first:],
+        recording.aid_t + offset,
+        recording.aid_kind,
+        recording.aid,
+        recording.aid_R * gnss_scale,
+        lever_b,
+        INTERVAL,
+        TAIL,
+        result.z,
+        result.S,
+        result.nis,
+        result.states,
+    )
+    return result

@@ -1,0 +1,363 @@
+"""
+Calibration of one robot from recordings: parameters, and how well the motion determines them.
+
+Quantities are in the user's frames and units: base_frame (forward, left, up), degrees for angles
+in texts, the parameters' own units in values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.derived import (
+    ORDINARY,
+    courses,
+    mean_rotation,
+    next_biases,
+    ordinary_levels,
+    rotations_to_truth,
+)
+from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
+from hybrid_ins.calibration.fit import Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.likelihood import offset_name
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.conversions import FLIP
+
+Array = NDArray[np.float64]
+
+IDENTIFIED = {"offset": 0.015, "lever": 0.05, "mount": math.radians(1.0)}  # largest σ
+NOT_IDENTIFIABLE = {"offset": 0.08, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}  # smallest σ
+COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
+AXES = ("forward", "left", "up")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One calibrated quantity as text."""
+
+    label: str
+    value: str
+    sigma: str
+    verdict: str  # identified, weak, not identifiable
+    note: str
+
+
+@dataclass
+class Findings:
+    """Findings, the parameters that follow from them, and the comments on these."""
+
+    values: dict[str, Any]  # parameters, by name
+    rows: list[Finding] = field(default_factory=list)
+    notes: dict[str, str] = field(default_factory=dict)  # by name of the parameter
+
+    def add(self, label: str, value: str, sigma: str, verdict: str, note: str, *names: str) -> None:
+        """Add a finding; it is the comment on the parameters ``names``."""
+        self.rows.append(Finding(label, value, sigma, verdict, note))
+        for name in names:
+            spread = f" {sigma if sigma.startswith('×') else '± ' + sigma}" if sigma else ""
+            text = f"{verdict}: {label} {value}{spread}"
+            self.notes[name] = text + (f"; {note}" if note else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The result of a calibration."""
+
+    fitted: Fit
+    before: list[FilterPass]  # with the nominal parameters
+    after: list[FilterPass]
+    findings: list[Finding]
+    values: dict[str, Any]  # all parameters, by name
+    notes: dict[str, str]  # comments on parameters, by name
+
+
+def calibrate(
+    recordings: Sequence[Recording],
+    values: Mapping[str, Any],
+    *,
+    own_offsets: bool = False,
+    search: float = 1.5,
+    nose_first: bool = False,
+    trust_fixes: bool = False,
+    antenna_is_base: bool = False,
+    on_stage: OnStage = lambda stage: lambda: None,
+    log: Callable[[str, str], None] = lambda level, text: None,
+) -> Calibration:
+    """
+    Calibrate one robot from some of its recordings, jointly.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    values : mapping
+        Checked parameters: nominal values, kept where nothing better is found.
+    own_offsets : bool
+        Every recording has a clock offset of its own.
+    search : float
+        Clock offsets within this of the nominal one are searched [s].
+    nose_first : bool
+        The vehicle moves along its nose: its course gives the yaw of the IMU in it.
+    trust_fixes : bool
+        The covariances of the fixes are right; otherwise a factor on them is estimated, too.
+    antenna_is_base : bool
+        The antenna is the origin of the base frame: the lever arm gives the position of the IMU.
+    on_stage : callable
+        Given a stage's name, returns what to call after every pass of the filter.
+    log : callable
+        Given level and text of the regressor's messages.
+    """
+    period = float(np.median([recording.period for recording in recordings]))
+    lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
+    nominal = Nominal(
+        values["gnss.time_offset.value"],
+        lever_b,
+        values["noise.q_accelerometer"] * period,
+        values["noise.q_gyroscope"] * period,
+        max(values["imu.accelerometer_bias_walk"], 1e-6),
+        max(values["imu.gyroscope_bias_walk"], 1e-8),
+        *conversions.first_biases(values),
+    )
+    fitted = fit(
+        recordings,
+        nominal,
+        own_offsets=own_offsets,
+        search=search,
+        largest_std=NOT_IDENTIFIABLE,
+        held=frozenset({"gnss_scale"} if trust_fixes else ()),
+        on_stage=on_stage,
+    )
+    before = filter_passes(fitted, nominal, fitted.nominal_x)
+    after = filter_passes(fitted, nominal, fitted.x)
+    found = Findings(dict(values))
+    add_clock_offset(found, fitted, own_offsets, nominal.time_offset, search)
+    C_new_old = add_mount(found, fitted, after, nose_first)
+    add_lever_arm(found, fitted, C_new_old, antenna_is_base)
+    add_biases(found, after, nominal, C_new_old)
+    add_noise(found, fitted, period)
+    add_background(found, recordings, log)
+    add_fix_scatter(found, fitted)
+    return Calibration(fitted, before, after, found.rows, found.values, found.notes)
+
+
+def add_clock_offset(
+    found: Findings, fitted: Fit, own: bool, nominal_offset: float, search: float
+) -> None:
+    """Add the clock offset, one of all recordings or one of each."""
+    count = len(fitted.recordings)
+    for k in range(count) if own else [0]:
+        name = offset_name(k, fitted.names)
+        value, sigma = fitted.value(name), fitted.sigma(name)
+        profile = fitted.profile[k] if own else fitted.profile.sum(axis=0)
+        second = _second_peak(fitted.grid, profile, value)
+        if name in fitted.frozen:
+            verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
+        elif abs(value - nominal_offset) > search - 0.15:
+            verdict, note = "weak", "at the limit of the search: give a larger --search"
+        elif second is not None:
+            verdict, note = "weak", f"{second:+.1f} s is nearly as likely"
+        elif sigma <= IDENTIFIED["offset"]:
+            verdict, note = "identified", ""
+        else:
+            verdict, note = "weak", "little change of speed and direction"
+        label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
+        found.add(label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note)
+    value = float(np.mean([fitted.offset(k) for k in range(count)]))
+    found.values["gnss.time_offset.value"] = round(value, 4)
+    found.notes["gnss.time_offset.value"] = "; ".join(
+        f"{row.verdict}: {row.label} {row.value} ± {row.sigma}" for row in found.rows
+    ) + ("; their mean" if own and count > 1 else "")
+
+
+def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
+    """Return another peak of the coarse likelihood if it is nearly as high."""
+    away = np.abs(grid - value) > 0.35
+    if not np.any(away):
+        return None
+    other = int(np.argmax(np.where(away, profile, -np.inf)))
+    return float(grid[other]) if profile[other] > np.max(profile) - 5.0 else None
+
+
+def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_first: bool) -> Array:
+    """Add the rotation of the IMU in the base frame; return C (3, 3) from the old b to the new."""
+
+    def unknown(why: str) -> Array:
+        found.add("IMU mount", "as given", "", "not identifiable", why, "imu.mount_rpy")
+        return np.eye(3)
+
+    rotations = [
+        rotations_to_truth(recording, one, fitted.offset(k))
+        for k, (recording, one) in enumerate(zip(fitted.recordings, after, strict=True))
+    ]
+    quats = np.vstack([one for one in rotations if one is not None] or [np.empty((0, 4))])
+    if len(quats) >= 20:
+        C_new_old, spread = mean_rotation(quats)
+        _set_mount(found, fitted, C_new_old, spread, "from the attitude of the truth")
+        return C_new_old
+    angles = np.concatenate([courses(one) for one in after])
+    if len(angles) < 20:
+        return unknown("it needs an attitude (--use-truth), or speed and a known heading")
+    mean = math.atan2(np.mean(np.sin(angles)), np.mean(np.cos(angles)))
+    spread = float(np.sqrt(np.mean(np.angle(np.exp(1j * (angles - mean))) ** 2)))
+    if spread > COURSE_SPREAD:
+        return unknown(
+            f"the direction of travel varies in the vehicle (±{math.degrees(spread):.0f}°)"
+        )
+    if not nose_first:
+        return unknown(
+            f"the direction of travel is {math.degrees(-mean):+.1f}° ± "
+            f"{math.degrees(spread):.1f}° from the IMU's axis: --nose-first uses it as forward"
+        )
+    c, s = math.cos(mean), math.sin(mean)
+    C_new_old = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    _set_mount(found, fitted, C_new_old, spread, "yaw from the course; roll and pitch as given")
+    return C_new_old
+
+
+def _set_mount(found: Findings, fitted: Fit, C_new_old: Array, spread: float, note: str) -> None:
+    old = conversions.mount_matrix(found.values["imu.mount_rpy"])
+    rpy = rpy_from_quat(quat_from_matrix(FLIP @ C_new_old @ old))
+    sigma = spread / math.sqrt(max(len(fitted.recordings) * 4.0, 1.0))
+    found.values["imu.mount_rpy"] = [round(float(a), 4) for a in rpy]
+    found.add(
+        "IMU mount",
+        "[" + ", ".join(f"{math.degrees(a):+.1f}" for a in rpy) + "]°",
+        f"{math.degrees(sigma):.1f}°",
+        "identified" if sigma < IDENTIFIED["mount"] else "weak",
+        note,
+        "imu.mount_rpy",
+    )
+
+
+def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_base: bool) -> None:
+    """Add the antenna in the base frame, or the IMU where the antenna is the frame's origin."""
+    lever_b = np.array([fitted.value(f"lever_{axis}") for axis in "xyz"])
+    arm = FLIP @ C_new_old @ lever_b
+    if antenna_is_base:
+        sensor, parameter, position = "IMU", "imu.position", -arm
+    else:
+        sensor, parameter = "antenna", "gnss.antenna_position"
+        position = np.add(found.values["imu.position"], arm)
+    comments = []
+    for k, axis in enumerate("xyz"):
+        name = f"lever_{axis}"
+        sigma = fitted.sigma(name)
+        label = f"{sensor} {AXES[k]}"
+        if name in fitted.frozen:
+            verdict = "not identifiable"
+            note = "roll and pitch hardly change" if axis == "z" else "too few turns"
+        elif sigma <= IDENTIFIED["lever"]:
+            verdict, note = "identified", ""
+        else:
+            verdict, note = "weak", "few turns" if axis != "z" else "little roll and pitch"
+        found.add(label, f"{position[k]:+.3f} m", f"{sigma:.3f} m", verdict, note)
+        comments.append(f"{label} {position[k]:+.3f} ± {sigma:.3f} ({verdict})")
+    found.values[parameter] = [round(float(a), 3) for a in position]
+    found.notes[parameter] = "; ".join(comments)
+
+
+def add_biases(
+    found: Findings, after: Sequence[FilterPass], nominal: Nominal, C_new_old: Array
+) -> None:
+    """Add the biases to expect at the next start."""
+    (bias_a, std_a), (bias_g, std_g) = next_biases(after)
+    for sensor, unit, b, std, prior, places in (
+        ("accelerometer", "m/s²", bias_a, std_a, nominal.bias_a_std, 3),
+        ("gyroscope", "rad/s", bias_g, std_g, nominal.bias_g_std, 5),
+    ):
+        mean = FLIP @ C_new_old @ b
+        known = std < 0.6 * prior
+        if np.all(known):
+            verdict, note = "identified", ""
+        else:
+            verdict = "weak" if np.any(known) else "not identifiable"
+            unknown = "/".join(axis for axis, k in zip(AXES, known, strict=True) if not k)
+            note = f"{unknown} not separable from tilt with this motion"
+        text = ", ".join(f"{v:+.{places}f}" for v in mean)
+        name = f"imu.{sensor}_bias"
+        sigma = f"{np.max(std):.{places}f}"
+        found.add(f"{sensor} bias", f"[{text}] {unit}", sigma, verdict, note, name, f"{name}_std")
+        if np.any(known):
+            found.values[name] = [round(float(v), places + 1) for v in mean]
+            found.values[f"{name}_std"] = [
+                float(f"{s:.2g}") for s in np.sqrt((FLIP @ C_new_old) ** 2 @ std**2)
+            ]
+
+
+def add_noise(found: Findings, fitted: Fit, period: float) -> None:
+    """Add noise variances and bias random walks."""
+    for name, parameter, label, scale, unit in (
+        ("psd_a", "noise.q_accelerometer", "accelerometer noise", 1.0 / period, "(m/s²)²"),
+        ("psd_g", "noise.q_gyroscope", "gyroscope noise", 1.0 / period, "(rad/s)²"),
+        ("walk_a", "imu.accelerometer_bias_walk", "accelerometer bias walk", 1.0, "m/s²/√s"),
+        ("walk_g", "imu.gyroscope_bias_walk", "gyroscope bias walk", 1.0, "rad/s/√s"),
+    ):
+        log_value, sigma = fitted.value(name), fitted.sigma(name)
+        prior = next(p for p in fitted.prior if p.name == name)
+        value = math.exp(log_value) * scale
+        if sigma < 0.35 * prior.std:
+            verdict, note = "identified", ""
+        elif sigma < 0.75 * prior.std:
+            verdict, note = "weak", "order of magnitude only"
+        else:
+            verdict = "not identifiable"
+            note = (
+                "smaller than the other errors"
+                if name.startswith("psd")
+                else f"needs more than {fitted.recordings[0].t[-1]:.0f} s"
+            )
+            value = math.exp(prior.mean) * scale
+        found.values[parameter] = float(f"{value:.3g}")
+        spread = f"×/÷ {math.exp(min(sigma, 9.0)):.1f}"
+        found.add(label, f"{value:.2g} {unit}", spread, verdict, note, parameter)
+
+
+def add_background(
+    found: Findings, recordings: Sequence[Recording], log: Callable[[str, str], None]
+) -> None:
+    """Add the levels that the regressor rarely exceeds in motion whose noise is now known."""
+    levels = ordinary_levels(recordings, found.values, log)
+    if levels is None:
+        return
+    for sensor, unit, background in (
+        ("accelerometer", "(m/s²)²", levels[:3]),
+        ("gyroscope", "(rad/s)²", levels[3:]),
+    ):
+        name = f"noise.background_{sensor}"
+        found.values[name] = [float(f"{level:.3g}") for level in background]
+        text = ", ".join(f"{level:.2g}" for level in background)
+        found.add(
+            f"{sensor} background",
+            f"[{text}] {unit}",
+            "",
+            "identified",
+            f"noise.model {found.values['noise.model']} reads less for {100.0 * ORDINARY:g} % of "
+            "the time",
+            name,
+        )
+
+
+def add_fix_scatter(found: Findings, fitted: Fit) -> None:
+    """Add the scatter of the fixes relative to their stated standard deviation."""
+    if "gnss_scale" in fitted.frozen:
+        return
+    scale, sigma = fitted.value("gnss_scale"), fitted.sigma("gnss_scale")
+    factor = math.exp(0.5 * scale)
+    if abs(scale) < max(3.0 * sigma, 0.4):
+        note = ""
+    else:
+        note = "raise gnss.position_std_min" if scale > 0 else "the receiver's σ is too large"
+    found.add(
+        "fixes' scatter",
+        f"{factor:.2f} × stated σ",
+        f"{0.5 * sigma * factor:.2f}",
+        "identified" if sigma < 0.3 else "weak",
+        note,
+    )

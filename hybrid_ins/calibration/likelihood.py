@@ -1,0 +1,231 @@
+"""
+The likelihood of recordings as a function of clock offset, lever arm and noise levels.
+
+The innovations of the filter have a density for every value of the parameters [1]_. They are
+assumed to be Student-t distributed, so that outliers have little influence. Weak priors at the
+nominal parameters determine what the recordings do not.
+
+References
+----------
+.. [1] F. C. Schweppe, "Evaluation of likelihood functions for Gaussian signals", IEEE
+       Transactions on Information Theory 11, 1965.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.filter_pass import FilterPass, Nominal, run_filter
+from hybrid_ins.calibration.recording import Recording
+
+Array = NDArray[np.float64]
+
+SHARED = ("lever_x", "lever_y", "lever_z", "psd_a", "psd_g", "walk_a", "walk_g", "gnss_scale")
+YAWS = 12  # headings that the coarse search starts with
+COARSE_YAW_STD = 0.3  # rad, of each
+YAW_STD = 0.15  # rad, of the chosen one
+COARSE_PSD_A, COARSE_PSD_G = 2e-2, 1e-5  # (m/s²)²/Hz, (rad/s)²/Hz: broad peaks over the offset
+LONGEST_COARSE = 90.0  # s of each recording
+LN10 = math.log(10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """The prior of a parameter, and the step of its finite differences."""
+
+    name: str
+    mean: float
+    std: float
+    step: float
+
+
+def offset_name(recording: int, names: Sequence[str]) -> str:
+    """Return the name of a recording's clock offset: its own, or the common one."""
+    return f"offset_{recording}" if f"offset_{recording}" in names else "offset"
+
+
+class Likelihood:
+    """
+    The log-posterior of some recordings as a function of a parameter vector.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    nominal : Nominal
+    own_offsets : bool
+        Every recording has its own clock offset.
+
+    Attributes
+    ----------
+    yaws : list of float
+        Heading [rad] at the start of each recording.
+    frozen : frozenset of str
+        Names of parameters that are not varied.
+    on_pass : callable
+        Called after every pass of the filter.
+    """
+
+    def __init__(
+        self, recordings: Sequence[Recording], nominal: Nominal, own_offsets: bool
+    ) -> None:
+        self.recordings = list(recordings)
+        self.nominal = nominal
+        self.yaws = [0.0] * len(recordings)
+        offsets = [f"offset_{k}" for k in range(len(recordings))] if own_offsets else ["offset"]
+        lever = nominal.lever_b
+        self.prior = (
+            *(Prior(name, nominal.time_offset, 1.0, 0.004) for name in offsets),
+            *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(SHARED[:3])),
+            Prior("psd_a", math.log(nominal.psd_a), 2.0 * LN10, 0.1),
+            Prior("psd_g", math.log(nominal.psd_g), 2.0 * LN10, 0.1),
+            Prior("walk_a", math.log(nominal.walk_a), 0.7 * LN10, 0.2),
+            Prior("walk_g", math.log(nominal.walk_g), 0.7 * LN10, 0.2),
+            Prior("gnss_scale", 0.0, 1.0, 0.05),
+        )
+        self.names = tuple(p.name for p in self.prior)
+        self._at = {name: k for k, name in enumerate(self.names)}
+        self.frozen: frozenset[str] = frozenset()
+        self._by_yaw = np.empty((len(recordings), 0, YAWS))
+        self.on_pass: Callable[[], None] = lambda: None
+
+    def value(self, x: Array, name: str) -> float:
+        """Return a parameter's value in ``x``."""
+        return float(x[self._at[name]])
+
+    def run(self, k: int, x: Array, keep_states: bool = False) -> FilterPass:
+        """Run the filter over recording ``k`` with parameters ``x``."""
+        self.on_pass()
+        return self._run(k, x, keep_states)
+
+    def _run(self, k: int, x: Array, keep_states: bool = False) -> FilterPass:
+        psd = np.repeat(
+            np.exp(
+                [
+                    self.value(x, "psd_a"),
+                    self.value(x, "psd_g"),
+                    2.0 * self.value(x, "walk_a"),
+                    2.0 * self.value(x, "walk_g"),
+                ]
+            ),
+            3,
+        )
+        lever = np.array([self.value(x, name) for name in SHARED[:3]])
+        return run_filter(
+            self.recordings[k],
+            self.value(x, offset_name(k, self.names)),
+            lever,
+            psd,
+            math.exp(self.value(x, "gnss_scale")),
+            self.nominal,
+            self.yaws[k],
+            YAW_STD,
+            keep_states,
+        )
+
+    def coarse(self, grid: Array) -> Array:
+        """Return the log-likelihood (recordings, G) over clock offsets, averaged over headings."""
+        profile = np.full((len(self.recordings), len(grid)), -np.inf)
+        nominal = self.nominal
+        psd = np.repeat([COARSE_PSD_A, COARSE_PSD_G, nominal.walk_a**2, nominal.walk_g**2], 3)
+        yaws = np.arange(YAWS) * 2.0 * np.pi / YAWS
+        self._by_yaw = np.zeros((len(self.recordings), len(grid), YAWS))
+        for k, whole in enumerate(self.recordings):
+            recording = whole.with_measurements_between(
+                whole.aid_t[0], whole.aid_t[0] + LONGEST_COARSE
+            )
+            starts = [(offset, yaw) for offset in grid for yaw in yaws]
+
+            def run(start: tuple[float, float], recording: Recording = recording) -> FilterPass:
+                offset, yaw = start
+                return run_filter(
+                    recording, offset, nominal.lever_b, psd, 1.0, nominal, yaw, COARSE_YAW_STD
+                )
+
+            self._by_yaw[k] = np.reshape(
+                [np.sum(p.log_likelihood) for p in self._in_parallel(run, starts)],
+                (len(grid), YAWS),
+            )
+            for g in range(len(grid)):
+                best = np.max(self._by_yaw[k, g])
+                profile[k, g] = best + math.log(np.mean(np.exp(self._by_yaw[k, g] - best)))
+        return profile
+
+    def choose_yaws(self, x: Array, width: float) -> None:
+        """Set each heading to the most likely one within ``width`` [rad] of it."""
+        for k in range(len(self.recordings)):
+            centre = self.yaws[k]
+            candidates = centre + np.linspace(-width, width, 7)
+            values = []
+            for yaw in candidates:
+                self.yaws[k] = float(yaw)
+                values.append(np.sum(self.run(k, x).log_likelihood))
+            self.yaws[k] = float(candidates[int(np.argmax(values))])
+
+    def choose_coarse_yaws(self, grid: Array, offsets: Sequence[float]) -> None:
+        """Set each heading to the most likely one of the coarse search at its offset."""
+        for k, offset in enumerate(offsets):
+            g = int(np.argmin(np.abs(grid - offset)))
+            self.yaws[k] = float(np.argmax(self._by_yaw[k, g])) * 2.0 * math.pi / YAWS
+
+    # The clock offset of one recording does not affect the others.
+
+    def _affected_recordings(self, name: str) -> list[int]:
+        if name.startswith("offset_"):
+            return [int(name[len("offset_") :])]
+        return list(range(len(self.recordings)))
+
+    def free(self) -> list[int]:
+        """Return the indices of the parameters that are varied."""
+        return [k for k, name in enumerate(self.names) if name not in self.frozen]
+
+    def scores(self, x: Array) -> tuple[list[Array], list[Array]]:
+        """Return log-likelihood (M,) and gradient (M, n) of the measurements, by recording."""
+        steps = [(k, i) for i in self.free() for k in self._affected_recordings(self.names[i])]
+
+        def moved(step: tuple[int, int]) -> FilterPass:
+            k, i = step
+            high = x.copy()
+            if i >= 0:
+                high[i] += self.prior[i].step
+            return self._run(k, high)
+
+        points = [*((k, -1) for k in range(len(self.recordings))), *steps]
+        found = [passed.log_likelihood for passed in self._in_parallel(moved, points)]
+        values = found[: len(self.recordings)]
+        slopes = [np.zeros((len(v), len(x))) for v in values]
+        for (k, i), high in zip(steps, found[len(self.recordings) :], strict=True):
+            slopes[k][:, i] = (high - values[k]) / self.prior[i].step
+        return values, slopes
+
+    def _in_parallel(
+        self, call: Callable[[Any], FilterPass], arguments: Sequence[Any]
+    ) -> Iterator[FilterPass]:
+        """Run the filter for each argument in threads: the compiled pass releases the GIL."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for passed in pool.map(call, arguments):
+                self.on_pass()
+                yield passed
+
+    def value_at(self, x: Array) -> float:
+        """Return the log-posterior."""
+        total = sum(
+            float(np.sum(self.run(k, x).log_likelihood)) for k in range(len(self.recordings))
+        )
+        return total - 0.5 * float(np.sum(self._from_prior(x) ** 2))
+
+    def _from_prior(self, x: Array) -> Array:
+        """Return the distances from the prior means in standard deviations."""
+        return np.array([(v - p.mean) / p.std for v, p in zip(x, self.prior, strict=True)])
+
+    def gradient(self, slopes: Sequence[Array], x: Array) -> Array:
+        """Return the gradient (n,) of the log-posterior from those of the measurements."""
+        total = np.sum(np.vstack(slopes), axis=0)
+        return np.asarray(total - self._from_prior(x) / [p.std for p in self.prior])

@@ -1,0 +1,208 @@
+"""Reads IMU samples and GNSS measurements from bags for calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.bags import messages
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
+
+Array = NDArray[np.float64]
+
+TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
+FEWEST_FIXES = 15
+SHORTEST = 8.0  # s of fixes
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """IMU samples and GNSS measurements of one recording."""
+
+    name: str
+    t: Array  # (N,) s
+    samples: Array  # (N, 6) specific force m/s², angular rate rad/s, b
+    aid_t: Array  # (M,) s, GNSS clock
+    aid_kind: NDArray[np.int64]  # (M,) POSITION or VELOCITY
+    aid: Array  # (M, 3) rad rad m, or m/s NED
+    aid_R: Array  # (M, 3, 3)
+    attitude: tuple[Array, Array] | None = None  # truth: (K,) s GNSS clock, (K, 4) C_nb
+
+    @property
+    def period(self) -> float:
+        """Median time between IMU samples [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    def with_measurements_between(self, first: float, last: float) -> Recording:
+        """Return the recording with the GNSS measurements of an interval of their clock [s]."""
+        keep = (self.aid_t >= first) & (self.aid_t <= last)
+        return replace(
+            self,
+            aid_t=self.aid_t[keep],
+            aid_kind=self.aid_kind[keep],
+            aid=self.aid[keep],
+            aid_R=self.aid_R[keep],
+        )
+
+
+def read_recording(
+    path: Path,
+    values: Mapping[str, Any],
+    *,
+    imu_topic: str = "/imu/data",
+    fix_topic: str = "/gnss/fix",
+    velocity_topic: str = "/gnss/velocity",
+    use_truth: bool = False,
+    longest: float = math.inf,
+) -> Recording:
+    """
+    Read the IMU samples and GNSS measurements of a bag.
+
+    Parameters
+    ----------
+    path : Path
+        A bag with IMU samples and fixes.
+    values : mapping
+        Checked parameters: mount, bounds and defaults of the covariances.
+    imu_topic, fix_topic, velocity_topic : str
+        The topics; velocities are used where the bag has them.
+    use_truth : bool
+        Use the positions of the truth in place of the fixes.
+    longest : float
+        Use only this much time from the first sample on [s].
+
+    Returns
+    -------
+    Recording
+        The longest part without a gap in the IMU samples.
+
+    Raises
+    ------
+    InputError
+        A topic is missing, or there are too few samples or fixes.
+    """
+    with BagReader(path) as bag:
+        imu = bag.imu(imu_topic)
+        aid: list[tuple[int, int, Array, Array]] = []
+        attitude = None
+        if use_truth:
+            aid, attitude = _truth(bag)
+        else:
+            fix_topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
+            gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
+            for _, _, message in bag.messages(fix_topic):
+                fix = gnss.position(message)
+                if not isinstance(fix, Refused):
+                    aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
+            if bag.topics.get(velocity_topic) == messages.VELOCITY:
+                for _, _, message in bag.messages(velocity_topic):
+                    velocity = gnss.velocity(message)
+                    if not isinstance(velocity, Refused):
+                        aid.append(
+                            (
+                                velocity.t_ns,
+                                VELOCITY,
+                                velocity.velocity_n,
+                                velocity.covariance_n,
+                            )
+                        )
+    aid.sort(key=lambda row: row[:2])
+    mount = conversions.mount_matrix(values["imu.mount_rpy"])
+    stamps = imu.stamp_ns
+    samples = np.hstack((imu.specific_force @ mount.T, imu.angular_rate @ mount.T))
+    usable = (stamps > 0) & np.all(np.isfinite(samples), axis=1)
+    stamps, samples = stamps[usable], samples[usable]
+    usable = stamps > np.maximum.accumulate(np.concatenate(([0], stamps[:-1])))
+    stamps, samples = stamps[usable], samples[usable]
+    if len(stamps) < 100:
+        raise InputError(
+            f"{path}: {imu_topic} has {len(stamps)} usable samples: calibration needs 100"
+        )
+    part = _longest_without_gap(stamps, int(values["imu.max_gap"] * 1e9))
+    stamps, samples = stamps[part], samples[part]
+    origin = int(stamps[0])
+    t = np.asarray((stamps - origin) * 1e-9, float)
+    keep = t <= longest
+    rows = [row for row in aid if -10.0 < (row[0] - origin) * 1e-9 < min(t[-1], longest) + 10.0]
+    positions = [row for row in rows if row[1] == POSITION]
+    if len(positions) < FEWEST_FIXES or (positions[-1][0] - positions[0][0]) < SHORTEST * 1e9:
+        raise InputError(
+            f"{path}: {len(positions)} usable fixes within {t[-1]:.0f} s of IMU samples: "
+            f"calibration needs {FEWEST_FIXES} over {SHORTEST:g} s; do both clocks have one epoch?"
+        )
+    reference = None
+    if attitude is not None:
+        reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
+    return Recording(
+        path.name,
+        t[keep],
+        np.ascontiguousarray(samples[keep]),
+        np.array([(row[0] - origin) * 1e-9 for row in rows]),
+        np.array([row[1] for row in rows], np.int64),
+        np.array([row[2] for row in rows]),
+        np.array([row[3] for row in rows]),
+        reference,
+    )
+
+
+def antenna_is_base(
+    paths: Sequence[Path], values: Mapping[str, Any], fix_topic: str = "/gnss/fix"
+) -> bool:
+    """Return whether the fixes are of base_frame itself: by frame_id, and no antenna is given."""
+
+    def frame(path: Path) -> str:
+        with BagReader(path) as bag:
+            return next((str(m.header.frame_id) for *_, m in bag.messages(fix_topic)), "")
+
+    return not any(values["gnss.antenna_position"]) and all(
+        frame(path).lstrip("/") == values["base_frame"] for path in paths
+    )
+
+
+def _truth(
+    bag: BagReader,
+) -> tuple[list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
+    """Return the positions of the truth as fixes, and its attitude: stamps [ns], C_nb (K, 4)."""
+    topic = bag.require("/truth/odometry", "nav_msgs/msg/Odometry", "a bag with truth")
+    datum = next(bag.messages("/truth/datum"), None)
+    if datum is None:
+        raise InputError(f"{bag.path}: no /truth/datum: the origin of the truth's map is unknown")
+    origin = datum[2]
+    frame = LocalFrame(
+        np.array([math.radians(origin.latitude), math.radians(origin.longitude), origin.altitude])
+    )
+    stamps, positions, quats = [], [], []
+    for _, _, message in bag.messages(topic):
+        pose = message.pose.pose
+        stamps.append(conversions.stamp_ns(message.header.stamp))
+        positions.append((pose.position.x, pose.position.y, pose.position.z))
+        q = pose.orientation
+        quats.append((q.x, q.y, q.z, q.w))
+    lla = frame.lla(np.array(positions) @ SWAP)
+    R = np.eye(3) * TRUTH_STD**2
+    aid = [(t, POSITION, row, R) for t, row in zip(stamps, lla, strict=True)]
+    norm = np.linalg.norm(quats, axis=1)
+    known = np.abs(norm - 1.0) < 0.1
+    if not np.any(known):
+        return aid, None
+    attitudes = np.array([conversions.quat_nb_from_enu(q) for q in np.array(quats)[known]])
+    return aid, (np.array(stamps, np.int64)[known], attitudes)
+
+
+def _longest_without_gap(stamps: NDArray[np.int64], max_gap_ns: int) -> slice:
+    """Return the longest range of samples without a gap."""
+    edges = np.flatnonzero(np.diff(stamps) > max_gap_ns) + 1
+    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(stamps)]))
+    best = int(np.argmax(stops - starts))
+    return slice(int(starts[best]), int(stops[best]))
