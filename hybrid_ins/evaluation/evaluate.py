@@ -24,6 +24,8 @@ from hybrid_ins.evaluation.run import Run, Verdicts
 from hybrid_ins.evaluation.statistics import Consistency, nees
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
+_WHITE = 0.5  # share of independent NIS values below which they are reported as correlated
+
 
 def evaluate(
     estimate: Trajectory,
@@ -224,7 +226,7 @@ def _nees(errors: Errors | None, notes: list[str]) -> dict[str, Any]:
 
 def _nis(verdicts: Verdicts, notes: list[str]) -> dict[str, Any]:
     def of(rows: Verdicts) -> Consistency | None:
-        return Consistency.of(rows.nis, rows.dof)
+        return Consistency.of(rows.nis, rows.dof, independent=True)
 
     positions = verdicts.rows(verdicts.kind == "position")
     rejected = Counter(positions.reason[~positions.accepted].tolist())
@@ -234,8 +236,15 @@ def _nis(verdicts: Verdicts, notes: list[str]) -> dict[str, Any]:
             f"{100 * np.mean(~tested.accepted):.1f} % of the tested fixes were rejected: the NIS "
             "of the accepted ones alone is too favourable"
         )
+    accepted = of(tested.rows(tested.accepted))
+    if accepted is not None and accepted.effective_count < _WHITE * accepted.count:
+        notes.append(
+            f"successive NIS values are correlated ({accepted.count} are worth "
+            f"{accepted.effective_count:.0f}), those of a consistent filter are not: check clock "
+            "offset, lever arm and slow errors of the receiver"
+        )
     return {
-        "nis_position": of(tested.rows(tested.accepted)),
+        "nis_position": accepted,
         "nis_velocity": of(verdicts.rows((verdicts.kind == "velocity") & verdicts.accepted)),
         "nis_tested": of(tested),
         "fixes": FixCount(

@@ -102,7 +102,7 @@ def _consistency(result: Result) -> str:
     def sentence(name: str, consistency: Consistency | None) -> str:
         if consistency is None:
             return ""
-        low, high = consistency.effective_band
+        low, high = consistency.band if consistency.independent else consistency.effective_band
         return (
             f"{name} is {consistency.per_dof:.2f} per degree of freedom: "
             f"{consistency.verdict} (95 % band {low:.2f} to {high:.2f})."

@@ -71,17 +71,17 @@ def mean_band(dof: float, count: float, probability: float = PROBABILITY) -> tup
 
 def effective_count(values: ArrayLike) -> float:
     """
-    How many independent values the mean of a correlated series is worth; [2]_ section 3.3.
+    Return how many independent values the mean of a correlated series is worth; [2]_ 3.3.
 
     The autocorrelations are summed in pairs as long as the pairs are positive.
     """
     x = np.asarray(values, float)
     x = x[np.isfinite(x)]
     n = len(x)
-    x = x - np.mean(x) if n else x
-    power = float(x @ x)
-    if n < 4 or power <= 0.0:
+    if n < 4 or np.ptp(x) == 0.0:
         return float(n)
+    x = x - np.mean(x)
+    power = float(x @ x)
     spectrum = np.fft.rfft(x, 2 * n)
     correlation = np.fft.irfft(spectrum * spectrum.conj())[:n] / power
     pairs = correlation[: n - n % 2].reshape(-1, 2).sum(axis=1)
@@ -92,25 +92,35 @@ def effective_count(values: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class Consistency:
-    """The mean of a chi-square statistic (NEES, NIS) beside what a right covariance gives."""
+    """
+    The mean of a chi-square statistic (NEES, NIS) and its band for a correct covariance.
+
+    The band tests one thing: whether chance explains the distance of the mean from its degrees of
+    freedom. A mean within it does not prove the covariance; errors of the covariance that are
+    smaller than the band remain undetected.
+    """
 
     dof: float  # degrees of freedom of one value (their mean, where they differ)
     count: int
-    effective_count: float  # values of one run are correlated: worth this many independent ones
+    effective_count: float  # equivalent number of independent values
     mean: float
+    independent: bool = False  # values of a consistent filter are independent: NIS, not NEES
 
     @classmethod
-    def of(cls, values: ArrayLike, dof: ArrayLike) -> Consistency | None:
+    def of(
+        cls, values: ArrayLike, dof: ArrayLike, *, independent: bool = False
+    ) -> Consistency | None:
         """Summarise `values` (N,) with `dof`, scalar or (N,); None where none is finite."""
         x, d = np.broadcast_arrays(np.asarray(values, float), np.asarray(dof, float))
         x, d = x[np.isfinite(x)], d[np.isfinite(x)]
         if not len(x):
             return None
-        return cls(float(np.mean(d)), len(x), effective_count(x / d), float(np.mean(x)))
+        worth = effective_count(x / d)
+        return cls(float(np.mean(d)), len(x), worth, float(np.mean(x)), independent)
 
     @property
     def per_dof(self) -> float:
-        """The mean over its degrees of freedom: 1 for a right covariance."""
+        """The mean over its degrees of freedom: 1 for a correct covariance."""
         return self.mean / self.dof
 
     @property
@@ -120,13 +130,18 @@ class Consistency:
 
     @property
     def effective_band(self) -> tuple[float, float]:
-        """95 % band of `per_dof` for as many independent values as these are worth."""
+        """95 % band of `per_dof` for the equivalent number of independent values."""
         return self._band(self.effective_count)
 
     @property
     def verdict(self) -> Literal["consistent", "overconfident", "conservative"]:
-        """What the effective band says: errors as claimed, larger, or smaller."""
-        low, high = self.effective_band
+        """
+        Whether the mean lies within its band, above or below it.
+
+        The innovations of a consistent filter are white ([1]_ section 5.4.2), so NIS is tested
+        with the band of `count` independent values: correlated innovations must not widen it.
+        """
+        low, high = self.band if self.independent else self.effective_band
         if self.per_dof > high:
             return "overconfident"
         return "conservative" if self.per_dof < low else "consistent"

@@ -7,8 +7,10 @@ import textwrap
 from hybrid_ins.evaluation.result import Result, degrees
 
 _BANDS = (
-    "epochs of one run are correlated: the first band is for n independent values, the second for"
-    " the number of independent values that they are equivalent to"
+    "1 for a correct covariance. NEES of one run is correlated: it is judged by the second band, of"
+    " the equivalent number of independent values. NIS of a consistent filter is not: it is judged"
+    " by the first. 'consistent' means within the band; errors of the covariance smaller than the"
+    " band, and errors common to all fixes, cannot be seen."
 )
 
 

@@ -142,6 +142,18 @@ class TestFigures:
         assert result.fixes.refused == {"gate": 1, "no covariance": 1}
         assert any("rejected" in note for note in result.notes)
 
+    def test_an_uncalibrated_clock_is_not_called_consistent(self) -> None:
+        # GIVEN fixes whose NIS is 1.35 per degree of freedom and swings with the vehicle's turns
+        at = np.arange(0.05, 40.0, 0.25)
+        nis = 3.0 * 1.35 * (1.0 + 0.8 * np.sin(at * 2.0 * np.pi / 20.0))
+
+        result = evaluate(flight(np.arange(0.0, 41.0, 0.01)), None, verdicts=verdicts(at, nis=nis))
+
+        assert result.nis_position is not None
+        assert result.nis_position.per_dof == pytest.approx(1.35, abs=0.01)
+        assert result.nis_position.verdict == "overconfident"
+        assert any("clock offset, lever arm" in note for note in result.notes)
+
     def test_velocity_fixes_have_a_nis_of_their_own(self) -> None:
         at = np.arange(0.05, 20.0, 0.5)
         kinds = np.where(np.arange(len(at)) % 2, "velocity", "position")

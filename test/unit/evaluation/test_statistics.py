@@ -115,6 +115,24 @@ def test_fixes_of_different_dimension_are_judged_together() -> None:
     assert consistency.verdict == "consistent"
 
 
+def test_correlated_innovations_do_not_widen_the_band_of_nis() -> None:
+    # GIVEN NIS values 1.35 times too large that come in slow waves, as with a wrong clock offset
+    rng = np.random.default_rng(8)
+    waves = 1.0 + 0.9 * np.sin(np.arange(160) * 2.0 * np.pi / 80.0)
+    values = rng.chisquare(3, 160) * waves
+    values *= 1.35 * 3.0 / np.mean(values)
+
+    nees = Consistency.of(values, 3)
+    nis = Consistency.of(values, 3, independent=True)
+
+    # THEN as NEES chance may explain it, as NIS it cannot: white innovations are part of the test
+    assert nees is not None
+    assert nis is not None
+    assert nis.effective_count < 30
+    assert nees.verdict == "consistent"
+    assert nis.verdict == "overconfident"
+
+
 def test_nothing_finite_is_no_statistic() -> None:
     assert Consistency.of([np.nan, np.inf], 3) is None
     assert Consistency.of([], 3) is None
