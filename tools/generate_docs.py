@@ -9,8 +9,6 @@ runs the check.
 from __future__ import annotations
 
 import argparse
-import math
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +16,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hybrid_ins.parameters import PARAMETERS, Parameter  # noqa: E402
+from hybrid_ins import parameter_file, parameters  # noqa: E402
+from hybrid_ins.parameter import Parameter  # noqa: E402
+from hybrid_ins.parameter_list import PARAMETERS  # noqa: E402
 from tools import figures  # noqa: E402
 
 FIRST_TO_SET = (
@@ -38,6 +38,13 @@ GROUPS = {
     "alignment": "Alignment",
     "noise": "Process noise",
 }
+EXPERIMENTS = "Experiments"
+HEADING = """\
+Every parameter of ins_node with its default.
+
+Copy this file, keep what differs, and start the node with
+  ros2 run hybrid_ins ins_node --ros-args --params-file my_robot.yaml
+Written by: python -m tools.generate_docs"""
 PREAMBLE = """\
 # Parameters
 
@@ -48,19 +55,27 @@ Every parameter of `ins_node`, and of `ins_replay`, which reads the same file. T
     ros2 param describe /ins_node gnss.patience
     ros2 param set /ins_node noise.mode constant
 
-**live** means that `ros2 param set` takes effect at once and keeps the state; the others take
-effect at the start. A wrong value is refused in one line, by the node, by `ros2 param set` and by
-the programs alike; so is a name that does not exist, only that the node warns of it and goes on:
-the section `/**` of a file may be meant for other nodes, too.
+**live** means that `ros2 param set` takes effect at once and keeps the state; the other parameters
+take effect at the start only. The node, `ros2 param set` and the programs reject invalid values and
+explain why in one line. The programs also reject unknown names; the node only warns of them,
+because the section `/**` of a file may be meant for other nodes, too.
+"""
+EXPERIMENTS_TEXT = """\
+These parameters and modes reproduce the filters of the paper for comparison. A robot does not need
+them. The modes `cq1` to `cq3` are the paper's constants, `innovation` estimates the process noise
+from the innovations, and `innovation_literal` does so as the paper prints it.
 """
 
 
 def row(parameter: Parameter) -> str:
     """Return a parameter's row of the Markdown table."""
     kind = "live" if parameter.runtime else ""
-    words = ", ".join(f"`{word}`" for word in parameter.choices)
-    text = parameter.text + (f" ({words})" if words else "")
-    cells = (f"`{parameter.name}`", f"`{value(parameter.default)}`", span(parameter), kind, text)
+    usual = [c for c in parameter.choices if c not in parameter.experiment_choices]
+    text = parameter.text
+    for words, label in ((usual, ""), (parameter.experiment_choices, "; for experiments ")):
+        text += (label or " (") + ", ".join(f"`{word}`" for word in words) if words else ""
+    text += ")" if parameter.choices else ""
+    cells = (f"`{parameter.name}`", f"`{value(parameter.default)}`", parameter.bounds(), kind, text)
     return "| " + " | ".join(cells) + " |"
 
 
@@ -73,14 +88,6 @@ def value(default: object) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def span(parameter: Parameter) -> str:
-    """Return the unit and the bounds."""
-    bounds = ""
-    if math.isfinite(parameter.low) and math.isfinite(parameter.high):
-        bounds = f"{parameter.low:g} … {parameter.high:g}"
-    return f"{bounds} {parameter.unit}".strip()
-
-
 def table(names: Sequence[str]) -> str:
     """Return the table of some parameters."""
     head = "| parameter | default | range | | meaning |\n|---|---|---|---|---|\n"
@@ -90,20 +97,21 @@ def table(names: Sequence[str]) -> str:
 def page() -> str:
     """Return `docs/parameters.md`."""
     parts = [PREAMBLE, f"## The ones to set first\n\n{table(FIRST_TO_SET)}"]
-    names: dict[str, list[str]] = {group: [] for group in GROUPS}
-    for name in PARAMETERS:
-        names.setdefault(name.partition(".")[0] if "." in name else "", []).append(name)
-    for group, members in names.items():
-        parts.append(f"## {GROUPS.get(group, group)}\n\n{table(members)}")
+    for group, title in GROUPS.items():
+        members = [
+            name
+            for name, parameter in PARAMETERS.items()
+            if (name.partition(".")[0] if "." in name else "") == group and not parameter.experiment
+        ]
+        parts.append(f"## {title}\n\n{table(members)}")
+    experiments = [name for name, parameter in PARAMETERS.items() if parameter.experiment]
+    parts.append(f"## {EXPERIMENTS}\n\n{EXPERIMENTS_TEXT}\n{table(experiments)}")
     return "\n".join(parts)
 
 
 def default_file() -> str:
-    """Return `config/default.yaml`, as the module of the parameters prints it."""
-    command = [sys.executable, "-m", "hybrid_ins.parameters"]
-    return subprocess.run(
-        command, cwd=ROOT, check=True, stdout=subprocess.PIPE, encoding="utf-8"
-    ).stdout
+    """Return `config/default.yaml`."""
+    return parameter_file.to_yaml(parameters.defaults(), HEADING)
 
 
 def files() -> dict[Path, str]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
-from hybrid_ins.parameters import PARAMETERS, to_yaml
+from hybrid_ins.parameter_file import to_yaml
+from hybrid_ins.parameters import PARAMETERS
 
 
 def table(findings: Sequence[Finding]) -> str:

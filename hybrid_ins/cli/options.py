@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypedDict
 
-from hybrid_ins import parameters
+from hybrid_ins import parameter_file, parameters
 from hybrid_ins.errors import InputError
 
 
@@ -107,12 +107,12 @@ def parameter_values(args: argparse.Namespace) -> parameters.Values:
     Raises
     ------
     InputError
-        See `parameters.load_file`; or an override is not ``name:=value``.
+        See `parameter_file.load`; or an override is not ``name:=value``.
 
     """
     values: dict[str, Any] = {}
     if args.params_file:
-        values.update(parameters.load_file(args.params_file))
+        values.update(parameter_file.load(args.params_file))
     for text in args.param:
         name, separator, value = text.partition(":=")
         if not separator:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins import parameter_file
+from hybrid_ins import yaml_reader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
 from hybrid_ins.dataset.csv_table import CsvFormat
 from hybrid_ins.errors import InputError
@@ -115,7 +115,7 @@ def load_map(path: Path) -> ColumnMap:
         No such file, no YAML, or an entry is missing, unknown or impossible.
 
     """
-    top = _Section(path, "", parameter_file.read(path, "a column map"))
+    top = _Section(path, "", yaml_reader.read(path, "a column map"))
     attitude = top.section("attitude", required=False)
     result = ColumnMap(
         top.number("epoch", DEFAULT_EPOCH),

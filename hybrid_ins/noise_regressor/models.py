@@ -4,7 +4,8 @@ Noise regressors behind one interface: a trained ONNX model, or the spectral est
 A regressor has a `name`, a `window` (samples it needs), a `rate_range` [Hz] and
 ``estimate(window, rate_hz)``, which takes readings (C, N), one channel a row, oldest first, in
 m/s^2 and rad/s, and returns per-sample noise variances (C,) in those units squared. It neither
-judges its input (`hybrid_ins.noise_regressor.window` does) nor bounds its output (the estimator does).
+judges its input (`hybrid_ins.noise_regressor.window` does) nor bounds its output (the estimator
+does).
 
 onnxruntime is imported here and nowhere else, and only when a model is loaded.
 """
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import noise_spectral
 from hybrid_ins.errors import InputError
+from hybrid_ins.resources import read_regular_file
 
 Array = NDArray[np.float64]
 
@@ -102,7 +104,7 @@ class Regressor:
             not know, has other shapes or metadata, or answers plain noise with nonsense.
         """
         path = Path(path)
-        content = _read(path)
+        content = read_regular_file(path, LARGEST_MODEL_BYTES, "a model, an .onnx file")
         try:
             import onnxruntime
         except ImportError as error:
@@ -162,20 +164,6 @@ class Regressor:
             raise InputError(f"{path}: the model answers shape {levels.shape}, expected (6,)")
         if not np.isfinite(levels).all():
             raise InputError(f"{path}: the model answers plain noise with {levels.tolist()}")
-
-
-def _read(path: Path) -> bytes:
-    """Return a model file's bytes, having looked at its size first."""
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_MODEL_BYTES:
-            raise InputError(
-                f"{path}: {size / 1e6:.0f} MB is no noise regressor; "
-                f"the limit is {LARGEST_MODEL_BYTES / 1e6:.0f} MB"
-            )
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the model ({error.strerror})") from None
 
 
 def _metadata(path: Path, session: Any) -> tuple[str, int, tuple[float, float], bool]:

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from support.paths import ROOT
 
-from hybrid_ins import parameters
+from hybrid_ins import parameter_file, parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.ros.conversions import OUTPUTS
 from tools import generate_docs
@@ -131,7 +131,7 @@ def test_what_is_written_from_the_declarations_is_current() -> None:
     "path", sorted((ROOT / "config" / "vehicles").glob("*.yaml")), ids=lambda path: path.name
 )
 def test_vehicles_are_parameter_files(path: Path) -> None:
-    values = parameters.load_file(path)
+    values = parameter_file.load(path)
 
     assert values != parameters.defaults()
 

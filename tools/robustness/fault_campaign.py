@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins import parameters, progress
+from hybrid_ins import parameter_file, parameters, progress
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import calibrate, convert, replay, simulate
@@ -335,13 +335,13 @@ def _crashed(fault: Fault, case: Case) -> Row:
 def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
     """Play one fault into the node over DDS."""
     bag, estimate = folder / "disturbed.mcap", folder / "estimate.mcap"
-    log, parameter_file = folder / "node.log", folder / "values.yaml"
+    log, values_file = folder / "node.log", folder / "values.yaml"
     inject(case, fault, bag)
     values = parameters.check_all({**case.values, **fault.values})
-    parameter_file.write_text(parameters.to_yaml(values, "Of the fault campaign."))
+    values_file.write_text(parameter_file.to_yaml(values, "Of the fault campaign."))
     with Processes() as processes, log.open("w") as output:
         node = processes.start(
-            [program("ins_node"), "--ros-args", "--params-file", parameter_file], output
+            [program("ins_node"), "--ros-args", "--params-file", values_file], output
         )
         player = processes.start(
             [

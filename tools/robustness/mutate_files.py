@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hybrid_ins import parameters, progress
+from hybrid_ins import parameter_file, parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
@@ -223,7 +223,7 @@ def make_files(folder: Path, flight: Path | None) -> Files:
         ]
     )
     replay.main([str(bag), str(estimate), "-p", "alignment.heading_source:=parameter", *quiet])
-    yaml.write_text(parameters.to_yaml(parameters.defaults(), "All parameters."))
+    yaml.write_text(parameter_file.to_yaml(parameters.defaults(), "All parameters."))
     models = tuple(share_path(f"models/{name}.onnx") for name in ("plateau", "paper"))
     return Files(folder, bag, estimate, yaml, models, flight)
 

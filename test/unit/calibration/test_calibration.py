@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from support.scenes import scene
 
-from hybrid_ins import parameters
+from hybrid_ins import parameter_file, parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.derived import next_biases, ordinary_levels
@@ -230,8 +230,10 @@ def test_the_levels_of_ordinary_motion_become_the_background(found: Calibration)
 
 def test_parameter_file_is_read_back(found: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "params.yaml"
-    path.write_text(parameters.to_yaml(found.values, "calibrated", found.notes), encoding="utf-8")
-    assert parameters.load_file(path) == found.values
+    path.write_text(
+        parameter_file.to_yaml(found.values, "calibrated", found.notes), encoding="utf-8"
+    )
+    assert parameter_file.load(path) == found.values
     assert "# identified: clock offset" in path.read_text(encoding="utf-8")
 
 
