@@ -63,6 +63,7 @@ except ImportError:  # the wheels of ROS have none
 
 from hybrid_ins import kernels, parameters
 from hybrid_ins.errors import InputError
+from hybrid_ins.parameter import Parameter
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder, Status, encode_diagnostics
 from hybrid_ins.ros.estimator import Estimator, warm_up
@@ -353,23 +354,24 @@ class InsNode(Node):
         self._publish_diagnostics(now, [first, *others])
 
 
-def _descriptor(parameter: parameters.Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
-        additional_constraints=", ".join(parameter.choices),
-        read_only=False,
+        additional_constraints=", ".join(parameter.choices) or parameter.bounds(),
+        read_only=not parameter.runtime,
         dynamic_typing=True,
     )
-    bounded = abs(parameter.low) < 1e300 and abs(parameter.high) < 1e300
+    low = 0.0 if parameter.or_zero else parameter.low
+    bounded = abs(low) < 1e300 and abs(parameter.high) < 1e300
     if bounded and isinstance(parameter.default, float):
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.low, to_value=parameter.high)
+            FloatingPointRange(from_value=low, to_value=parameter.high)
         ]
     elif (
         bounded and isinstance(parameter.default, int) and (not isinstance(parameter.default, bool))
     ):
         descriptor.integer_range = [
-            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
+            IntegerRange(from_value=int(low), to_value=int(parameter.high))
         ]
     return descriptor
 

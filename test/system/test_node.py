@@ -239,7 +239,7 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     assert "gnss.patience" in refused.reason
     refused = client.set("imu.position", [1.0, 0.0, 0.0])
     assert not refused.successful
-    assert "only at the start" in refused.reason
+    assert "read-only" in refused.reason
 
     assert client.call(Trigger, "/ins_node/reset", Trigger.Request()).success
     before = len(client.diagnostics)
