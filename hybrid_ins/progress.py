@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from threading import RLock
 from typing import Any, TypeVar
 
 from tqdm import tqdm
@@ -15,6 +16,7 @@ def hide() -> None:
     """Show no bars in this process: it is one of many that work side by side."""
     global _hidden
     _hidden = True
+    tqdm.set_lock(RLock())  # its own is a semaphore, which a killed process leaves behind
 
 
 def track(

@@ -35,9 +35,12 @@ class Source(Protocol):
     start_ns: int
     end_ns: int
 
-    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]: ...
+    def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
+        """Yield the messages of the wanted channels in log order."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Close the files."""
 
 
 class _Files:

@@ -448,7 +448,7 @@ class McapWriter:
             )
 
     def write_many(self, channel: int, log_ns: Sequence[int], messages: Sequence[bytes]) -> None:
-        """Append many messages: as `write_rows` where they are of one size, otherwise as `write`."""
+        """Append many messages: as `write_rows` where of one size, otherwise as `write`."""
         if len({*map(len, messages)}) == 1:
             rows = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
             self.write_rows(channel, np.array(log_ns, np.int64), rows)

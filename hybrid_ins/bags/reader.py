@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,14 @@ from hybrid_ins.ros.conversions import imu_fields
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+class InputTopics(TypedDict):
+    """The topics that a recording's input is on, as keywords of those who read it."""
+
+    imu_topic: str
+    fix_topic: str
+    velocity_topic: str
 
 
 @dataclass(frozen=True)

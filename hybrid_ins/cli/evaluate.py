@@ -11,7 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hybrid_ins.cli import batch, options, program
+from hybrid_ins import batch
+from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation import report
 from hybrid_ins.evaluation.evaluate import evaluate_run
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="shortest time without an accepted fix that is an outage (default %(default)s)",
     )  # fmt: skip
 
-    batch.add_options(parser).add_argument(
+    options.add_batch(parser).add_argument(
         "--results", metavar="DIR", type=Path,
         help="keep the result of each bag there; the same command again evaluates only new bags",
     )  # fmt: skip
@@ -122,7 +123,8 @@ def _run(args: argparse.Namespace) -> int:
             raise InputError("--truth, --json, --plot and --report are for one bag at a time")
         settings = {"topics": vars(topics), "scoring": vars(scoring), "no_truth": args.no_truth}
         work = partial(_evaluate_one, topics, scoring, args.no_truth)
-        return batch.run(args, batch.find_jobs(args.estimate, args.results), work, settings)
+        jobs = batch.find_jobs(args.estimate, args.results)
+        return batch.run(jobs, work, settings, workers=args.jobs, cluster=args.dask)
     [path] = args.estimate
     run = _read(path, args.truth, topics, args.no_truth)
     result = evaluate_run(run, scoring)

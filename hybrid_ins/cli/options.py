@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from hybrid_ins import parameter_file, parameters
+from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.errors import InputError
 
 
@@ -44,6 +46,14 @@ def count(text: str) -> int:
     if not (text.isascii() and text.isdigit()):
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number from zero on")
     return int(text)
+
+
+def positive_count(text: str) -> int:
+    """Read a whole number above zero."""
+    value = count(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not above zero")
+    return value
 
 
 def add_gnss_noise(parser: Any, default: Sequence[float]) -> None:
@@ -133,14 +143,6 @@ def add_topics(parser: Any) -> None:
         )
 
 
-class InputTopics(TypedDict):
-    """The topics that a recording's input is on, as keywords."""
-
-    imu_topic: str
-    fix_topic: str
-    velocity_topic: str
-
-
 def topics(args: argparse.Namespace) -> InputTopics:
     """Return what `add_topics` was given."""
     return {
@@ -148,6 +150,25 @@ def topics(args: argparse.Namespace) -> InputTopics:
         "fix_topic": args.fix_topic,
         "velocity_topic": args.velocity_topic,
     }
+
+
+def add_batch(parser: argparse.ArgumentParser) -> Any:
+    """Add the options of work on many bags; return their group."""
+    group = parser.add_argument_group("many bags")
+    group.add_argument(
+        "--jobs",
+        metavar="N",
+        type=positive_count,
+        default=os.cpu_count(),
+        help="bags at a time [one for each of the %(default)s processors]",
+    )
+    group.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="work on a Dask cluster, e.g. tcp://10.0.0.1:8786, whose workers see "
+        "the same files, instead of on this machine",
+    )
+    return group
 
 
 def check_new(path: Path, overwrite: bool) -> None:

@@ -1,13 +1,16 @@
-"""The shell around every program: option parser, error line, exit status."""
+"""The shell around every program: option parser, messages on stderr, exit status."""
 
 import argparse
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
+
+from tqdm import tqdm
 
 from hybrid_ins.errors import InputError
 
@@ -54,33 +57,66 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
 
     """
     name = getattr(args, "program_name", Path(sys.argv[0]).name)
-    logging.basicConfig(format=f"{name}: %(levelname)s: %(message)s")
+    with _logging_to_stderr(name), _sigterm_raised():
+        try:
+            return body(args) or 0
+        except InputError as error:
+            print(f"{name}: error: {error}", file=sys.stderr)
+            return EXIT_BAD_INPUT
+        except BrokenPipeError:  # `... | head`: the reader has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except OSError as error:
+            place = f"{error.filename}: " if error.filename else ""
+            print(f"{name}: error: {place}{error.strerror or error}", file=sys.stderr)
+            return EXIT_BAD_INPUT
+        except KeyboardInterrupt:
+            print(f"{name}: interrupted", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        except Terminated:
+            print(f"{name}: terminated", file=sys.stderr)
+            return EXIT_TERMINATED
+
+
+class _StderrHandler(logging.Handler):
+    """Prints a line for each record, above a progress bar where there is one."""
+
+    def __init__(self, program_name: str) -> None:
+        super().__init__()
+        self._program_name = program_name
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = record.levelname.lower()
+        tqdm.write(f"{self._program_name}: {level}: {record.getMessage()}", file=sys.stderr)
+
+
+@contextmanager
+def _logging_to_stderr(program_name: str) -> Iterator[None]:
+    """Within the block, print warnings, and this package's notes."""
+    handler, package = _StderrHandler(program_name), logging.getLogger("hybrid_ins")
+    level = package.level
+    package.setLevel(logging.INFO)
+    logging.getLogger().addHandler(handler)
     try:
-        previous = signal.signal(signal.SIGTERM, _raise_terminated)
-    except ValueError:  # not in the main thread: whoever runs us keeps the signals
-        previous = None
-    try:
-        return body(args) or 0
-    except InputError as error:
-        print(f"{name}: error: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except BrokenPipeError:  # `... | head`: the reader has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        print(f"{name}: error: {place}{error.strerror or error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    except Terminated:
-        print(f"{name}: terminated", file=sys.stderr)
-        return EXIT_TERMINATED
+        yield
     finally:
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
+        logging.getLogger().removeHandler(handler)
+        package.setLevel(level)
 
 
-def _raise_terminated(_signal: int, _frame: object) -> NoReturn:
-    raise Terminated
+@contextmanager
+def _sigterm_raised() -> Iterator[None]:
+    """Within the block, SIGTERM raises `Terminated`."""
+
+    def leave(_signal: int, _frame: object) -> NoReturn:
+        raise Terminated
+
+    try:
+        previous = signal.signal(signal.SIGTERM, leave)
+    except ValueError:  # not in the main thread: whoever runs us keeps the signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

@@ -3,54 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins.bags import flight_bag
-from hybrid_ins.bags.flight_bag import Entry, GnssRecord, ImuRecord, TruthRecord, stamps
-from hybrid_ins.bags.messages import new_message
 from hybrid_ins.cli import options, program
-from hybrid_ins.core.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.trajectory import Trajectory
-from hybrid_ins.simulation.motions import (
-    Motion,
-    aircraft_flight,
-    car_drive,
-    quadrotor_flight,
-    random_motion,
-    static,
-)
-from hybrid_ins.simulation.sensors import (
-    RTK_STD,
-    ImuData,
-    ImuErrors,
-    corrupt,
-    fixes,
-    sample,
-    sample_times,
-)
-
-ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
-MOST_SAMPLES = 5_000_000  # about 4 GB of memory
-MONITOR_RATE = 10.0  # Hz, of the true biases and noise variances in the bag
-
-TRAJECTORIES: dict[str, Callable[..., Motion]] = {
-    "quadrotor": quadrotor_flight,
-    "car": car_drive,
-    "aircraft": aircraft_flight,
-    "random": random_motion,
-    "static": static,
-}
+from hybrid_ins.simulation.sensors import RTK_STD, ImuErrors
+from hybrid_ins.simulation.simulate import MOTIONS, Scenario, simulate
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``ins_simulate``."""
-    return program.run(_simulate, _parser().parse_args(argv))
+    """Run the program."""
+    return program.run(_run, _parser().parse_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,9 +36,7 @@ Vectors are given in the bag's axes: forward, left, up.""",
     )
     p.add_argument("out", metavar="OUT", type=Path, help="bag: a directory, or a file *.mcap")
     motion = p.add_argument_group("motion")
-    motion.add_argument(
-        "--trajectory", choices=TRAJECTORIES, default="quadrotor", help="[%(default)s]"
-    )
+    motion.add_argument("--trajectory", choices=MOTIONS, default="quadrotor", help="[%(default)s]")
     motion.add_argument(
         "--variant",
         type=options.count,
@@ -181,14 +146,7 @@ Vectors are given in the bag's axes: forward, left, up.""",
     return p
 
 
-def _simulate(args: argparse.Namespace) -> None:
-    outages = options.outages(args.outage)
-    samples = args.duration * max(args.imu_rate, args.gnss_rate, args.truth_rate)
-    if not 2.0 <= samples <= MOST_SAMPLES:
-        raise InputError(
-            f"--duration {args.duration:g} s makes {samples:.3g} samples: 2 to {MOST_SAMPLES:g} fit"
-        )
-    trajectory = _trajectory(args)
+def _run(args: argparse.Namespace) -> None:
     errors = ImuErrors(
         accelerometer_std=args.accelerometer_std,
         gyroscope_std=args.gyroscope_std,
@@ -199,88 +157,38 @@ def _simulate(args: argparse.Namespace) -> None:
         noise_schedule=args.noise_schedule,
         mount_rpy=np.radians(args.mount_rpy) @ FLIP,
     )
-    imu_rng, gnss_rng, orientation_rng = np.random.default_rng(args.seed).spawn(3)
-    motion = sample(trajectory, sample_times(args.duration, args.imu_rate))
-    imu = corrupt(motion, errors, imu_rng)
-    gnss = fixes(
-        sample(trajectory, sample_times(args.duration, args.gnss_rate)),
-        gnss_rng,
-        args.gnss_noise,
-        args.lever_arm @ FLIP,
-        args.gnss_velocity,
-    ).without(outages)
+    scenario = Scenario(
+        motion=args.trajectory,
+        variant=args.variant,
+        duration=args.duration,
+        start_lla=_start(args.start),
+        heading=np.radians(args.heading),
+        truth_rate=args.truth_rate,
+        imu_rate=args.imu_rate,
+        imu_errors=errors,
+        orientation=args.orientation,
+        gnss_rate=args.gnss_rate,
+        gnss_noise=args.gnss_noise,
+        velocity_std=args.gnss_velocity,
+        outages=options.outages(args.outage),
+        lever_arm_b=args.lever_arm @ FLIP,
+        time_offset=args.time_offset,
+        seed=args.seed,
+    )
+    print(simulate(scenario, args.out, overwrite=args.overwrite))
 
-    offset_ns = round(args.time_offset * 1e9)
-    gnss_record = GnssRecord(
-        stamps(gnss.t) - offset_ns,
-        gnss.lla,
-        gnss.position_std,
-        gnss.velocity_n,
-        gnss.velocity_std,
-    )
-    truth = sample(trajectory, sample_times(args.duration, args.truth_rate))
-    track = Trajectory.from_navigation(
-        stamps(truth.t) - offset_ns,
-        truth.lla,
-        truth.velocity_n,
-        truth.quat_xyzw,
-        datum_lla=flight_bag.first_datum(gnss_record),
-    )
-    imu_record = ImuRecord(stamps(imu.t), imu.specific_force, imu.angular_rate)
-    if args.orientation:
-        error = quat_from_rpy(*(ORIENTATION_STD * orientation_rng.standard_normal(3)))
-        mount = quat_from_rpy(*np.asarray(errors.mount_rpy))
-        imu_record = replace(
-            imu_record,
-            quat_xyzw=quat_multiply(motion.quat_xyzw, quat_multiply(error, mount)),
-            attitude_std=ORIENTATION_STD,
+
+def _start(given: Sequence[float] | None) -> tuple[float, float, float] | None:
+    """Check ``--start``: degrees and metres to radians and metres."""
+    if given is None:
+        return None
+    lat, lon, height = given
+    if not (abs(lat) <= 89.0 and abs(lon) <= 360.0 and abs(height) <= 20_000.0):
+        raise InputError(
+            f"--start {lat:g} {lon:g} {height:g}: give latitude [deg, within 89], longitude"
+            " [deg] and height [m, within 20000]"
         )
-    flight_bag.write_flight(
-        args.out,
-        imu_record,
-        gnss_record,
-        TruthRecord(track, truth.angular_rate_eb_b),
-        log_offset_ns=offset_ns,
-        others=[_hidden_entries(imu, args.imu_rate)],
-        overwrite=args.overwrite,
-    )
-    print(
-        f"{args.out}: {args.trajectory}, {args.duration:g} s;"
-        f" {imu.t.size} IMU samples at {args.imu_rate:g} Hz,"
-        f" {gnss.t.size} fixes at {args.gnss_rate:g} Hz,"
-        f" {truth.t.size} epochs of truth at {args.truth_rate:g} Hz"
-    )
-
-
-def _trajectory(args: argparse.Namespace) -> Motion:
-    motion: dict[str, object] = {"heading": np.radians(args.heading)}
-    if args.start is not None:
-        lat, lon, height = args.start
-        if not (abs(lat) <= 89.0 and abs(lon) <= 360.0 and abs(height) <= 20_000.0):
-            raise InputError(
-                f"--start {lat:g} {lon:g} {height:g}: give latitude [deg, within 89], longitude"
-                " [deg] and height [m, within 20000]"
-            )
-        motion["start_lla"] = np.array([np.radians(lat), np.radians(lon), height])
-    if args.trajectory != "static":
-        motion["seed"] = args.variant
-    return TRAJECTORIES[args.trajectory](args.duration, **motion)
-
-
-def _hidden_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
-    """Messages of what no sensor tells: the true biases and noise variances, sensor axes (FLU)."""
-    bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
-    noise = new_message("geometry_msgs/msg/Vector3Stamped")
-    for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
-        stamp_ns = int(stamps(imu.t[row]))
-        flight_bag.stamp(bias, stamp_ns, "imu_link")
-        flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] @ FLIP)
-        flight_bag.set_vector(bias.accel.accel.angular, imu.gyroscope_bias[row] @ FLIP)
-        yield stamp_ns, 4, "/truth/imu/bias", bias
-        flight_bag.stamp(noise, stamp_ns, "imu_link")
-        for name in ("accelerometer", "gyroscope"):
-            flight_bag.set_vector(noise.vector, getattr(imu, f"{name}_std")[row] ** 2)
-            yield stamp_ns, 5, f"/truth/q/{name}", noise
+    return float(np.radians(lat)), float(np.radians(lon)), height
 
 
 def _schedule(text: str) -> tuple[tuple[float, float], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import sys
+import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,12 +18,13 @@ from hybrid_ins.ros.trajectory import Array
 
 SHOWN_PER_KIND = 5  # rows of one file with the same fault
 
+_log = logging.getLogger(__name__)
+
 
 class Faults:
-    """Tells the user on stderr what is wrong with the rows of files, and what was done about it."""
+    """Logs what is wrong with the rows of files, and what was done about it."""
 
-    def __init__(self, program_name: str) -> None:
-        self.program_name = program_name
+    def __init__(self) -> None:
         self.counts: Counter[tuple[Path, str]] = Counter()
         self._reported: set[tuple[Path, int, str]] = set()
 
@@ -46,20 +47,17 @@ class Faults:
         self._reported.add((path, line, kind))
         self.counts[path, kind] += 1
         if self.counts[path, kind] <= SHOWN_PER_KIND:
-            self._say(f"{path}:{line}: {kind}{detail and f' ({detail})'}")
+            _log.warning(f"{path}:{line}: {kind}{detail and f' ({detail})'}")
 
     def file(self, path: Path, text: str) -> None:
         """Report what concerns a whole file."""
-        self._say(f"{path}: {text}")
+        _log.warning(f"{path}: {text}")
 
     def close(self) -> None:
-        """Say how many rows were not shown."""
+        """Log how many rows were not shown."""
         for (path, kind), count in self.counts.items():
             if count > SHOWN_PER_KIND:
-                self._say(f"{path}: {count - SHOWN_PER_KIND} more rows: {kind}")
-
-    def _say(self, text: str) -> None:
-        print(f"{self.program_name}: warning: {text}", file=sys.stderr)
+                _log.warning(f"{path}: {count - SHOWN_PER_KIND} more rows: {kind}")
 
 
 @dataclass(frozen=True, eq=False)

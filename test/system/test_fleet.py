@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from support.paths import ROOT
 
+from hybrid_ins import batch
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.cli import batch, evaluate, replay, simulate
+from hybrid_ins.cli import evaluate, replay, simulate
 from hybrid_ins.errors import InputError
 from tools.processes import Processes
 

@@ -12,8 +12,9 @@ from support.paths import ROOT
 from hybrid_ins import kernels, parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import replay, simulate
+from hybrid_ins.cli import simulate
 from hybrid_ins.core import compilation
+from hybrid_ins.replay import replay
 
 STEP = "from hybrid_ins import kernels; kernels._compile_output()"
 
@@ -49,7 +50,7 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     )
 
     with BagReader(bag) as source, BagWriter(tmp_path / "out.mcap") as out:
-        estimator = replay.replay(source, out, parameters.defaults(), progress=False)
+        estimator = replay(source, out, parameters.defaults())
 
     assert estimator.fixes_fused > 100
     assert min(before.values()) >= 1

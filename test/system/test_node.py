@@ -73,7 +73,7 @@ def recorded(folder: Path, flight: Path) -> tuple[Path, str, int]:
             [
                 sys.executable,
                 "-m",
-                "hybrid_ins.ros.player",
+                "hybrid_ins.cli.play",
                 str(flight),
                 "--record",
                 str(out),
@@ -267,7 +267,7 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
         [
             sys.executable,
             "-m",
-            "hybrid_ins.ros.player",
+            "hybrid_ins.cli.play",
             str(flight),
             "--record",
             str(out),

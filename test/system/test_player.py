@@ -16,11 +16,12 @@ from support.paths import ROOT
 from hybrid_ins.bags.messages import IMU, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.ros import player
+from hybrid_ins.cli import play as program
 from hybrid_ins.ros.cdr import ImuDecoder
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
+from hybrid_ins.ros.player import Timeline
 
 ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
 START_NS = 1_700_000_000_000_000_000
@@ -52,14 +53,16 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def echo(processes: Processes) -> "Popen[str]":
     """A node that answers; it prints what it saw when it ends."""
-    process = processes.start([sys.executable, ROOT / "test/echo_node.py"], PIPE, ENVIRONMENT)
+    process = processes.start(
+        [sys.executable, ROOT / "test/support/echo_node.py"], PIPE, ENVIRONMENT
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     return process
 
 
 def start_player(processes: Processes, *words: object) -> "Popen[str]":
-    command = [sys.executable, "-m", "hybrid_ins.ros.player", *map(str, words)]
+    command = [sys.executable, "-m", "hybrid_ins.cli.play", *map(str, words)]
     return processes.start(command, PIPE, ENVIRONMENT)
 
 
@@ -130,7 +133,13 @@ def test_the_rate_is_held(
 
 
 def test_topics_are_chosen_and_renamed(processes: Processes, flight: Path, tmp_path: Path) -> None:
-    command = [sys.executable, ROOT / "test/echo_node.py", "--ros-args", "-r", "__ns:=/robot1"]
+    command = [
+        sys.executable,
+        ROOT / "test/support/echo_node.py",
+        "--ros-args",
+        "-r",
+        "__ns:=/robot1",
+    ]
     echo = processes.start(command, PIPE, ENVIRONMENT)
     out = tmp_path / "estimate.mcap"
     options = ("--topics", "imu/data", "--no-clock", "--record", out, "--record-topics", "odometry")
@@ -231,7 +240,7 @@ def test_wrong_arguments(
 ) -> None:
     words = [word.format(flight=flight, missing=tmp_path / "nothing") for word in words]
     try:
-        status = player.main(words)
+        status = program.main(words)
     except SystemExit as end:  # argparse
         status = int(end.code or 0)
     assert status == 2
@@ -241,7 +250,7 @@ def test_wrong_arguments(
 def test_only_truth_in_the_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with BagWriter(tmp_path / "bag.mcap") as bag:
         bag.write("/truth/odometry", new_message("nav_msgs/msg/Odometry"), START_NS)
-    assert player.main([str(tmp_path / "bag.mcap")]) == 2
+    assert program.main([str(tmp_path / "bag.mcap")]) == 2
     assert "has only /truth/odometry: name what to play with --topics" in capfd.readouterr().err
 
 
@@ -249,7 +258,8 @@ def test_without_ros(
     flight: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    assert player.main([str(flight)]) == 2
+    monkeypatch.delitem(sys.modules, "hybrid_ins.ros.player", raising=False)
+    assert program.main([str(flight)]) == 2
     assert "ins_play: error: ROS 2 is not there" in capfd.readouterr().err
 
 
@@ -257,7 +267,7 @@ def test_without_ros(
 
 
 def test_bag_time_never_passes_a_message_that_is_not_out() -> None:
-    timeline = player.Timeline(START_NS, rate=100.0)
+    timeline = Timeline(START_NS, rate=100.0)
     assert timeline.now_ns() == START_NS
     timeline.start()
     time.sleep(0.02)

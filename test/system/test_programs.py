@@ -15,7 +15,7 @@ MODULES = {
     "ins_calibrate": "hybrid_ins.cli.calibrate",
     "ins_convert": "hybrid_ins.cli.convert",
     "ins_evaluate": "hybrid_ins.cli.evaluate",
-    "ins_play": "hybrid_ins.ros.player",
+    "ins_play": "hybrid_ins.cli.play",
     "ins_replay": "hybrid_ins.cli.replay",
     "ins_simulate": "hybrid_ins.cli.simulate",
 }

@@ -15,7 +15,8 @@ from pathlib import Path
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import replay, simulate
+from hybrid_ins.cli import simulate
+from hybrid_ins.replay import replay
 from tools.benchmark.table import Section
 
 RUN = "import sys; from hybrid_ins.cli.replay import main; sys.exit(main())"
@@ -110,9 +111,7 @@ def measure(quick: bool) -> Section:
 
 def _replay(source: Path, target: Path) -> None:
     with BagReader(source) as bag, BagWriter(target, overwrite=True) as out:
-        replay.replay(
-            bag, out, parameters.check_all({}), progress=False, log=lambda level, text: None
-        )
+        replay(bag, out, parameters.check_all({}), log=lambda level, text: None)
 
 
 def _profile(profiler: cProfile.Profile) -> list[list[str]]:

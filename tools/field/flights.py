@@ -18,11 +18,11 @@ from hybrid_ins.bags.flight_bag import GnssRecord, stamps
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.cli.convert import DEFAULT_MAP, make_fixes, make_truth
 from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.dataset.column_map import load_map
+from hybrid_ins.dataset.convert import DEFAULT_MAP, make_fixes, make_truth
 from hybrid_ins.dataset.csv_flight import read_attitude, read_imu, read_position
 from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.evaluation.evaluate import evaluate
@@ -69,7 +69,7 @@ def load(data: Path, number: int, imu: int) -> Flight:
     """Read one flight with one of its IMUs, as ``ins_convert`` does."""
     directory = data / "Horizontal" / f"path_{number}"
     layout = load_map(share_path(DEFAULT_MAP))
-    faults = Faults("evaluate_field")
+    faults = Faults()
     assert layout.attitude is not None
     with contextlib.redirect_stderr(io.StringIO()):  # ins_convert tells each faulty row
         series = read_imu(directory, layout.imu, imu, faults)

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins import parameter_file, parameters, progress
+from hybrid_ins import parameter_file, parameters, progress, replay
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import calibrate, convert, replay, simulate
+from hybrid_ins.cli import calibrate, convert, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import trajectory_from_odometry
@@ -259,7 +259,7 @@ def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
     values = parameters.check_all({**case.values, **(fault.values if fault else {})})
     log: list[str] = []
     with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
-        replay.replay(reader, out, values, log=lambda level, text: log.append(text), progress=False)
+        replay.replay(reader, out, values, log=lambda level, text: log.append(text))
     output = examine(
         estimate,
         bag,

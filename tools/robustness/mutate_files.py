@@ -263,9 +263,9 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         )
 
     def play(path: Path) -> int:
-        from hybrid_ins.ros import player
+        from hybrid_ins.cli import play
 
-        return player.main([str(path), "--rate", "1000", "--wait", "0", "--no-clock"])
+        return play.main([str(path), "--rate", "1000", "--wait", "0", "--no-clock"])
 
     def start_node(path: Path) -> int:
         from hybrid_ins.ros import node

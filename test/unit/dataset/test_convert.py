@@ -17,7 +17,7 @@ from support.paths import ROOT
 
 from hybrid_ins.bags.flight_bag import EPOCH_NS
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.cli.convert import differentiate, main, pick_epochs
+from hybrid_ins.cli.convert import main
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
@@ -28,6 +28,7 @@ from hybrid_ins.core.rotations import (
     skew,
 )
 from hybrid_ins.dataset.column_map import load_map
+from hybrid_ins.dataset.convert import differentiate, pick_epochs
 from hybrid_ins.dataset.csv_flight import (
     AttitudeSeries,
     ImuSeries,
@@ -550,7 +551,7 @@ def test_no_text_breaks_the_reader(tmp_path: Path, data: st.DataObject) -> None:
         lines.insert(place, text)
     path = tmp_path / "table.csv"
     path.write_text("\n".join(["t,a,b", *lines]), encoding="utf-8", errors="replace")
-    faults = Faults("test")
+    faults = Faults()
 
     try:
         table = read_table(path, CsvFormat(), "t", 1.0, ["a", "b"], faults)
@@ -788,7 +789,7 @@ def test_gyroscope_and_accelerometer_agree_with_the_reference(
     flights: Path, name: str, number: int
 ) -> None:
     """Axes, signs and units: rates against the attitude, forces against the position."""
-    layout, faults = load_map(MAP), Faults("test")
+    layout, faults = load_map(MAP), Faults()
     assert layout.attitude is not None
     imu = read_imu(flights / name, layout.imu, number, faults)
     position = read_position(flights / name, layout.position, faults)

@@ -1,5 +1,5 @@
 """
-Many bags through one program: in parallel, resumed after an interruption, one table at the end.
+Many bags: in parallel, resumed after an interruption, one table at the end.
 
 A bag that cannot be used is reported and does not stop the rest. What is finished leaves a record
 beside its output, with a fingerprint of everything that the result depends on: the same command
@@ -8,13 +8,15 @@ again does only what is missing.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
+import multiprocessing
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -52,27 +54,8 @@ class Outcome:
     kept: bool = False  # from an earlier run
 
 
-def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
-    """Add the options of work on many bags; return their group."""
-    group = parser.add_argument_group("many bags")
-    group.add_argument(
-        "--jobs",
-        metavar="N",
-        type=_positive,
-        default=os.cpu_count(),
-        help="bags at a time [one for each of the %(default)s processors]",
-    )
-    group.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="work on a Dask cluster, e.g. tcp://10.0.0.1:8786, whose workers see "
-        "the same files, instead of on this machine",
-    )
-    return group
-
-
 def is_bag(path: Path) -> bool:
-    """Tell whether a path looks like one recording: a file, or a rosbag2 directory."""
+    """Return whether a path looks like one recording: a file, or a rosbag2 directory."""
     if not path.is_dir():
         return True
     return (path / METADATA).is_file() or any(
@@ -130,19 +113,19 @@ def fingerprint(source: Path, settings: Mapping[str, Any]) -> str:
 
 
 def run(
-    args: argparse.Namespace,
     jobs: Sequence[Job],
     work: Callable[[Job], Row],
     settings: Mapping[str, Any],
+    *,
     redo: bool = False,
+    workers: int = 1,
+    cluster: str | None = None,
 ) -> int:
     """
     Do `work` on every job that is not finished, print the table of all, and say what failed.
 
     Parameters
     ----------
-    args
-        With the options of `add_options`.
     jobs
         Bags.
     work
@@ -152,19 +135,24 @@ def run(
         All that the result depends on besides the bag.
     redo
         Take nothing from earlier runs.
+    workers
+        Processes on this machine.
+    cluster
+        Address of a Dask scheduler, whose workers are used instead.
 
     Raises
     ------
     InputError
-        Some bags failed; all others are done.
+        Some bags failed; all others are done. Or no cluster answers.
     """
+    attempt = partial(_attempt, work, settings, redo)
     outcomes: list[Outcome] = []
-    with tqdm(total=len(jobs), desc="bags", unit="bag", disable=None) as bar:
-        for outcome in _outcomes(args, jobs, partial(_attempt, work, settings, redo)):
-            outcomes.append(outcome)
-            bar.update()
-            if outcome.failure:
-                tqdm.write(f"{outcome.name}: {outcome.failure}", file=sys.stderr)
+    with _executor(min(workers, len(jobs)), cluster) as executor:
+        futures = [executor.submit(attempt, job) for job in jobs]
+        for future in progress.track(as_completed(futures), "bags", len(jobs), "bag"):
+            outcomes.append(future.result())
+            if outcomes[-1].failure:
+                tqdm.write(f"{outcomes[-1].name}: {outcomes[-1].failure}", file=sys.stderr)
     outcomes.sort(key=lambda outcome: outcome.name)
     print(table(outcomes))
     failed = [outcome for outcome in outcomes if outcome.failure]
@@ -255,44 +243,37 @@ def _read_record(path: Path) -> dict[str, Any]:
     return record if isinstance(record, dict) and isinstance(record.get("row"), dict) else {}
 
 
-def _outcomes(
-    args: argparse.Namespace, jobs: Sequence[Job], attempt: Callable[[Job], Outcome]
-) -> Iterator[Outcome]:
-    """Yield outcomes as they come."""
-    try:
-        import joblib
-    except ImportError:
-        raise InputError("many bags at once need joblib: pip install joblib") from None
-    with _cluster(args.dask):
-        parallel = joblib.Parallel(
-            n_jobs=-1 if args.dask else min(args.jobs, len(jobs)),
-            batch_size=1,
-            return_as="generator_unordered",
-        )
-        yield from parallel(joblib.delayed(attempt)(job) for job in jobs)
-
-
 @contextmanager
-def _cluster(address: str | None) -> Iterator[None]:
-    """Within the block, joblib works on the Dask cluster at an address, if one is given."""
-    if address is None:
-        yield
+def _executor(workers: int, cluster: str | None) -> Iterator[Executor]:
+    """Yield processes of this machine or of a Dask cluster; they end with the block."""
+    if cluster is not None:
+        with _dask_client(cluster) as client:
+            yield client.get_executor()
         return
+    context = multiprocessing.get_context("spawn")  # a fork would inherit locks and threads
+    executor = ProcessPoolExecutor(workers, context, initializer=_ignore_ctrl_c)
     try:
-        import joblib
+        yield executor
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    finally:
+        executor.shutdown()
+
+
+def _ignore_ctrl_c() -> None:
+    """Leave Ctrl-C, which reaches all processes of a terminal, to the one that started them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _dask_client(address: str) -> Any:
+    try:
         from distributed import Client
     except ImportError:
         raise InputError("--dask needs dask: pip install dask distributed") from None
     try:
-        client = Client(address, timeout="10s")
+        return Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no cluster answers there ({error})") from None
-    with client, joblib.parallel_config(backend="dask", client=client):
-        yield
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value

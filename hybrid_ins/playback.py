@@ -1,0 +1,146 @@
+"""A recording published over DDS, and its echo recorded: what ``ins_play`` does."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hybrid_ins.bags.messages import absolute, is_standard
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.errors import InputError
+
+ESTIMATES = (
+    "/odometry",
+    "/odometry/local",
+    "/gnss/filtered",
+    "/q/accelerometer",
+    "/q/gyroscope",
+    "/imu/bias",
+    "/gnss/verdict",
+    "/diagnostics",
+    "/datum",
+)
+NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/tf_static", "/rosout", "/parameter_events")
+TRUTH = "/truth/"
+
+_SETTLING = 0.3  # s; a subscriber learns of us a little later than we learn of it
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is played of a bag, and how."""
+
+    topics: Sequence[str] | None = None  # None: all but NOT_PLAYED and the truth
+    start: float = 0.0  # s after the first message
+    duration: float = math.inf  # s
+    rate: float = 1.0  # bag seconds per second
+    remap: Mapping[str, str] = field(default_factory=dict)  # topic of ROS by topic of a bag
+    clock: bool = True  # publish /clock
+    patience: float = 10.0  # s, to wait for subscribers and publishers
+    drain: float = 1.0  # s, to go on after the last message
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Where and what is recorded."""
+
+    path: Path
+    topics: Sequence[str] = ESTIMATES
+    overwrite: bool = False
+
+
+def play(
+    source: Path,
+    selection: Selection,
+    recording: Recording | None = None,
+    ros_args: Sequence[str] = (),
+    report: Callable[[str], None] = print,
+) -> None:
+    """
+    Publish a bag, and record what is published in return.
+
+    Parameters
+    ----------
+    source : Path
+        A bag.
+    selection : Selection
+    recording : Recording, optional
+    ros_args : sequence of str
+        From ``--ros-args`` on.
+    report : callable
+        Called with a text on what was played, and one on what was recorded.
+
+    Raises
+    ------
+    InputError
+        ROS 2 is not installed, a topic does not exist or a name is invalid, the bag cannot be read
+        or written, or nothing came back.
+
+    """
+    try:
+        from hybrid_ins.ros.player import Player, Recorder, Timeline, started_node
+    except ImportError as error:
+        raise InputError(
+            f"ROS 2 is not there ({error}): source its setup file, or install hybrid_ins[ros]"
+        ) from None
+
+    with ExitStack() as stack:
+        bag = stack.enter_context(BagReader(source))
+        topics = _topics_to_play(bag, selection.topics)
+        first_ns = bag.start_ns + round(selection.start * 1e9)
+        last_ns = bag.end_ns
+        if selection.duration < math.inf:
+            last_ns = min(last_ns, first_ns + round(selection.duration * 1e9))
+        if first_ns > bag.end_ns:
+            seconds = (bag.end_ns - bag.start_ns) / 1e9
+            raise InputError(f"--start {selection.start:g}: {source} is only {seconds:.1f} s long")
+
+        node = stack.enter_context(started_node(ros_args))
+        timeline = Timeline(first_ns, selection.rate)
+        player = Player(node, topics, selection.remap, clock=selection.clock)
+        recorder = None
+        if recording is not None:
+            out = stack.enter_context(BagWriter(recording.path, overwrite=recording.overwrite))
+            recorder = stack.enter_context(Recorder(node, out.write_raw, is_standard, timeline))
+            names = [absolute(topic) for topic in recording.topics]
+            recorder.subscribe(names, selection.remap, selection.patience)
+        player.wait_for_subscribers(selection.patience)
+        time.sleep(_SETTLING)
+
+        def check() -> None:
+            if recorder is not None:
+                recorder.check()
+
+        messages = (m for m in bag.raw(*topics) if first_ns <= m[1] <= last_ns)
+        player.play(messages, timeline, last_ns, check)
+        player.drain(timeline, selection.drain, check)
+        report(player.report(selection.rate))
+        if recorder is not None and recording is not None:
+            report(recorder.report(str(recording.path)))
+
+
+def _topics_to_play(bag: BagReader, named: Sequence[str] | None) -> dict[str, str]:
+    if named is None:
+        topics = {
+            topic: type_name
+            for topic, type_name in bag.topics.items()
+            if topic not in NOT_PLAYED and not topic.startswith(TRUTH)
+        }
+    else:
+        names = [absolute(name) for name in named]
+        unknown = [name for name in names if name not in bag.topics]
+        if unknown:
+            raise InputError(
+                f"--topics {unknown[0]}: {bag.path} has {', '.join(sorted(bag.topics))}"
+            )
+        topics = {name: bag.topics[name] for name in names}
+    if not topics:
+        raise InputError(
+            f"{bag.path}: has only {', '.join(sorted(bag.topics))}: name what to play with --topics"
+        )
+    return topics

@@ -1,0 +1,253 @@
+"""
+A recording through the node's estimator, without middleware and at file speed.
+
+Messages are handled in the order in which they were recorded, IMU samples in blocks between the
+others; the same recording and parameters give the same bytes.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins import kernels, progress
+from hybrid_ins.bags.messages import FIX, INITIAL_POSE, TRANSFORMS, VELOCITY, Message
+from hybrid_ins.bags.reader import BagReader, InputTopics
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.cdr import OdometryEncoder
+from hybrid_ins.ros.conversions import OUTPUTS
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.rate_limiter import RateLimiter
+
+TRUTH = "/truth/"
+BLOCK = 256  # odometry messages that are written at a time
+
+Log = Callable[[str, str], None]  # level and text
+
+_LEVELS = {"info": logging.INFO, "warn": logging.WARNING, "error": logging.ERROR}
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What became of a replay."""
+
+    estimator: Estimator  # in its last state
+    duration: float  # s, of the recording
+
+
+def replay_bag(
+    source: Path,
+    target: Path,
+    values: Mapping[str, Any],
+    topics: InputTopics,
+    *,
+    overwrite: bool = False,
+    log: Log | None = None,
+) -> Replayed:
+    """
+    Run an estimator over the bag `source` and write the bag `target`.
+
+    Parameters
+    ----------
+    source, target : Path
+        See `BagReader` and `BagWriter`.
+    values : mapping
+        Checked parameters.
+    topics : InputTopics
+        Where the input is.
+    overwrite : bool
+        See `BagWriter`.
+    log : callable, optional
+        See `replay`.
+
+    Raises
+    ------
+    InputError
+        A bag cannot be read or written, a topic is missing, or the filter never started.
+
+    """
+    with BagReader(source) as bag, BagWriter(target, overwrite=overwrite) as out:
+        estimator = replay(bag, out, values, **topics, log=log)
+        duration = (bag.end_ns - bag.start_ns) * 1e-9
+    if not estimator.ever_aligned:
+        raise InputError(
+            f"{source}: the filter never started: it waited for "
+            f"{estimator.navigator.waiting_for}; {target} holds no odometry"
+        )
+    return Replayed(estimator, duration)
+
+
+def replay(
+    bag: BagReader,
+    out: BagWriter,
+    values: Mapping[str, Any],
+    *,
+    imu_topic: str = "/imu/data",
+    fix_topic: str = "/gnss/fix",
+    velocity_topic: str = "/gnss/velocity",
+    log: Log | None = None,
+) -> Estimator:
+    """
+    Run an estimator over a recording and write what it publishes.
+
+    Parameters
+    ----------
+    bag, out : BagReader, BagWriter
+        Input; output, on the node's topic names, with the fixes and any truth carried over.
+    values : mapping
+        Checked parameters.
+    imu_topic, fix_topic, velocity_topic : str
+        Where the input is.
+    log : callable, optional
+        Called with the level and the text of the estimator's messages; by default they are
+        logged.
+
+    Returns
+    -------
+    Estimator
+        In its last state.
+
+    Raises
+    ------
+    InputError
+        A topic is missing or of another type.
+    """
+    return _Replay(bag, out, values, imu_topic, fix_topic, velocity_topic, log or log_message).run()
+
+
+class _Replay:
+    """One pass of a recording through an estimator."""
+
+    def __init__(
+        self,
+        bag: BagReader,
+        out: BagWriter,
+        values: Mapping[str, Any],
+        imu_topic: str,
+        fix_topic: str,
+        velocity_topic: str,
+        log: Log,
+    ) -> None:
+        self._bag, self._out = bag, out
+        self._imu = imu = bag.imu(imu_topic)
+        self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
+        self._frames = deque(imu.frames)
+        fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
+        kernels.prepare(partial(log, "info"))
+        self._estimator = estimator = Estimator(values, log)
+        complete = imu.has_reading
+        estimator.foresee(
+            self._stamps_ns[complete], imu.specific_force[complete], imu.angular_rate[complete]
+        )
+        self._odometry = [
+            _OdometryWriter(out, values, topic, values[frame])
+            for topic, frame in (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))
+        ]
+        self._handlers: dict[str, Callable[[Message, int], None]] = {fix_topic: estimator.fix}
+        self._carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
+        self._carried[fix_topic] = "/gnss/fix"
+        if bag.topics.get(velocity_topic) == VELOCITY:
+            self._handlers[velocity_topic] = estimator.velocity
+            self._carried[velocity_topic] = "/gnss/velocity"
+        if bag.topics.get("/initialpose") == INITIAL_POSE:
+            self._handlers["/initialpose"] = lambda message, _: estimator.initial_pose(message)
+        if bag.topics.get("/tf_static") == TRANSFORMS:
+            self._handlers["/tf_static"] = lambda message, _: estimator.static_transforms(message)
+
+    def run(self) -> Estimator:
+        """Handle every message in the order of the recording."""
+        start, total = 0, len(self._imu.log_ns)
+        with progress.bar("replay", total, "sample", unit_scale=True) as bar:
+            for topic, log_ns, data in self._bag.raw(*self._handlers, *self._carried):
+                if topic in self._handlers:
+                    stop = int(np.searchsorted(self._imu.log_ns, log_ns, side="right"))
+                    self._handle_imu(start, max(start, stop))
+                    bar.update(max(start, stop) - start)
+                    start = max(start, stop)
+                    self._handlers[topic](self._bag.decode(topic, log_ns, data), log_ns)
+                    self._write_reports(log_ns)
+                if topic in self._carried:
+                    out_topic = self._carried[topic]
+                    self._out.write_raw(out_topic, self._bag.topics[topic], data, log_ns)
+            self._handle_imu(start, total)
+            bar.update(total - start)
+        for writer in self._odometry:
+            writer.flush()
+        return self._estimator
+
+    def _handle_imu(self, start: int, stop: int) -> None:
+        """Handle the IMU samples of some rows, split where their frame_id changes."""
+        while self._frames and self._frames[0][0] < stop:
+            row, name = self._frames.popleft()
+            if row > start:
+                self._handle_block(slice(start, row))
+            self._estimator.take_frame("imu/data", name)
+            start = row
+        self._handle_block(slice(start, stop))
+
+    def _handle_block(self, rows: slice) -> None:
+        imu = self._imu
+        complete = imu.has_reading[rows]
+        for _ in range(len(complete) - np.count_nonzero(complete)):
+            self._estimator.imu_without_reading()
+        for stamps_ns, *by_frame in self._estimator.imu_block(
+            self._stamps_ns[rows][complete],
+            imu.specific_force[rows][complete],
+            imu.angular_rate[rows][complete],
+            imu.orientation_xyzw[rows][complete],
+        ):
+            for writer, odometry in zip(self._odometry, by_frame, strict=True):
+                writer.write(stamps_ns, odometry)
+        self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]))
+
+    def _write_reports(self, log_ns: int) -> None:
+        outbox = self._estimator.outbox
+        while outbox:
+            topic, data = outbox.popleft()
+            self._out.write_raw("/" + topic.lstrip("/"), OUTPUTS[topic], data, log_ns)
+
+
+class _OdometryWriter:
+    """Writes odometry of one frame at the rate that the parameters ask for, in blocks."""
+
+    def __init__(self, out: BagWriter, values: Mapping[str, Any], topic: str, frame: str) -> None:
+        self._out = out
+        self._topic = topic
+        self._encoder = OdometryEncoder(frame, values["base_frame"])
+        self._limiter = RateLimiter(values["odometry_rate"]) if values["odometry_rate"] else None
+        self._pending: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
+        self._count = 0
+
+    def write(self, stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Add odometry (N, 85) with its stamps; it is written once a block is full."""
+        if self._limiter is not None:
+            due = [k for k, t_ns in enumerate(stamps_ns.tolist()) if self._limiter.is_due(t_ns)]
+            stamps_ns, values = stamps_ns[due], values[due]
+        self._pending.append((stamps_ns, values))
+        self._count += len(stamps_ns)
+        if self._count >= BLOCK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is pending."""
+        if self._count:
+            stamps_ns, values = map(np.concatenate, zip(*self._pending, strict=True))
+            rows = self._encoder.messages(stamps_ns, values)
+            self._out.write_rows(self._topic, OUTPUTS["odometry"], rows, stamps_ns)
+        self._pending.clear()
+        self._count = 0
+
+
+def log_message(level: str, text: str) -> None:
+    """Log a text at the level "info", "warn" or "error"."""
+    _log.log(_LEVELS[level], text)
