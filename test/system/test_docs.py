@@ -19,7 +19,7 @@ from support.paths import ROOT
 from hybrid_ins import parameter_file, parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.ros.conversions import OUTPUTS
-from tools import generate_docs
+from tools import generate_docs, tutorial
 from tools.processes import program
 
 PAGES = sorted(
@@ -125,6 +125,28 @@ def anchors(page: Path) -> set[str]:
 
 def test_what_is_written_from_the_declarations_is_current() -> None:
     assert generate_docs.main(["--check"]) == 0
+
+
+def test_the_tutorial_shows_what_is_printed(
+    flights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = tutorial.main(["--check", str(flights)])
+
+    assert status == 0, capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "same"),
+    [
+        ("error 2.43 m", "error  2.44 m", True),  # rounding
+        ("error 2.43 m", "error 2.49 m", False),
+        ("offset +0.1083 s", "offset +0.1084 s", True),
+        ("143 fixes", "147 fixes", False),
+        ("identified", "weak", False),
+    ],
+)
+def test_the_tutorials_check_can_fail(shown: str, printed: str, same: bool) -> None:
+    assert bool(tutorial.differences(shown, printed)) is not same
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,116 @@
+"""
+Run the commands that `docs/tutorial.md` shows, and write or check what it shows as their output.
+
+    python -m tools.tutorial [--check] DATASET
+
+DATASET is the folder of the quadrotor dataset. Numbers may differ by 1 % and by one in their last
+digit, since processors round differently; everything else has to be the same. Without `--check` the
+page and its picture are written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tools.processes import program
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "tutorial.md"
+PICTURE = ("tuned.png", ROOT / "docs" / "figures" / "flight.png")
+DATASET = "quadrotor"  # what the page calls the dataset's folder
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+BLOCK = re.compile(r"^```\n(\$ .*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def run(command: str, folder: Path) -> str:
+    """Return what a command prints, both streams in the order of the terminal."""
+    name, *arguments = shlex.split(command)
+    done = subprocess.run(
+        [program(name), *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        env={**os.environ, "COLUMNS": "200"},
+        timeout=600,
+    )
+    if done.returncode:
+        raise RuntimeError(f"{command}: status {done.returncode}: {done.stdout}")
+    return done.stdout
+
+
+def steps(block: str) -> Iterator[tuple[str, str]]:
+    """Yield each command of a block with the output that the page shows."""
+    for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+        command, _, output = part.partition("\n")
+        yield command, output
+
+
+def written_anew(page: str, folder: Path) -> str:
+    """Return the page with the output that its commands print now."""
+
+    def output_of(block: re.Match[str]) -> str:
+        parts = [f"$ {command}\n{run(command, folder)}" for command, _ in steps(block[1])]
+        return "```\n" + "".join(parts) + "```"
+
+    return BLOCK.sub(output_of, page)
+
+
+def differences(shown: str, printed: str) -> list[str]:
+    """Return the lines that a page shows and that are printed differently now."""
+    old, new = shown.splitlines(), printed.splitlines()
+    if len(old) != len(new):
+        return [f"{len(old)} lines shown, {len(new)} lines now"]
+    return [f"- {a}\n+ {b}" for a, b in zip(old, new, strict=True) if not same(a, b)]
+
+
+def same(shown: str, printed: str) -> bool:
+    """Tell whether two lines differ by rounding only."""
+    if " ".join(NUMBER.sub("#", shown).split()) != " ".join(NUMBER.sub("#", printed).split()):
+        return False
+    return all(
+        abs(float(a) - float(b)) <= 0.01 * abs(float(a)) + 1.001 * last_digit(a)
+        for a, b in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
+    )
+
+
+def last_digit(number: str) -> float:
+    """Return what one in the last digit of a decimal number is worth."""
+    mantissa, _, exponent = number.partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    return float(10.0 ** (int(exponent or 0) - decimals))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write the page, or with ``--check`` print where it differs."""
+    parser = argparse.ArgumentParser(prog="tutorial", description=__doc__.splitlines()[1])
+    parser.add_argument("dataset", type=Path, help="folder of the quadrotor dataset")
+    parser.add_argument("--check", action="store_true", help="write nothing, fail if out of date")
+    args = parser.parse_args(argv)
+    page = PAGE.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / DATASET).symlink_to(args.dataset.resolve())
+        text = written_anew(page, folder)
+        if not args.check:
+            PAGE.write_text(text, encoding="utf-8")
+            shutil.copy(folder / PICTURE[0], PICTURE[1])
+            return 0
+    found = differences(page, text)
+    if found:
+        print(f"{PAGE.relative_to(ROOT)} is out of date: run python -m tools.tutorial DATASET")
+        print("\n".join(found))
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
