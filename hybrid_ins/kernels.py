@@ -18,7 +18,9 @@ from hybrid_ins.core import (
     clock_offset,
     compilation,
     imu_health,
+    iterated_update,
     kalman,
+    linalg,
     measurements,
     noise_multiple_model_step,
     propagation,
@@ -69,14 +71,14 @@ def prepare(tell: Callable[[str], None] = lambda text: None) -> None:
 def _compile_filter() -> None:
     nav = _some_state()
     propagation.step(nav, 0.01, 0.0, 0.0, -9.8, 0.0, 0.0, 0.0, 0.0)
-    propagation.flush(nav)
+    propagation.propagate_covariance(nav)
     readings = np.zeros((1, 6))
     propagation.run(nav, np.full(1, 0.01), readings, 0.0, np.empty((1, N_NAV)))
     z, H = measurements.position_model(nav, np.zeros(3), np.zeros(3))
     kalman.innovation(nav, z, H, np.eye(3))
-    kalman.correct(nav, z, H, np.eye(3))
+    iterated_update.update(nav, z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
-    kalman.log_determinant(np.eye(3))
+    linalg.log_determinant(np.eye(3))
 
 
 def _compile_output() -> None:

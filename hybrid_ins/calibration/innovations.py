@@ -23,9 +23,10 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.kalman import correct, innovation
+from hybrid_ins.core.iterated_update import update
+from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import position_model, velocity_model
-from hybrid_ins.core.propagation import flush, step
+from hybrid_ins.core.propagation import propagate_covariance, step
 from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ def innovations(  # type: ignore[no-untyped-def]
         if not aiding:
             i += 1
             continue
-        flush(nav)
+        propagate_covariance(nav)
         if aid_kind[k] == POSITION:
             residual, H = position_model(nav, aid[k], lever_b)
         else:
@@ -119,7 +120,7 @@ def _fuse(nav, residual, H, R, tail, z, S):  # type: ignore[no-untyped-def]
             S[given[i], given[j]] = S_given[i, j]
     if tail > 0.0 and square > m:
         R_given *= (tail + square) / (tail + m)
-    correct(nav, r, H_given, R_given)
+    update(nav, r, H_given, R_given)
     return square
 
 

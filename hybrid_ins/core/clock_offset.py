@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.kalman import factorise, solve
+from hybrid_ins.core.linalg import factorise, solve
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import mean_system
 from hybrid_ins.core.state import DP, DV, N_ERROR, QUAT, VELOCITY

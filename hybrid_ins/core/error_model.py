@@ -1,9 +1,9 @@
 """
-The 15-state error model in NED: F, G, and their discretisation.
+The 15-state error model in NED: the system matrix F, and the process noise G Qc G' dt.
 
-``system_matrix`` is the one definition of F: the reference that tests check against finite
-differences of the mechanisation, and the text that is compiled into the filter step. Its zero
-pattern is what ``tools/generate_covariance.py`` unrolls into ``covariance_step``.
+Each is defined once: the functions that are compiled into the filter step are those that the tests
+check, F against finite differences of the mechanisation. F's zero pattern is what
+``tools/generate_covariance.py`` unrolls into ``_covariance_step``.
 
 With errors as true minus estimated and ``C_nb(true) = (I - [eps x]) C_nb(estimated)``, a white
 reading noise enters the velocity through C_nb and the misalignment through -C_nb. (The paper's
@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import (
     EARTH_RATE,
@@ -32,9 +31,6 @@ from hybrid_ins.core.earth import (
     gravity_gradient,
     radii,
 )
-from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, N_NOISE, W_A, W_AB, W_G, W_GB
-
-Array = NDArray[np.float64]
 
 
 @register_jitable
@@ -123,20 +119,46 @@ def system_matrix(lla, velocity, f_n, C, F):  # type: ignore[no-untyped-def]
             F[6 + i, 12 + j] = C[3 * i + j]
 
 
-def noise_matrix(C_nb: Array) -> Array:
-    """Return the shaping matrix G, shape (15, 12), with its rows where they belong; [1]_ 14.78."""
-    G = np.zeros((N_ERROR, N_NOISE))
-    G[DV, W_A] = C_nb
-    G[EPS, W_G] = -C_nb
-    G[B_A, W_AB] = G[B_G, W_GB] = np.eye(3)
-    return G
-
-
-def discretise(F: Array, G: Array, psd: Array, dt: float) -> tuple[Array, Array]:
+@register_jitable
+def process_noise(C, psd, dt):  # type: ignore[no-untyped-def]
     """
-    Return Phi and Q^d, both (15, 15), over ``dt`` [s]: eq. (6) and (7) of [3]_.
+    Return the non-zero blocks of Q^d = G Qc G' dt, eq. (7) of [3]_, over ``dt`` [s].
 
-    ``psd``, shape (12,), is the diagonal of Qc. The compiled step does the same on the zero
-    pattern of F; a test holds the two together.
+    G, shape (15, 12), has C_nb in the rows of the velocity and -C_nb in those of the misalignment,
+    and the identity in those of the biases; [1]_ eq. 14.78.
+
+    Parameters
+    ----------
+    C : ndarray, shape (9,)
+        C_nb, row by row.
+    psd : ndarray, shape (12,)
+        Diagonal of Qc.
+
+    Returns
+    -------
+    q_v, q_eps : tuple of 6 float
+        Upper triangles of the blocks of velocity and misalignment, n, row by row.
+    q_a, q_g : tuple of 3 float
+        Diagonals of the blocks of the accelerometer and gyroscope biases.
     """
-    return np.eye(N_ERROR) + F * dt, (G * (psd * dt)) @ G.T
+    ax, ay, az = dt * psd[0], dt * psd[1], dt * psd[2]
+    gx, gy, gz = dt * psd[3], dt * psd[4], dt * psd[5]
+    q_v = (
+        C[0] * C[0] * ax + C[1] * C[1] * ay + C[2] * C[2] * az,
+        C[0] * C[3] * ax + C[1] * C[4] * ay + C[2] * C[5] * az,
+        C[0] * C[6] * ax + C[1] * C[7] * ay + C[2] * C[8] * az,
+        C[3] * C[3] * ax + C[4] * C[4] * ay + C[5] * C[5] * az,
+        C[3] * C[6] * ax + C[4] * C[7] * ay + C[5] * C[8] * az,
+        C[6] * C[6] * ax + C[7] * C[7] * ay + C[8] * C[8] * az,
+    )
+    q_eps = (
+        C[0] * C[0] * gx + C[1] * C[1] * gy + C[2] * C[2] * gz,
+        C[0] * C[3] * gx + C[1] * C[4] * gy + C[2] * C[5] * gz,
+        C[0] * C[6] * gx + C[1] * C[7] * gy + C[2] * C[8] * gz,
+        C[3] * C[3] * gx + C[4] * C[4] * gy + C[5] * C[5] * gz,
+        C[3] * C[6] * gx + C[4] * C[7] * gy + C[5] * C[8] * gz,
+        C[6] * C[6] * gx + C[7] * C[7] * gy + C[8] * C[8] * gz,
+    )
+    q_a = (dt * psd[6], dt * psd[7], dt * psd[8])
+    q_g = (dt * psd[9], dt * psd[10], dt * psd[11])
+    return q_v, q_eps, q_a, q_g

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.kalman import log_determinant
+from hybrid_ins.core.linalg import log_determinant
 from hybrid_ins.core.measurements import Measurement
 
 Array = NDArray[np.float64]

@@ -1,14 +1,12 @@
 """
-Heading and clock from motion: the same filter by many of them, weighed by how well each predicts.
+Multiple-model initialisation: one filter per hypothesis, weighted by innovation likelihood.
 
-One filter that starts with an unknown heading linearises where it must not, and so does one that
-takes the fixes to be tenths of a second younger or older than they are: within those a vehicle
-turns and brakes, and it cannot tell the offset from a bad IMU (see `noise_scale`) before it has
-followed the fixes to where they lead. Started from headings and clocks a cell apart, each is right
-within its cell; Bayes' rule gives their weights from the likelihoods of their innovations [1]_, and
-what remains of the mixture is told as one heading and one clock, each with its uncertainty. What is
-left within its cell each filter finds by itself (the clock: see `time_offset`). Vehicles that only
-stand or cruise straight keep their mixture: nothing is decided without evidence.
+A filter that starts with an unknown heading linearises far from the truth. Filters that start from
+headings a cell apart are each accurate within their cell; Bayes' rule gives their weights from the
+likelihoods of their innovations, [1]_, and the mixture becomes one filter once its heading is
+known. Within its cell each filter estimates the heading by itself. A vehicle that only stands or
+cruises straight keeps its mixture: nothing is decided without evidence. `clock_search` adds
+hypotheses of the clock offset of fixes.
 
 References
 ----------
@@ -21,30 +19,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.events import Change
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.ins_filter import Change, FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.state import (
-    COVARIANCE,
-    DP,
-    DV,
-    EPS,
-    N_ERROR,
-    QUAT,
-    NavState,
-    covariance,
-    inflate_covariance,
-    pack,
-)
+from hybrid_ins.core.state import COVARIANCE, EPS, QUAT, NavState, covariance, pack
 
 Array = NDArray[np.float64]
 FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
@@ -52,22 +39,10 @@ FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
 N_HEADINGS = 12
 HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
 HEADING_KNOWN = ((0.1, 1_000_000_000), (0.2, 10_000_000_000))
-"""The mixture's heading is known to that [rad] for so long [ns]: one filter does the rest."""
-
-OFFSET_STEP_NS, N_OFFSET_STEPS = 100_000_000, 6
-OFFSETS_NS = tuple(
-    OFFSET_STEP_NS * k for k in range(-N_OFFSET_STEPS, N_OFFSET_STEPS + 1)
-)  # added to the fixes' stamps
-MAX_OFFSET_NS = OFFSETS_NS[-1]
-OFFSET_STD = 0.05  # s, half a cell
-OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, ns
-WRONG_CLOCK_SPEED_STD, WRONG_CLOCK_TILT_STD = (
-    3.0,
-    0.1,
-)  # m/s, rad, that a wrong clock leads a state astray by
+"""Standard deviation of the mixture's heading [rad], for how long [ns]: either is enough."""
 
 MIN_WEIGHT = 1e-6  # a hypothesis below that is dropped
-NIS_MEMORY = 25.0  # innovations over which the best one's fit is averaged
+NIS_MEMORY = 25.0  # innovations over which the best hypothesis' NIS is averaged
 
 
 def heading_grid() -> Array:
@@ -75,22 +50,12 @@ def heading_grid() -> Array:
     return 2.0 * math.pi * np.arange(N_HEADINGS) / N_HEADINGS
 
 
-def with_clock_offset(state: NavState, offset: float) -> NavState:
-    """Return what is left of a state if the fixes that led to it were ``offset`` [s] younger."""
-    std = np.zeros(N_ERROR)
-    std[DV], std[EPS] = WRONG_CLOCK_SPEED_STD, WRONG_CLOCK_TILT_STD
-    moved = np.eye(N_ERROR)
-    moved[DP, DV] = -offset * np.eye(3)
-    lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
-    return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
-
-
 class Decision(NamedTuple):
     """The one filter that a mixture has become."""
 
     filter: InsFilter
-    offset: float  # s, that it adds to the fixes' stamps
-    at_edge: bool  # it is the largest that was tried
+    offset: float  # s, that it adds to the stamps of fixes
+    at_edge: bool  # that is the largest that was tried
 
 
 class MultipleModelBank:
@@ -100,51 +65,37 @@ class MultipleModelBank:
     Parameters
     ----------
     states : sequence of NavState
-        What to start with, all at one time: one for each heading.
+        Initial states, all at one time: one for each heading.
     make_filter : callable
         Given a state at that time and settings, returns a filter.
     settings : FilterSettings
         For those.
-    clock : bool
-        Each state is started with by many clocks; the filters then follow the IMU at a distance,
-        so that a fix is late by none of them.
 
     Attributes
     ----------
     filters : list of InsFilter
-        Those that are left.
+        The hypotheses that are left.
     log_weights : ndarray
         Logarithms of their weights, normalised.
     clock_open : bool
-        See ``clock``.
+        The hypotheses also differ in the clock offset of fixes.
     """
 
+    clock_open: ClassVar[bool] = False
+
     def __init__(
-        self,
-        states: Sequence[NavState],
-        make_filter: FilterFactory,
-        settings: FilterSettings,
-        clock: bool = False,
+        self, states: Sequence[NavState], make_filter: FilterFactory, settings: FilterSettings
     ) -> None:
-        self._heading_open, self.clock_open = len(states) > 1, clock
-        if clock:
-            settings = replace(settings, clock_std=OFFSET_STD)
-            pairs = [
-                (offset_ns, with_clock_offset(state, offset_ns * 1e-9))
-                for offset_ns in OFFSETS_NS
-                for state in states
-            ]
-        else:
-            pairs = [(0, state) for state in states]
-        self._offsets_ns = [offset_ns for offset_ns, _ in pairs]
-        self.filters = [make_filter(state, settings) for _, state in pairs]
-        self.log_weights = np.full(len(pairs), -math.log(len(pairs)))
-        self._first_ns = self.best.t_ns + MAX_OFFSET_NS if clock else 0
-        self._lag_ns = MAX_OFFSET_NS + OFFSET_STEP_NS if clock else 0
+        self.filters = [make_filter(state, settings) for state in states]
+        self.log_weights = np.full(len(states), -math.log(len(states)))
+        self._heading_open = len(states) > 1
+        self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
+        self._first_ns = 0  # aiding measurements must be younger than that
+        self._lag_ns = 0  # of the filters behind the IMU, so that no measurement is late
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
-        self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in pairs]
+        self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale = 1.0
-        self._since: dict[object, int] = {}  # ns, when something became true that still is
+        self._since: dict[object, int] = {}  # ns, when a condition became true that still is
 
     @property
     def best(self) -> InsFilter:
@@ -158,11 +109,14 @@ class MultipleModelBank:
     @property
     def waiting_for(self) -> str:
         """What the user can do about it."""
-        clock = f" and the clock offset (to {self.clock()[1]:.2f} s)" if self.clock_open else ""
         return (
             f"motion that shows the heading (known to {math.degrees(self.heading()[1]):.0f}° "
-            f"so far){clock}: speed up, brake or turn, or give it by initialpose"
+            f"so far){self._also_unknown}: speed up, brake or turn, or give it by initialpose"
         )
+
+    @property
+    def _also_unknown(self) -> str:
+        return ""
 
     def submit(self, event: Change) -> None:
         """See `InsFilter.submit`."""
@@ -171,7 +125,7 @@ class MultipleModelBank:
 
     def measure(self, measurement: Measurement) -> bool:
         """
-        Take a measurement, an aiding one with its stamp by the clock in force.
+        Submit a measurement, an aiding one with its stamp by the clock in force.
 
         Returns False when that is older than the hypotheses by one of the clocks.
         """
@@ -189,7 +143,7 @@ class MultipleModelBank:
 
     def advance(self, ring: ImuRing, now_ns: int) -> list[Verdict]:
         """
-        Follow the IMU, which is at ``now_ns`` [ns].
+        Propagate the filters; the IMU is at ``now_ns`` [ns].
 
         Returns the likeliest hypothesis' verdicts on what has been weighed since.
         """
@@ -210,42 +164,40 @@ class MultipleModelBank:
                 t_ns = measurement.t_ns - (offset_ns if measurement.aiding else 0)
                 decided[measurement.kind, t_ns] = verdict
             hypothesis.verdicts.clear()
-        told = []
+        weighed = []
         for key in [key for key in self._waiting if all(key in d for d in self._decided)]:
             verdicts = [decided.pop(key) for decided in self._decided]
-            told.append(replace(verdicts[self._best], measurement=self._waiting.pop(key)))
+            weighed.append(replace(verdicts[self._best], measurement=self._waiting.pop(key)))
             self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
             self.log_weights = np.delete(self.log_weights, k)
-        return told
+        return weighed
 
     def _weigh(self, verdicts: list[Verdict]) -> None:
-        """Take what became of one measurement under each hypothesis into the weights."""
+        """Update the weights by the verdicts on one measurement under each hypothesis."""
         if not all(math.isfinite(v.nis) for v in verdicts):
             return
-        # Beyond the gate a measurement says no more than that: outliers hit all alike.
+        # The likelihood of a measurement beyond the gate is that at the gate: outliers hit all.
         nis = np.array([min(v.nis, v.threshold) for v in verdicts])
         dof = len(verdicts[0].sigma)
         log_det = np.array([v.log_det for v in verdicts])
-        # Where even the best fits badly the noise is wrong, and differences mean less.
+        # Where even the best hypothesis has a large NIS the noise is wrong: differences mean less.
         self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
         self.log_weights -= 0.5 * (nis / max(1.0, self._nis_scale) + log_det)
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
 
     def heading(self) -> tuple[float, float]:
-        """Return the mixture's heading spread about the best [rad]: mean offset and σ."""
-        mean, sigma = self._mixture(*self._about_best())
-        return mean, sigma * math.sqrt(max(1.0, self._nis_scale))
-
-    def clock(self) -> tuple[float, float]:
-        """Return what is missing from the fixes' stamps, and its standard deviation [s]."""
-        missing = [
-            offset_ns * 1e-9 + hypothesis.clock.residual
-            for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
-        ]
-        return self._mixture(np.array(missing), np.array([f.clock.sigma**2 for f in self.filters]))
+        """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
+        C_best = matrix_from_quat(self.best.nav[QUAT])
+        means, variances = [], []
+        for hypothesis in self.filters:
+            C = matrix_from_quat(hypothesis.nav[QUAT]) @ C_best.T
+            means.append(math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
+            variances.append(covariance(hypothesis.nav)[EPS, EPS][2, 2])
+        mean, std = self._mixture(np.array(means), np.array(variances))
+        return mean, std * math.sqrt(max(1.0, self._nis_scale))
 
     def _mixture(self, means: Array, variances: Array) -> tuple[float, float]:
         """Mean and standard deviation of a quantity of which each hypothesis has its own."""
@@ -254,43 +206,32 @@ class MultipleModelBank:
         mean = float(weights @ means)
         return mean, math.sqrt(weights @ (variances + (means - mean) ** 2))
 
-    def _about_best(self) -> tuple[Array, Array]:
-        """Headings relative to the best's, and their variances."""
-        C_best = matrix_from_quat(self.best.nav[QUAT])
-        offsets, variances = [], []
-        for hypothesis in self.filters:
-            C = matrix_from_quat(hypothesis.nav[QUAT]) @ C_best.T
-            offsets.append(math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
-            variances.append(covariance(hypothesis.nav)[EPS, EPS][2, 2])
-        return np.array(offsets), np.array(variances)
-
     def decide(self) -> Decision | None:
-        """Return the one filter that the mixture has become, wide enough for all; or None."""
-        turn, turn_std = self.heading()
-        missing, clock_std = self.clock()
-        heading_known = [
-            self._has_lasted(("heading", std), turn_std <= std, lasting_ns)
-            for std, lasting_ns in HEADING_KNOWN
-        ]
-        clock_known = self._has_lasted("clock", clock_std <= OFFSET_KNOWN[0], OFFSET_KNOWN[1])
-        if (self._heading_open and not any(heading_known)) or (self.clock_open and not clock_known):
+        """Return the one filter that the mixture has become, its P including all; or None."""
+        if not self._is_known():
             return None
-        winner, offset_ns = self.best, self._offsets_ns[self._best]
-        propagation.flush(winner.nav)
+        turn, turn_std = self.heading()
+        winner = self.best
+        propagation.propagate_covariance(winner.nav)
         P = covariance(winner.nav)
         P[8, 8] += max(0.0, turn_std**2 + turn**2 - P[8, 8])
         pack(P, winner.nav[COVARIANCE])
-        if self.clock_open:
-            winner.clock.set_estimate(missing - offset_ns * 1e-9, clock_std)
         winner.verdicts.extendleft(reversed(self._decided[self._best].values()))
-        return Decision(
-            winner, offset_ns * 1e-9, self.clock_open and abs(offset_ns) == MAX_OFFSET_NS
-        )
+        return Decision(winner, self._offsets_ns[self._best] * 1e-9, False)
 
-    def _has_lasted(self, what: object, true: bool, lasting_ns: int) -> bool:
-        """Tell whether something is true, and was for so long."""
+    def _is_known(self) -> bool:
+        """Tell whether one filter can do the rest."""
+        std = self.heading()[1]
+        known = [
+            self._has_lasted(("heading", limit), std <= limit, lasting_ns)
+            for limit, lasting_ns in HEADING_KNOWN
+        ]
+        return not self._heading_open or any(known)
+
+    def _has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
+        """Tell whether a condition is true, and was for so long [ns]."""
         if not true:
-            self._since.pop(what, None)
+            self._since.pop(condition, None)
             return False
         t_ns = self.best.t_ns
-        return t_ns - self._since.setdefault(what, t_ns) >= lasting_ns
+        return t_ns - self._since.setdefault(condition, t_ns) >= lasting_ns

@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
+from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.events import Change, CovarianceInflation, NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.imu_health import NO_GRAVITY, UNUSABLE, Fault, find_fault
-from hybrid_ins.core.ins_filter import (
-    Change,
-    CovarianceInflation,
-    FilterSettings,
-    InsFilter,
-    NoiseChange,
-)
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import Measurement, PositionFix, Standstill
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
 from hybrid_ins.core.noise import NoiseEstimate
@@ -301,9 +297,7 @@ class Navigator:
         """Return what has an open clock around filters of one time and one clock."""
         first = filters[0]
         begin = self._beginning(first.t_ns, first.sample, first.noise.process.period)
-        return MultipleModelBank(
-            [known.state for known in filters], begin, self._settings, clock=True
-        )
+        return ClockSearch([known.state for known in filters], begin, self._settings)
 
     def open_clock(self, unknown: bool) -> None:
         """Take the fixes' clock for unknown, or for known; it may be another than before."""

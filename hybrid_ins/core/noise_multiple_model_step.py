@@ -14,7 +14,7 @@ from numba.extending import register_jitable
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
 from hybrid_ins.core.error_model import system_matrix
-from hybrid_ins.core.kalman import factorise
+from hybrid_ins.core.linalg import factorise
 from hybrid_ins.core.state import LLA, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
@@ -118,12 +118,8 @@ def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  #
                     place = PLACES[i, k]
                     for h in range(count):
                         PHt[a, i, h] += H[a, k] * P[place, h]
-    S, white, weight, log_likelihood = (
-        np.empty((m, m)),
-        np.empty(m),
-        np.ones(count),
-        np.empty(count),
-    )
+    S, white = np.empty((m, m)), np.empty(m)
+    weight, log_likelihood = np.ones(count), np.empty(count)
     for h in range(count):
         for repeat in range(2):
             for a in range(m):
@@ -136,9 +132,8 @@ def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  #
                         S[a, b] += H[a, k] * PHt[b, k, h]
             nis, log_det = _whiten(S, white)
             if repeat == 0:
-                log_likelihood[h] = -0.5 * log_det - 0.5 * (tail_dof + m) * np.log1p(
-                    nis / (tail_dof - 1.3)
-                )
+                tail = np.log1p(nis / (tail_dof - 1.3))
+                log_likelihood[h] = -0.5 * log_det - 0.5 * (tail_dof + m) * tail
                 if nis <= m:
                     break
                 # An outlier is weighted down, by each hypothesis for itself.

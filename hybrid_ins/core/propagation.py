@@ -1,15 +1,19 @@
 """
-The compiled filter step: mechanisation at every IMU sample, covariance with it or in short bundles.
+The prediction: the state at every IMU sample, the covariance with it or over a few samples at once.
 
-``step`` is the live call, ``run`` the same step in a loop for recorded data. Both are made of
-`strapdown.mechanise`, `error_model.system_matrix` and the generated `covariance_step`.
+`step` is the live call, `run` the same step in a loop for recorded data.
+
+References
+----------
+.. [1] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
+       2022, eq. (5)-(7).
 """
 
 from __future__ import annotations
 
 from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.error_model import system_matrix
+from hybrid_ins.core.error_model import process_noise, system_matrix
 from hybrid_ins.core.state import (
     BIAS_A,
     BIAS_G,
@@ -31,8 +35,17 @@ from hybrid_ins.core.strapdown import mechanise
 
 
 @kernel(fastmath={"contract"})
-def flush(nav):  # type: ignore[no-untyped-def]
-    """Propagate the covariance over the time that is pending in the flat state ``nav``."""
+def propagate_covariance(nav):  # type: ignore[no-untyped-def]
+    """
+    Propagate the covariance over the time dt that is pending in the flat state ``nav``.
+
+    With F at the mean specific force and attitude of that time, eq. (5)-(7) of [1]_::
+
+        P <- Phi P Phi' + G Qc G' dt,   Phi = I + F dt
+
+    F is `error_model.system_matrix`, G Qc G' dt is `error_model.process_noise`, and the products
+    are the generated `_covariance_step.covariance_step`.
+    """
     dt = nav[PENDING_DT]
     if dt <= 0.0:
         return
@@ -44,27 +57,7 @@ def flush(nav):  # type: ignore[no-untyped-def]
         C[i] /= dt
     F = nav[SYSTEM].reshape(15, 15)
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
-    psd = nav[PSD]
-    ax, ay, az = dt * psd[0], dt * psd[1], dt * psd[2]
-    gx, gy, gz = dt * psd[3], dt * psd[4], dt * psd[5]
-    q_v = (
-        C[0] * C[0] * ax + C[1] * C[1] * ay + C[2] * C[2] * az,
-        C[0] * C[3] * ax + C[1] * C[4] * ay + C[2] * C[5] * az,
-        C[0] * C[6] * ax + C[1] * C[7] * ay + C[2] * C[8] * az,
-        C[3] * C[3] * ax + C[4] * C[4] * ay + C[5] * C[5] * az,
-        C[3] * C[6] * ax + C[4] * C[7] * ay + C[5] * C[8] * az,
-        C[6] * C[6] * ax + C[7] * C[7] * ay + C[8] * C[8] * az,
-    )
-    q_eps = (
-        C[0] * C[0] * gx + C[1] * C[1] * gy + C[2] * C[2] * gz,
-        C[0] * C[3] * gx + C[1] * C[4] * gy + C[2] * C[5] * gz,
-        C[0] * C[6] * gx + C[1] * C[7] * gy + C[2] * C[8] * gz,
-        C[3] * C[3] * gx + C[4] * C[4] * gy + C[5] * C[5] * gz,
-        C[3] * C[6] * gx + C[4] * C[7] * gy + C[5] * C[8] * gz,
-        C[6] * C[6] * gx + C[7] * C[7] * gy + C[8] * C[8] * gz,
-    )
-    q_a = (dt * psd[6], dt * psd[7], dt * psd[8])
-    q_g = (dt * psd[9], dt * psd[10], dt * psd[11])
+    q_v, q_eps, q_a, q_g = process_noise(C, nav[PSD], dt)
     covariance_step(nav[COVARIANCE], F, dt, q_v, q_eps, q_a, q_g)
     nav[PENDING_DT] = 0.0
     for i in range(3):
@@ -77,6 +70,11 @@ def flush(nav):  # type: ignore[no-untyped-def]
 def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-def]
     """
     Advance the flat state ``nav`` by one IMU sample.
+
+    The state at every sample, the covariance once ``interval`` is pending::
+
+        x <- f(x, sample)                                   strapdown.mechanise
+        P <- Phi P Phi' + G Qc G' dt,   Phi = I + F dt      propagate_covariance
 
     Parameters
     ----------
@@ -106,7 +104,7 @@ def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-
     last_f[0], last_f[1], last_f[2] = fx, fy, fz
     last_w[0], last_w[1], last_w[2] = wx, wy, wz
     if nav[PENDING_DT] >= interval:
-        flush(nav)
+        propagate_covariance(nav)
 
 
 @kernel(fastmath={"contract"})

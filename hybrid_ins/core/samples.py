@@ -1,5 +1,5 @@
 """
-IMU samples in bulk, and the ring that keeps the recent ones.
+Arrays of IMU samples, and the ring buffer of the recent ones.
 
 All stamps are integer nanoseconds on the IMU's clock; all vectors are in the b frame.
 """
@@ -15,26 +15,47 @@ SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.floa
 
 
 def as_numbers(samples: NDArray[np.void]) -> NDArray[np.float64]:
-    """View samples as (N, 7): the stamps' bits, specific force, angular rate."""
+    """View samples as floats, (N, 7): the stamps' bits, specific force, angular rate."""
     return samples.view(np.float64).reshape(-1, 7)
 
 
 def readings_of(samples: NDArray[np.void]) -> NDArray[np.float64]:
-    """Copy specific force and angular rate out of samples, (N, 6)."""
+    """Return a copy of specific force and angular rate, (N, 6)."""
     return np.ascontiguousarray(as_numbers(samples)[:, 1:])
 
 
 def steps_since(start_ns: int, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the time (N,) [ns] from stamp to stamp; of the first since ``start_ns``."""
+    """Return the time (N,) [ns] from each stamp's predecessor, the first's being ``start_ns``."""
     steps = np.empty(len(t_ns), np.int64)
     steps[0] = t_ns[0] - start_ns
     np.subtract(t_ns[1:], t_ns[:-1], out=steps[1:])
     return steps
 
 
+def interpolate(
+    t0_ns: int, reading: NDArray[np.float64], following: NDArray[np.void], t_ns: int
+) -> NDArray[np.void]:
+    """
+    Return the sample (1,) at ``t_ns`` on the line between two consecutive ones.
+
+    Parameters
+    ----------
+    t0_ns, reading : int, ndarray, shape (6,)
+        Stamp [ns], specific force and angular rate of the first.
+    following : ndarray of ``SAMPLE_DTYPE``, shape ()
+        The second.
+    t_ns : int
+        Between the two stamps [ns].
+    """
+    fraction = (t_ns - t0_ns) / (int(following["t_ns"]) - t0_ns)
+    f = reading[:3] + fraction * (following["f"] - reading[:3])
+    w = reading[3:] + fraction * (following["w"] - reading[3:])
+    return np.array([(t_ns, f, w)], SAMPLE_DTYPE)
+
+
 class ImuRing:
     """
-    The last ``capacity`` IMU samples, in order: for rewinding and for the noise regressor.
+    Ring buffer of the last ``capacity`` IMU samples, for rewinding and for the noise regressor.
 
     Parameters
     ----------
@@ -85,5 +106,5 @@ class ImuRing:
             n *= 4
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Drop all samples."""
         self.count = 0

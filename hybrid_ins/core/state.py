@@ -1,8 +1,8 @@
 """
-Where everything is: the error state's slices and the layout of the flat state the kernels work on.
+The error state's slices, and the layout of the flat state that the kernels work on.
 
 One float64 vector holds the whole state of a filter, so that a compiled call has one argument, a
-snapshot is one copy and a rewind is one assignment. ``nav[NAVIGATION]`` is what a navigator knows;
+checkpoint is one copy and a rewind one assignment. ``nav[NAVIGATION]`` is the navigation state;
 ``nav[COVARIANCE]`` is the upper triangle of P, row by row, symmetric by construction.
 """
 
@@ -31,7 +31,7 @@ W_G = slice(3, 6)
 W_AB = slice(6, 9)
 W_GB = slice(9, 12)
 
-# The flat state: what a snapshot holds (N_NAV), and behind it the kernels' scratch.
+# The flat state: what a checkpoint holds (N_NAV), and behind it the kernels' scratch.
 LLA = slice(0, 3)  # rad, rad, m
 VELOCITY = slice(3, 6)  # m/s, n
 QUAT = slice(6, 10)  # C_nb, xyzw
@@ -77,7 +77,7 @@ def pack(full: Array, packed: Array) -> None:
 @dataclass(frozen=True, slots=True)
 class NavState:
     """
-    What the filter knows at one instant, in words.
+    The filter's estimate at one instant, by name.
 
     Attributes
     ----------
@@ -119,11 +119,6 @@ class NavState:
         nav[BIAS_A], nav[BIAS_G] = self.bias_a, self.bias_g
         pack(np.asarray(self.P, float), nav[COVARIANCE])
         return nav
-
-
-def inflate_covariance(P: Array, std: Array) -> Array:
-    """Return P, shape (n, n), with errors at least as large as ``std``, shape (n,)."""
-    return np.asarray(P + np.diag(np.maximum(std**2 - np.diag(P), 0.0)))
 
 
 def covariance(nav: Array) -> Array:

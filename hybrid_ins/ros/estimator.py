@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from hybrid_ins import parameters
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.events import ClockShift, NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import ClockShift, FilterSettings, InsFilter, NoiseChange
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.multiple_model import Decision
 from hybrid_ins.core.navigator import STAMP_FAULTS, Navigator
@@ -562,7 +564,7 @@ class Estimator:
     def _clock_found(self) -> tuple[float, float] | None:
         """Return what is missing from the clock offset in force, and its uncertainty [s]."""
         running, bank = self.navigator.filter, self.navigator.bank
-        if bank is not None and bank.clock_open:
+        if isinstance(bank, ClockSearch):
             return bank.clock()
         return None if running is None else (running.clock.residual, running.clock.sigma)
 

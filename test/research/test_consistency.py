@@ -26,7 +26,8 @@ from hybrid_ins.core import earth, noise_spectral, propagation
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.kalman import correct, inject
+from hybrid_ins.core.iterated_update import update
+from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import (
     ConstantNoise,
@@ -134,7 +135,7 @@ def one_run(
                 ins.submit(NoiseEstimate(int(samples["t_ns"][end]), noise_spectral.plateau(window)))
         ins.predict_block(samples[start : k + 1])
         start = k + 1
-        propagation.flush(ins.nav)
+        propagation.propagate_covariance(ins.nav)
         errors.append(difference(true_state(k).to_flat(), ins.nav))
         covariances.append(covariance(ins.nav))
     return np.array(errors), np.array(covariances), np.array([v.nis for v in ins.verdicts])
@@ -237,7 +238,7 @@ def test_covariance_stays_positive_definite_over_a_million_steps() -> None:
     for k in range(5000):
         lap = k % 50
         propagation.run(nav, dt, readings[200 * lap : 200 * (lap + 1)], 0.0, rows)
-        correct(nav, np.zeros(3), H, R if k < 2500 else 0.01 * R)
+        update(nav, np.zeros(3), H, R if k < 2500 else 0.01 * R)
         if k % 25 == 0:
             P = covariance(nav)
             sigma = np.sqrt(np.diag(P))

@@ -9,7 +9,7 @@ import pytest
 from support.runs import begin, fly, stamped_early, through_estimator
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.ins_filter import ClockShift
+from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.state import N_NAV
 from tools.paper.montecarlo import Scenario, draw
 

@@ -9,15 +9,10 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from support.runs import stamped_early, through_estimator
 
-from hybrid_ins.core import multiple_model
+from hybrid_ins.core import clock_search
+from hybrid_ins.core.clock_search import N_STEPS, SPEED_STD, TILT_STD, ClockSearch, state_at_offset
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.multiple_model import (
-    N_HEADINGS,
-    N_OFFSET_STEPS,
-    WRONG_CLOCK_SPEED_STD,
-    WRONG_CLOCK_TILT_STD,
-    with_clock_offset,
-)
+from hybrid_ins.core.multiple_model import N_HEADINGS
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.ros.estimator import Estimator
 from tools.paper.montecarlo import Run, Scenario, draw
@@ -155,10 +150,10 @@ def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.bank
-    assert search is not None and len(search.filters) > 1
+    assert isinstance(search, ClockSearch) and len(search.filters) > 1
     assert search.decide() is None
     missing, sigma = search.clock()
-    monkeypatch.setattr(multiple_model, "OFFSET_KNOWN", (1.0, 0))
+    monkeypatch.setattr(clock_search, "OFFSET_KNOWN", (1.0, 0))
     decision = search.decide()
     assert decision is not None
     winner = decision.filter
@@ -198,7 +193,7 @@ def test_while_nothing_moves_nothing_is_said() -> None:
     assert offset(estimator) == 0.0
     assert found(estimator)[1] > 0.2
     assert estimator.navigator.bank is not None
-    assert len(estimator.navigator.bank.filters) == 2 * N_OFFSET_STEPS + 1
+    assert len(estimator.navigator.bank.filters) == 2 * N_STEPS + 1
     assert "the search goes on" in estimator.diagnostics(estimator.navigator.last_ns)[-1].text
 
 
@@ -250,13 +245,13 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
         np.zeros(3),
         np.diag(np.full(15, 1e-4)),
     )
-    there = with_clock_offset(state, 0.5)
+    there = state_at_offset(state, 0.5)
 
     moved = (there.lla - state.lla) * curvature_scale(state.lla)
     np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
     std = np.sqrt(np.diag(there.P))
-    np.testing.assert_allclose(std[DV], WRONG_CLOCK_SPEED_STD)
-    np.testing.assert_allclose(std[EPS], WRONG_CLOCK_TILT_STD)
-    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * WRONG_CLOCK_SPEED_STD))
+    np.testing.assert_allclose(std[DV], SPEED_STD)
+    np.testing.assert_allclose(std[EPS], TILT_STD)
+    np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * SPEED_STD))
     # A velocity that was too low has put the state too little back.
-    np.testing.assert_allclose(there.P[DP, DV], -0.5 * WRONG_CLOCK_SPEED_STD**2 * np.eye(3))
+    np.testing.assert_allclose(there.P[DP, DV], -0.5 * SPEED_STD**2 * np.eye(3))

@@ -21,7 +21,7 @@ from hybrid_ins.core.earth import curvature_scale, lla_to_ecef
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.kalman import correct
+from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -97,9 +97,9 @@ class Compiled:
 
     def fix(self, fix: PositionFix) -> None:
         """See `Contender`."""
-        propagation.flush(self.nav)
+        propagation.propagate_covariance(self.nav)
         z, H, R = fix.linearise(self.nav)
-        correct(self.nav, z, H, R)
+        update(self.nav, z, H, R)
 
     def lla(self) -> Array:
         """See `Contender`."""
@@ -107,7 +107,7 @@ class Compiled:
 
     def P(self) -> Array:
         """See `Contender`."""
-        propagation.flush(self.nav)
+        propagation.propagate_covariance(self.nav)
         return covariance(self.nav)
 
 

@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 
 from hybrid_ins import parameters
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, NoiseChange
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,

@@ -196,23 +196,24 @@ def test_F_is_the_derivative_of_the_mechanisation(nav: Array) -> None:
 
 @settings(max_examples=40)
 @given(states, readings)
-def test_G_is_the_derivative_by_the_noise_of_a_reading(nav: Array, reading: Array) -> None:
-    """Of its negative, true minus read; and a bias that wanders is its own noise."""
-    G = error_model.noise_matrix(matrix_from_quat(nav[QUAT]))
-    expected = np.zeros((N_ERROR, N_NOISE))
+def test_process_noise_is_that_of_the_readings_through_the_mechanisation(
+    nav: Array, reading: Array
+) -> None:
+    """G is the derivative by the negative of a reading's noise; a bias wanders by its own."""
+    G = np.zeros((N_ERROR, N_NOISE))
     for noise, block in ((W_A, B_A), (W_G, B_G)):
         # A reading that is too large by d is an estimated bias that is too small by d.
-        expected[:, noise] = -F_by_differences(nav, reading)[:, block]
-    expected[B_A, W_AB] = expected[B_G, W_GB] = np.eye(3)
-
-    np.testing.assert_allclose(G, expected, atol=1e-10)
-
-
-def test_discretisation_is_first_order_and_qc_is_a_density() -> None:
-    F, G = system_matrix(FAST, DYNAMIC), error_model.noise_matrix(matrix_from_quat(FAST[QUAT]))
+        G[:, noise] = -F_by_differences(nav, reading)[:, block]
+    G[B_A, W_AB] = G[B_G, W_GB] = np.eye(3)
     psd, dt = np.arange(1.0, 13.0), 0.004
+    expected = dt * G @ np.diag(psd) @ G.T
 
-    Phi, Qd = error_model.discretise(F, G, psd, dt)
+    q_v, q_eps, q_a, q_g = error_model.process_noise(matrix_from_quat(nav[QUAT]).ravel(), psd, dt)
 
-    np.testing.assert_allclose(Phi, np.eye(N_ERROR) + dt * F, rtol=1e-15)
-    np.testing.assert_allclose(Qd, dt * G @ np.diag(psd) @ G.T, rtol=1e-13, atol=1e-18)
+    blocks = np.zeros((N_ERROR, N_ERROR))
+    for block, upper in ((DV, q_v), (EPS, q_eps)):
+        square = np.zeros((3, 3))
+        square[np.triu_indices(3)] = upper
+        blocks[block, block] = square + np.triu(square, 1).T
+    blocks[B_A, B_A], blocks[B_G, B_G] = np.diag(q_a), np.diag(q_g)
+    np.testing.assert_allclose(blocks, expected, atol=1e-9)

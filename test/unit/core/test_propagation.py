@@ -8,7 +8,7 @@ from support.analytic_motion import Series, Truth, Wave, travel
 
 from hybrid_ins.core import propagation
 from hybrid_ins.core._covariance_step import covariance_step
-from hybrid_ins.core.error_model import discretise, noise_matrix, system_matrix
+from hybrid_ins.core.error_model import process_noise, system_matrix
 from hybrid_ins.core.state import (
     B_A,
     B_G,
@@ -22,10 +22,15 @@ from hybrid_ins.core.state import (
     LLA,
     N_ERROR,
     N_NAV,
+    N_NOISE,
     NAVIGATION,
     PSD,
     QUAT,
     VELOCITY,
+    W_A,
+    W_AB,
+    W_G,
+    W_GB,
     Array,
     covariance,
     pack,
@@ -74,25 +79,23 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
     system_matrix(lla, rng.normal(0.0, 100.0, 3), f_n, C.ravel(), F)
     psd = rng.uniform(0.1, 1.0, 12)
     P = some_covariance(seed)
-    Phi, Qd = discretise(F, noise_matrix(C), psd, dt)
-    expected = Phi @ P @ Phi.T + Qd
+    expected = propagated(P, F, C, psd, dt)
 
     packed = np.empty(120)
     pack(P, packed)
-    upper = np.triu_indices(3)
-    covariance_step(
-        packed,
-        F,
-        dt,
-        Qd[DV, DV][upper],
-        Qd[EPS, EPS][upper],
-        np.diag(Qd[B_A, B_A]),
-        np.diag(Qd[B_G, B_G]),
-    )
+    covariance_step(packed, F, dt, *process_noise(C.ravel(), psd, dt))
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
     assert np.max(error) < 1e-14
+
+
+def propagated(P: Array, F: Array, C_nb: Array, psd: Array, dt: float) -> Array:
+    """Phi P Phi' + G Qc G' dt with Phi = I + F dt, as the textbook writes it."""
+    Phi, G = np.eye(N_ERROR) + F * dt, np.zeros((N_ERROR, N_NOISE))
+    G[DV, W_A], G[EPS, W_G] = C_nb, -C_nb
+    G[B_A, W_AB] = G[B_G, W_GB] = np.eye(3)
+    return Phi @ P @ Phi.T + G @ np.diag(psd) @ G.T * dt
 
 
 def reference_step(nav: Array, P: Array, dt: float, reading: Array) -> Array:
@@ -103,8 +106,7 @@ def reference_step(nav: Array, P: Array, dt: float, reading: Array) -> Array:
     mechanise(nav[LLA], nav[VELOCITY], nav[QUAT], f0, w0, f1, w1, dt, C, f_n)
     nav[LAST_F], nav[LAST_W] = reading[:3], reading[3:]
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
-    Phi, Qd = discretise(F, noise_matrix(C.reshape(3, 3)), nav[PSD], dt)
-    return Phi @ P @ Phi.T + Qd
+    return propagated(P, F, C.reshape(3, 3), nav[PSD], dt)
 
 
 def test_ten_minutes_equal_the_reference() -> None:
@@ -145,7 +147,7 @@ def test_coarser_covariance_differs_by_little_and_the_state_not_at_all(interval:
 
     for nav, pending in ((fine, 0.0), (coarse, interval)):
         propagation.run(nav, np.diff(truth.t), truth.readings[1:], pending, NO_ROWS)
-        propagation.flush(nav)
+        propagation.propagate_covariance(nav)
 
     np.testing.assert_array_equal(coarse[NAVIGATION], fine[NAVIGATION])
     sigma, exact = (np.sqrt(np.diag(covariance(nav))) for nav in (coarse, fine))
@@ -159,9 +161,9 @@ def test_flush_propagates_what_is_pending_and_only_once() -> None:
     propagation.run(every, np.diff(truth.t), truth.readings[1:], 0.0, NO_ROWS)
     before = nav[COVARIANCE].copy()
 
-    propagation.flush(nav)
+    propagation.propagate_covariance(nav)
     once = nav[COVARIANCE].copy()
-    propagation.flush(nav)
+    propagation.propagate_covariance(nav)
 
     np.testing.assert_array_equal(before, start(truth)[COVARIANCE])
     np.testing.assert_array_equal(nav[COVARIANCE], once)

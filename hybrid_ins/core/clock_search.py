@@ -1,0 +1,96 @@
+"""
+Multiple-model search for the clock offset of fixes: one filter per offset (and heading).
+
+A filter that assumes the fixes to be tenths of a second younger or older than they are linearises
+far from the truth: within those a vehicle turns and brakes, and it cannot tell the offset from a
+bad IMU (see `noise_multiple_model`) before its state has followed the fixes. Filters that start
+with offsets a cell apart are each accurate within their cell, where `clock_offset` estimates the
+rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.inflation import inflate_covariance
+from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
+from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, NavState
+
+STEP_NS, N_STEPS = 100_000_000, 6
+OFFSETS_NS = tuple(STEP_NS * k for k in range(-N_STEPS, N_STEPS + 1))
+MAX_OFFSET_NS = OFFSETS_NS[-1]
+OFFSET_STD = 0.05  # s, half a cell
+OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, standard deviation of the mixture's; ns, for how long
+SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
+
+
+def state_at_offset(state: NavState, offset: float) -> NavState:
+    """Return a state, inflated, as if the fixes that led to it were ``offset`` [s] younger."""
+    std = np.zeros(N_ERROR)
+    std[DV], std[EPS] = SPEED_STD, TILT_STD
+    moved = np.eye(N_ERROR)
+    moved[DP, DV] = -offset * np.eye(3)
+    lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
+    return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
+
+
+class ClockSearch(MultipleModelBank):
+    """
+    The same filter under several clock offsets of fixes, for each of several headings.
+
+    The filters follow the IMU at a distance, so that a fix is late by none of the clocks.
+
+    Parameters
+    ----------
+    states, make_filter, settings
+        See `MultipleModelBank`.
+    """
+
+    clock_open: ClassVar[bool] = True
+
+    def __init__(
+        self, states: Sequence[NavState], make_filter: FilterFactory, settings: FilterSettings
+    ) -> None:
+        super().__init__(
+            [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
+            make_filter,
+            replace(settings, clock_std=OFFSET_STD),
+        )
+        self._heading_open = len(states) > 1
+        self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
+        self._first_ns = self.best.t_ns + MAX_OFFSET_NS
+        self._lag_ns = MAX_OFFSET_NS + STEP_NS
+
+    @property
+    def _also_unknown(self) -> str:
+        return f" and the clock offset (to {self.clock()[1]:.2f} s)"
+
+    def clock(self) -> tuple[float, float]:
+        """Return the offset still to be added to the stamps of fixes, and its σ [s]."""
+        residuals = [
+            offset_ns * 1e-9 + hypothesis.clock.residual
+            for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
+        ]
+        variances = [hypothesis.clock.sigma**2 for hypothesis in self.filters]
+        return self._mixture(np.array(residuals), np.array(variances))
+
+    def decide(self) -> Decision | None:
+        """See `MultipleModelBank.decide`; the filter takes over the mixture's clock offset."""
+        decision = super().decide()
+        if decision is None:
+            return None
+        residual, sigma = self.clock()
+        decision.filter.clock.set_estimate(residual - decision.offset, sigma)
+        at_edge = abs(self._offsets_ns[self._best]) == MAX_OFFSET_NS
+        return decision._replace(at_edge=at_edge)
+
+    def _is_known(self) -> bool:
+        std, lasting_ns = OFFSET_KNOWN
+        clock_known = self._has_lasted("clock", self.clock()[1] <= std, lasting_ns)
+        return super()._is_known() and clock_known

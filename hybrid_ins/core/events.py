@@ -1,0 +1,56 @@
+"""
+What happens to a filter at a stamp besides IMU samples: measurements, and changes of its settings.
+
+Events of one stamp are applied in the alphabetical order of their kinds, so that the result does
+not depend on the order of their arrival.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.noise import NoiseEstimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseChange:
+    """Other noise, from its stamp on."""
+
+    t_ns: int
+    noise: FilterNoise
+    kind: ClassVar[str] = "noise change"
+
+
+@dataclass(frozen=True, slots=True)
+class ClockShift:
+    """From its stamp on, more is added to the stamps of fixes."""
+
+    t_ns: int
+    by: float  # s
+    kind: ClassVar[str] = "clock shift"
+
+
+@dataclass(frozen=True, slots=True)
+class CovarianceInflation:
+    """At its stamp the errors may be as large as ``std``, whatever the covariance says."""
+
+    t_ns: int
+    std: Array  # (15,) in the order of the error state; 0 where nothing is inflated
+    kind: ClassVar[str] = "covariance inflation"
+
+
+Change = NoiseEstimate | NoiseChange | ClockShift | CovarianceInflation
+Event = Measurement | Change
+
+
+def order(event: Event) -> tuple[int, str]:
+    """Return what events are sorted by: stamp, then kind."""
+    return event.t_ns, event.kind

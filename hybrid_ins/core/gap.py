@@ -1,0 +1,58 @@
+"""Propagation over a gap in the IMU samples, with the uncertainty of what went unmeasured."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core import propagation
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DP,
+    DV,
+    EPS,
+    LAST_F,
+    LAST_W,
+    N_NAV,
+    covariance,
+    pack,
+)
+
+Array = NDArray[np.float64]
+
+GAP_FORCE, GAP_RATE = 0.2, 0.02  # m/s², rad/s: unmeasured motion of a calm vehicle
+MAX_STEP_ROTATION = 0.2  # rad, for which the series of the mechanisation hold
+
+
+def bridge(nav: Array, reading: Array, dt: float, interval: float) -> None:
+    """
+    Propagate to the sample behind a gap, along a line between the samples at its ends.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state before the gap; overwritten, with nothing pending.
+    reading : ndarray, shape (6,)
+        Sample behind the gap: specific force [m/s²] and angular rate [rad/s], b.
+    dt : float
+        Length of the gap [s].
+    interval : float
+        See `propagation.step`.
+    """
+    last = np.concatenate((nav[LAST_F], nav[LAST_W]))
+    rate = float(np.linalg.norm(reading[3:]))
+    parts = 1 + int(dt * max(rate, float(np.linalg.norm(last[3:]))) / MAX_STEP_ROTATION)
+    line = last + np.linspace(0.0, 1.0, parts + 1)[1:, None] * (reading - last)
+    propagation.run(nav, np.full(parts, dt / parts), line, interval, np.empty((0, N_NAV)))
+    propagation.propagate_covariance(nav)
+    jump = np.abs(reading - last)
+    force_std = GAP_FORCE + 0.5 * jump[:3].max() + rate
+    rate_std = GAP_RATE + 0.5 * jump[3:].max() + 0.2 * rate
+    P = covariance(nav)
+    for block, std in (
+        (DP, 0.25 * force_std * dt**2),
+        (DV, 0.5 * force_std * dt),
+        (EPS, 0.5 * rate_std * dt),
+    ):
+        P[block, block] += std**2 * np.eye(3)
+    pack(P, nav[COVARIANCE])
