@@ -258,7 +258,7 @@ def _nis(verdicts: Verdicts, notes: list[str]) -> dict[str, Any]:
 def _outages(
     errors: Errors | None, estimate: Trajectory, fused_ns: Stamps, origin_ns: int, at_least: float
 ) -> tuple[Outage, ...]:
-    """Find the outages, and the error just before the next fix is fused."""
+    """Find the outages, the errors within them, and the last one before the next fix is fused."""
     outages = []
     for start_ns, end_ns in outage_spans(fused_ns, int(estimate.stamp_ns[-1]) + 1, at_least):
         outage = Outage((start_ns - origin_ns) * 1e-9, (end_ns - start_ns) * 1e-9)
@@ -268,11 +268,13 @@ def _outages(
             usable = (errors.stamp_ns > start_ns) & (errors.stamp_ns <= last)
             usable &= np.isfinite(errors.position_enu).all(axis=1)
             usable &= errors.stamp_ns >= errors.stamp_ns[errors.scored][0]
-            for error in errors.position_enu[usable][-1:]:
+            inside = errors.position_enu[usable]
+            if len(inside):
                 outage = replace(
                     outage,
-                    end_error=float(np.linalg.norm(error)),
-                    end_horizontal_error=float(np.linalg.norm(error[:2])),
+                    end_error=float(np.linalg.norm(inside[-1])),
+                    end_horizontal_error=float(np.linalg.norm(inside[-1, :2])),
+                    largest_error=float(np.max(np.linalg.norm(inside, axis=1))),
                 )
         outages.append(outage)
     return tuple(outages)

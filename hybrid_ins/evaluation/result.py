@@ -63,6 +63,7 @@ class Outage:
     duration: float  # s
     end_error: float | None = None  # m, position error at the last truth epoch in it
     end_horizontal_error: float | None = None  # m
+    largest_error: float | None = None  # m, position error at any truth epoch in it
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,12 @@ class Result:
         known = [o.end_error for o in self.outages if o.end_error is not None]
         return float(np.percentile(known, percentile)) if known else None
 
+    @property
+    def largest_outage_error(self) -> float | None:
+        """Largest position error within the outages [m], or None."""
+        known = [o.largest_error for o in self.outages if o.largest_error is not None]
+        return max(known, default=None)
+
     def as_dict(self) -> dict[str, Any]:
         """
         Return all figures as plain numbers for JSON: units in the keys, angles in degrees.
@@ -137,11 +144,11 @@ class Result:
             null. ``nees_position, nees_velocity, nees_attitude, nis_position, nis_velocity,
             nis_tested``: null or ``{mean, dof, per_dof, count, band, effective_count,
             effective_band, verdict}``, bands of per_dof at 95 %. ``outages``: ``{count,
-            end_error_median_m, end_error_p90_m, each: [{start_s, duration_s, end_error_m,
-            end_horizontal_error_m}]}``. ``fixes``: null or ``{total, accepted, refused:
-            {reason: count}}``. ``epochs``: null or ``{truth, scored, fed, skipped, uncovered,
-            invalid}``. ``coverage, largest_gap_s``, ``time_offset_s``: ``{mean, low, high,
-            source}``. ``scoring``: the options as given. ``notes``: list of texts.
+            end_error_median_m, end_error_p90_m, largest_error_m, each: [{start_s, duration_s,
+            end_error_m, end_horizontal_error_m, largest_error_m}]}``. ``fixes``: null or ``{total,
+            accepted, refused: {reason: count}}``. ``epochs``: null or ``{truth, scored, fed,
+            skipped, uncovered, invalid}``. ``coverage, largest_gap_s``, ``time_offset_s``: ``{mean,
+            low, high, source}``. ``scoring``: the options as given. ``notes``: list of texts.
 
         """
 
@@ -168,12 +175,14 @@ class Result:
                 "count": len(self.outages),
                 "end_error_median_m": self.outage_error(50),
                 "end_error_p90_m": self.outage_error(90),
+                "largest_error_m": self.largest_outage_error,
                 "each": [
                     {
                         "start_s": o.start,
                         "duration_s": o.duration,
                         "end_error_m": o.end_error,
                         "end_horizontal_error_m": o.end_horizontal_error,
+                        "largest_error_m": o.largest_error,
                     }
                     for o in self.outages
                 ],

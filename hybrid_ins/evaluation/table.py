@@ -28,22 +28,25 @@ def table(result: Result) -> str:
 
 
 def summary(result: Result) -> dict[str, float | int | None]:
-    """Return the main figures by column title, for a table of several runs."""
-    means = {
-        f"{name} {part}": None if consistency is None else consistency.mean
-        for name, part, consistency in (
-            ("NEES", "position", result.nees_position),
-            ("NIS", "position", result.nis_position),
-        )
+    """Return the figures of `table` by column title, for a table of several runs."""
+    consistency = {
+        "NEES/dof pos": result.nees_position,
+        "NEES/dof vel": result.nees_velocity,
+        "NEES/dof att": result.nees_attitude,
+        "NIS/dof": result.nis_position,
     }
     return {
         "PRMSE [m]": result.prmse,
         "PMAE [m]": result.pmae,
+        "largest [m]": result.largest_error,
         "velocity [m/s]": result.velocity_rmse,
         "heading [deg]": degrees(result.heading_rmse),
-        **means,
+        "tilt [deg]": degrees(result.tilt_rmse),
+        **{name: None if c is None else c.per_dof for name, c in consistency.items()},
         "coverage": result.coverage,
         "outages": len(result.outages),
+        "at end [m]": result.outage_error(50),
+        "within [m]": result.largest_outage_error,
     }
 
 
@@ -137,7 +140,8 @@ def _fix_lines(result: Result) -> list[str]:
         line = f"outages: {len(result.outages)} of {span}"
         median, p90 = result.outage_error(50), result.outage_error(90)
         if median is not None:
-            line += f"; error at their ends: median {median:.3g} m, p90 {p90:.3g} m"
+            line += f"; error at their ends: median {median:.3g} m, p90 {p90:.3g} m; "
+            line += f"largest within {result.largest_outage_error:.3g} m"
         lines.append(line)
     return lines if len(lines) > 1 else []
 

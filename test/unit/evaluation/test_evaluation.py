@@ -32,7 +32,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.evaluate import evaluate, outage_spans
 from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import read_run
-from hybrid_ins.evaluation.table import table
+from hybrid_ins.evaluation.table import summary, table
 from hybrid_ins.ros.trajectory import Trajectory
 
 
@@ -394,6 +394,22 @@ class TestOutages:
         assert outage.end_error == pytest.approx(0.3 * 9.9)  # the last truth epoch in it
         assert outage.end_horizontal_error == pytest.approx(0.3 * 9.9)
         assert result.outage_error(50) == pytest.approx(0.3 * 9.9)
+        assert result.largest_outage_error == pytest.approx(0.3 * 9.9)
+
+    def test_the_largest_error_of_an_outage_need_not_be_its_last(self) -> None:
+        # GIVEN an error that is largest in the middle of an outage, as after smoothing
+        at = np.concatenate((np.arange(0.0, 5.1, 0.2), np.arange(15.0, 20.0, 0.2)))
+        t = (flight(FAST).stamp_ns - START_NS) * 1e-9
+        bulge = np.where((t > 5.0) & (t < 15.0), 4.0 - 0.16 * (t - 10.0) ** 2, 0.0)
+        estimate = shifted(flight(FAST), np.stack((bulge, 0 * bulge, 0 * bulge), axis=1))
+
+        result = evaluate(
+            replace(estimate, velocity_enu=None), flight(TRUTH), fix_stamp_ns=stamps(at)
+        )
+
+        assert result.largest_outage_error == pytest.approx(4.0)
+        assert result.outage_error(50) < 0.5  # type: ignore[operator]
+        assert "largest within 4 m" in " ".join(table(result).split())
 
     def test_refused_fixes_make_an_outage(self) -> None:
         at = np.arange(0.0, 20.1, 0.2)
@@ -439,6 +455,7 @@ class TestResult:
             "count": 0,
             "end_error_median_m": None,
             "end_error_p90_m": None,
+            "largest_error_m": None,
             "each": [],
         }
 
@@ -458,6 +475,22 @@ class TestResult:
         assert max(len(line) for line in shown.splitlines()) <= 80
         for text in ("PRMSE", "PMAE", "NEES", "NIS", "overconfident", "outages", "note:", "skip"):
             assert text in shown
+
+    def test_several_runs_are_tabled_with_the_figures_of_one(self) -> None:
+        at = np.concatenate((np.arange(0.0, 5.1, 0.2), np.arange(15.0, 20.0, 0.2)))
+        result = evaluate(
+            with_sigma(shifted(flight(FAST), [0.3, 0.4, 0.0]), 0.5),
+            flight(TRUTH),
+            verdicts=verdicts(at),
+        )
+
+        row = summary(result)
+
+        one = table(result)
+        assert row["NEES/dof pos"] == pytest.approx(0.25 / 0.25 / 3)
+        assert row["NIS/dof"] == pytest.approx(1.0)
+        for value in filter(None, row.values()):
+            assert f"{value:.3g}" in one or f"{100 * value:.1f}" in one
 
     def test_without_truth_only_the_filter_s_own_word(self) -> None:
         result = evaluate(flight(FAST), None, verdicts=verdicts(np.arange(0.0, 20.1, 0.2)))
