@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from hybrid_ins import batch
 from hybrid_ins.cli import options, program
@@ -21,6 +20,7 @@ from hybrid_ins.evaluation.run import Run, Topics
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
 from hybrid_ins.plotting import style
+from hybrid_ins.plotting.comparison import MOST_RUNS, comparison
 from hybrid_ins.plotting.overview import overview
 
 DESCRIPTION = """\
@@ -45,7 +45,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--truth", metavar="BAG", type=Path, help="bag with truth (default EST)")
     parser.add_argument("--no-truth", action="store_true", help="evaluate NIS and fixes only")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture, .png or .svg")
+    parser.add_argument(
+        "--plot", metavar="FILE", type=Path,
+        help="write a picture, .png or .svg; of several bags, an overlay of their runs",
+    )  # fmt: skip
     parser.add_argument(
         "--report", metavar="FILE", type=Path,
         help="write an HTML report with questions and answers, picture and table",
@@ -119,14 +122,11 @@ def _run(args: argparse.Namespace) -> int:
         args.outage_gap,
     )
     if len(args.estimate) > 1 or not batch.is_bag(args.estimate[0]):
-        if args.truth or args.json or args.plot or args.report:
-            raise InputError("--truth, --json, --plot and --report are for one bag at a time")
-        settings = {"topics": vars(topics), "scoring": vars(scoring), "no_truth": args.no_truth}
-        work = partial(_evaluate_one, topics, scoring, args.no_truth)
-        jobs = batch.find_jobs(args.estimate, args.results)
-        return batch.run(jobs, work, settings, workers=args.jobs, cluster=args.dask)
+        if args.json or args.report:
+            raise InputError("--json and --report are for one bag at a time")
+        return _evaluate_many(args, topics, scoring)
     [path] = args.estimate
-    run = _read(path, args.truth, topics, args.no_truth)
+    run = _read(path, truth=args.truth, topics=topics, no_truth=args.no_truth)
     result = evaluate_run(run, scoring)
     if args.json:
         bags = {"estimate": str(path), "truth": str(args.truth or path)}
@@ -146,7 +146,28 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(path: Path, truth: Path | None, topics: Topics, no_truth: bool) -> Run:
+def _evaluate_many(args: argparse.Namespace, topics: Topics, scoring: Scoring) -> int:
+    read = partial(_read, truth=args.truth, topics=topics, no_truth=args.no_truth)
+    settings = {
+        "topics": vars(topics),
+        "scoring": vars(scoring),
+        "truth": args.truth,
+        "no_truth": args.no_truth,
+    }
+    jobs = batch.find_jobs(args.estimate, args.results)
+    if args.plot is not None and len(jobs) > MOST_RUNS:
+        raise InputError(f"--plot overlays at most {MOST_RUNS} runs, not {len(jobs)}")
+    work = partial(_evaluate_one, read, scoring)
+    status = batch.run(jobs, work, settings, workers=args.jobs, cluster=args.dask)
+    if args.plot is not None:
+        runs = [(job.name, read(job.source)) for job in jobs]
+        evaluated = [(name, run, evaluate_run(run, scoring)) for name, run in runs]
+        style.save(comparison(evaluated), args.plot)
+        print(f"picture: {args.plot}")
+    return status
+
+
+def _read(path: Path, *, truth: Path | None, topics: Topics, no_truth: bool) -> Run:
     run = read_run(path, truth, topics)
     if no_truth:
         return replace(run, truth=None)
@@ -159,7 +180,7 @@ def _read(path: Path, truth: Path | None, topics: Topics, no_truth: bool) -> Run
 
 
 def _evaluate_one(
-    topics: Topics, scoring: Scoring, no_truth: bool, job: batch.Job
-) -> dict[str, Any]:
+    read: Callable[[Path], Run], scoring: Scoring, job: batch.Job
+) -> dict[str, float | int | None]:
     """Evaluate one bag of many."""
-    return summary(evaluate_run(_read(job.source, None, topics, no_truth), scoring))
+    return summary(evaluate_run(read(job.source), scoring))

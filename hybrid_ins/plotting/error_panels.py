@@ -53,7 +53,9 @@ def draw_error(
         Of the components, where there are several.
     """
     axes.set(ylabel=unit, title=title)
-    at, error, sigma = _parts(view, quantity, columns)
+    at, error, sigma = view.error(quantity, list(columns))
+    if quantity == "attitude":
+        error, sigma = (None if rows is None else np.degrees(rows) for rows in (error, sigma))
     if error is None and sigma is None:
         mark_missing(axes, "not known")
         return
@@ -75,26 +77,6 @@ def draw_error(
     _zoom(axes, error, sigma)
     if not single:
         legend_above(axes)
-
-
-def _parts(
-    view: RunView, quantity: str, columns: Sequence[int]
-) -> tuple[Array, Array | None, Array | None]:
-    """Return times, errors (N, len(columns)) and their stated sigma, in the units drawn."""
-    scale = math.degrees(1.0) if quantity == "attitude" else 1.0
-    errors = view.result.errors
-    source = view.run.estimate if errors is None else errors.estimate
-    covariance = getattr(source, f"{quantity}_cov")
-    sigma = None
-    if covariance is not None:
-        variance = np.diagonal(covariance, axis1=1, axis2=2)[:, list(columns)]
-        known = np.isfinite(variance) & (variance > 0.0)
-        sigma = scale * np.sqrt(np.where(known, variance, np.nan))
-    if errors is None or view.error_seconds is None:
-        return view.seconds, None, sigma
-    name = {"attitude": "rotation_enu", "velocity": "velocity_base"}.get(quantity, "position_enu")
-    error = getattr(errors, name)
-    return view.error_seconds, None if error is None else scale * error[:, list(columns)], sigma
 
 
 def _caption(

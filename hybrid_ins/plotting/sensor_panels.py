@@ -21,6 +21,7 @@ from hybrid_ins.plotting.style import (
     TEXT,
     VERMILLION,
     legend_above,
+    legend_inside,
     mark_missing,
     thin,
     thin_band,
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _REJECTED = ((VERMILLION, "x"), (PURPLE, "^"), (ORANGE, "s"), (GREEN, "D"), (BLACK, "v"))
+_LOWEST_NIS = 0.05  # of the panel
+_LARGEST_LEGEND = 0.6  # of the height of its panel
+_MOST_DECADES = 14.0  # of an axis
 
 
 def draw_nis(axes: Axes, view: RunView) -> None:
@@ -45,8 +49,7 @@ def draw_nis(axes: Axes, view: RunView) -> None:
     tested = np.isfinite(v.nis) & (v.nis > 0.0)
     fused = tested & v.accepted & position
     limited = np.isfinite(v.threshold) & position
-    sizes = np.concatenate((v.nis[tested], v.threshold[limited], [10.0]))
-    axes.set(yscale="log", ylim=(0.05, 150.0 * float(np.max(sizes))))
+    axes.set(yscale="log", ylim=(_LOWEST_NIS, 100.0))  # for now: no autoscaling
     size = 4.0 if len(v) < 1000 else 2.0
     for kind, marker, colour, name in (
         (position, ".", BLUE, "accepted"),
@@ -70,12 +73,15 @@ def draw_nis(axes: Axes, view: RunView) -> None:
         )  # fmt: skip
     for (colour, marker), (reason, shown) in zip(_REJECTED, _rejections(v), strict=False):
         # Fixes that were rejected before the test have no NIS: they are at the lower edge.
-        height = np.where(tested[shown], v.nis[shown], 1.6 * axes.get_ylim()[0])
+        height = np.where(tested[shown], v.nis[shown], 1.6 * _LOWEST_NIS)
         axes.plot(
             at[shown], height, marker, ms=5, mew=1.4, color=colour,
             label=f"rejected: {_shortened(reason)} ({np.sum(shown)})",
         )  # fmt: skip
-    axes.legend(ncols=3, loc="upper right", fontsize=7.5)
+    sizes = np.concatenate((v.nis[tested], v.threshold[limited], [10.0]))
+    decades = math.log10(2.0 * float(np.max(sizes)) / _LOWEST_NIS)
+    room = min(legend_inside(axes) + 0.05, _LARGEST_LEGEND)
+    axes.set_ylim(_LOWEST_NIS, _LOWEST_NIS * 10.0 ** min(decades / (1.0 - room), _MOST_DECADES))
 
 
 def draw_bias(axes: Axes, view: RunView, sensor: str, scale: float, unit: str) -> None:
@@ -146,7 +152,7 @@ def _true_lines(axes: Axes, view: RunView, true: Series | None, scale: float) ->
         )  # fmt: skip
 
 
-def _shortened(text: str, length: int = 28) -> str:
+def _shortened(text: str, length: int = 24) -> str:
     return text if len(text) <= length else text[: length - 1] + "…"
 
 

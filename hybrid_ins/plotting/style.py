@@ -105,6 +105,17 @@ def legend_above(axes: Axes) -> None:
     )
 
 
+def legend_inside(axes: Axes, font_size: float = 7.5) -> float:
+    """Put the legend at the top of the panel, within its width; returns its share of the height."""
+    panel = axes.get_window_extent()
+    for columns in (4, 3, 2, 1):
+        legend = axes.legend(ncols=columns, loc="upper right", fontsize=font_size)
+        box = legend.get_window_extent()
+        if box.width < 0.98 * panel.width:
+            break
+    return float(box.height / panel.height)
+
+
 def mark_missing(axes: Axes, why: str) -> None:
     """Write into an empty panel why it is empty."""
     axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=MUTED)

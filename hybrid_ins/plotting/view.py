@@ -18,24 +18,44 @@ class RunView:
     ----------
     run, result
         As given.
-    seconds : ndarray, shape (N,)
-        Times of the estimate [s] from the origin of the result.
-    error_seconds : ndarray, shape (M,), or None
-        Times of the errors [s], where there is truth.
+    estimate : Trajectory
+        In the map drawn: at first that of the run.
     truth : Trajectory or None
-        In the map of the estimate where both datums are known.
+        In the same map where the datums are known.
+    origin_ns : int
+        Zero of all times, IMU clock [ns]: at first that of the result.
     """
 
     def __init__(self, run: Run, result: Result) -> None:
         self.run = run
         self.result = result
-        self.seconds = self.since(run.estimate.stamp_ns)
-        errors = result.errors
-        self.error_seconds = None if errors is None else self.since(errors.stamp_ns)
+        self.estimate = run.estimate
         self.truth: Trajectory | None = run.truth
-        datum_lla = run.estimate.datum_lla
-        if self.truth is not None and self.truth.datum_lla is not None and datum_lla is not None:
+        self.origin_ns = result.origin_ns
+        self.set_map(run.estimate.datum_lla)
+
+    def set_map(self, datum_lla: Array | None) -> None:
+        """Express estimate and truth in the map of a datum, as far as theirs are known."""
+        if datum_lla is None:
+            return
+        if self.estimate.datum_lla is not None:
+            self.estimate = self.estimate.in_map_of(datum_lla)
+        if self.truth is not None and self.truth.datum_lla is not None:
             self.truth = self.truth.in_map_of(datum_lla)
+
+    def set_origin(self, origin_ns: int) -> None:
+        """Count times from another stamp of the IMU clock [ns]."""
+        self.origin_ns = origin_ns
+
+    @property
+    def seconds(self) -> Array:
+        """Times of the estimate [s], shape (N,)."""
+        return self.since(self.estimate.stamp_ns)
+
+    @property
+    def error_seconds(self) -> Array | None:
+        """Times of the errors [s], shape (M,), where there is truth."""
+        return None if self.result.errors is None else self.since(self.result.errors.stamp_ns)
 
     @property
     def scored(self) -> NDArray[np.bool_] | None:
@@ -43,8 +63,8 @@ class RunView:
         return None if self.result.errors is None else self.result.errors.scored
 
     def since(self, stamp_ns: Stamps) -> Array:
-        """Return times [s] from the origin of the result; stamps of the IMU clock."""
-        return np.asarray((stamp_ns - self.result.origin_ns) * 1e-9, float)
+        """Return times [s] from the origin; stamps of the IMU clock."""
+        return np.asarray((stamp_ns - self.origin_ns) * 1e-9, float)
 
     def to_imu(self, stamp_ns: Stamps) -> Stamps:
         """Convert stamps of the reference clock to the IMU clock by the mean offset."""
@@ -52,7 +72,8 @@ class RunView:
 
     def outages(self) -> list[tuple[float, float]]:
         """Return start and end of each outage [s]."""
-        return [(o.start, o.start + o.duration) for o in self.result.outages]
+        later = (self.result.origin_ns - self.origin_ns) * 1e-9
+        return [(o.start + later, o.start + later + o.duration) for o in self.result.outages]
 
     def scoring_start(self) -> float:
         """Return the time of the first scored epoch [s]."""
@@ -61,12 +82,60 @@ class RunView:
             return float(self.seconds[0]) + self.result.scoring.skip
         return float(self.since(errors.stamp_ns[errors.scored][:1])[0])
 
+    def error(
+        self, quantity: str, part: slice | list[int]
+    ) -> tuple[Array, Array | None, Array | None]:
+        """
+        Return times, an error and its stated standard deviation.
+
+        Parameters
+        ----------
+        quantity : str
+            ``position`` [m, map], ``velocity`` [m/s, base_link] or ``attitude`` [rad, map].
+        part : slice or list of int
+            Its components.
+
+        Returns
+        -------
+        at : ndarray, shape (M,)
+            [s]; those of the estimate where there is no truth.
+        error, sigma : ndarray, shape (M, components), or None
+            NaN where not known.
+        """
+        errors = self.result.errors
+        source = self.run.estimate if errors is None else errors.estimate
+        covariance = getattr(source, f"{quantity}_cov")
+        sigma = None
+        if covariance is not None:
+            variance = np.diagonal(covariance, axis1=1, axis2=2)[:, part]
+            known = np.isfinite(variance) & (variance > 0.0)
+            sigma = np.sqrt(np.where(known, variance, np.nan))
+        if errors is None or self.error_seconds is None:
+            return self.seconds, None, sigma
+        name = {"attitude": "rotation_enu", "velocity": "velocity_base"}.get(
+            quantity, "position_enu"
+        )
+        error = getattr(errors, name)
+        return self.error_seconds, None if error is None else error[:, part], sigma
+
+    def start_position(self) -> Array:
+        """Return the first position (3,) [m] of truth, fixes and estimate: the run's start."""
+        fixes, _ = self.fix_positions()
+        first: list[tuple[int, Array]] = [
+            (int(self.estimate.stamp_ns[0]), self.estimate.position_enu[0])
+        ]
+        if len(fixes):
+            first.append((int(self.to_imu(self.run.fixes.stamp_ns[:1])[0]), fixes[0]))
+        if self.truth is not None:
+            first.append((int(self.to_imu(self.truth.stamp_ns[:1])[0]), self.truth.position_enu[0]))
+        return min(first, key=lambda stamped: stamped[0])[1]
+
     def fix_positions(self) -> tuple[Array, NDArray[np.bool_]]:
         """Return the fixes in the map (K, 3) [m] and which were accepted (by default, all)."""
         fixes, verdicts = self.run.fixes, self.run.verdicts
-        datum = self.run.estimate.datum_lla
-        if datum is None and self.run.truth is not None:
-            datum = self.run.truth.datum_lla
+        datum = self.estimate.datum_lla
+        if datum is None and self.truth is not None:
+            datum = self.truth.datum_lla
         if datum is None or not len(fixes):
             return np.empty((0, 3)), np.empty(0, bool)
         # Before the first estimate no fix could be fused: those are not shown as rejected.

@@ -370,9 +370,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     elif (
         bounded and isinstance(parameter.default, int) and (not isinstance(parameter.default, bool))
     ):
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(low), to_value=int(parameter.high))
-        ]
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(parameter.high))]
     return descriptor
 
 

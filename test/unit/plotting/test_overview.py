@@ -17,6 +17,7 @@ from support.recordings import (
     flight,
     run_program,
     stamps,
+    verdicts,
     with_sigma,
     write_track,
 )
@@ -30,6 +31,8 @@ from hybrid_ins.plotting import style
 from hybrid_ins.plotting.overview import overview
 
 pytest.importorskip("matplotlib")
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +40,10 @@ def whole() -> Run:
     return complete_run()
 
 
-def texts(figure: object) -> str:
+def texts(figure: Figure) -> str:
     from matplotlib.text import Text
 
-    return "\n".join(t.get_text() for t in figure.findobj(Text))  # type: ignore[attr-defined]
+    return "\n".join(t.get_text() for t in figure.findobj(Text))
 
 
 def test_one_page_shows_everything(whole: Run, tmp_path: Path) -> None:
@@ -61,6 +64,47 @@ def test_one_page_shows_everything(whole: Run, tmp_path: Path) -> None:
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     assert int.from_bytes(header[16:20], "big") == 1600
     assert int.from_bytes(header[20:24], "big") == 1000
+
+
+def panel(figure: Figure, title: str) -> Axes:
+    (found,) = (a for a in figure.axes if a.get_title(loc="left").startswith(title))
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 4, 12])
+def test_the_legend_of_nis_stays_in_its_panel_and_off_the_points(whole: Run, count: int) -> None:
+    # GIVEN rejections for many reasons, told at length
+    at = np.arange(0.0, 20.0, 0.1)
+    accepted = np.arange(len(at)) % 2 > 0
+    reasons = [
+        "" if ok else f"{i // 2 % count}: a reason that takes more words than a panel has room for"
+        for i, ok in enumerate(accepted)
+    ]
+    nis = np.where(accepted, 3.0, 400.0)
+    busy = replace(whole, verdicts=verdicts(at, accepted=accepted, nis=nis, reason=reasons))
+
+    axes = panel(overview(busy, evaluate_run(busy)), "NIS")
+
+    legend, room = axes.get_legend().get_window_extent(), axes.get_window_extent()
+    assert room.x0 <= legend.x0
+    assert legend.x1 <= room.x1
+    assert legend.y1 <= room.y1
+    assert axes.transData.transform((0.0, 400.0))[1] < legend.y0
+
+
+def test_the_map_has_the_start_of_the_run_a_scale_and_north(whole: Run) -> None:
+    # GIVEN an estimate that begins 5 s, and 50 m, after the first fix
+    late = replace(whole, estimate=whole.estimate.rows(slice(500, None)))
+
+    figure = overview(late, evaluate_run(late))
+
+    axes = panel(figure, "track")
+    markers = {str(line.get_label()): line for line in axes.lines}
+    assert markers["start"].get_xdata()[0] == pytest.approx(0.0, abs=0.01)
+    assert markers["first estimate"].get_xdata()[0] == pytest.approx(49.7, abs=0.01)
+    shown = texts(figure).splitlines()
+    assert "N" in shown
+    assert "50 m" in shown
 
 
 def test_svg_is_well_formed_and_the_same_each_time(whole: Run, tmp_path: Path) -> None:
