@@ -1,5 +1,5 @@
 """
-The dictionary: what the symbols, frames and units of this package mean.
+Frames, symbols and units of this package.
 
 Frames
 ------
@@ -10,7 +10,7 @@ b
 e, i
     Earth-centred Earth-fixed (WGS-84) and inertial frame.
 map, odom, base_link
-    REP-105 frames; ENU and FLU axes. They exist only in ``conversions`` and outwards.
+    REP-105 frames; ENU and FLU axes. They exist in ``ros`` only.
 
 Names
 -----
@@ -23,9 +23,9 @@ Names
 ``velocity_n``
     Velocity over ground, NED axes [m/s].
 ``specific_force_b``, ``angular_rate_b``
-    What an IMU measures: [m/s²], and [rad/s] relative to the inertial frame.
+    Readings of an IMU: [m/s²], and [rad/s] relative to the inertial frame.
 ``t_ns``
-    Integer nanoseconds, IMU clock. ``dt`` is a difference in float seconds.
+    Time as integer nanoseconds of the IMU clock. ``dt`` is a difference in float seconds.
 
 Error state (15), true minus estimated
 --------------------------------------
@@ -38,5 +38,5 @@ Noise
 ``q``
     Variance of the white noise of one IMU sample, [(m/s²)²] or [(rad/s)²].
 ``psd``
-    Its power spectral density, ``q * dt``: this is Qc. The paper's text uses q itself there.
+    Power spectral density of that noise, ``q * dt``. Qc consists of these; the paper's text uses q.
 """

@@ -838,7 +838,7 @@ class Experiment:
                 f"made by `python -m tools.field.evaluate --data DIR --imus {len(self.imus)} "
                 f"--seeds {len(self.seeds)}` (last run: "
                 f"{minutes:.0f} min with {self.args.jobs} processes, finished parts taken over).",
-                "## What is to be reached, and what was",
+                "## Targets and results",
                 table(("figure", "measured", "bar", "stretch", "met"), ())
                 + "\n"
                 + "\n".join(bar.row() for bar in bars),
@@ -861,7 +861,7 @@ class Experiment:
                 "*The paper's Fig. 9: levels in force on that flight.*",
                 "![Distribution](figures/field_fig10.png)",
                 "*The paper's Fig. 10: distribution of PRMSE over all runs at 5 Hz.*",
-                "## What the IMU shows, and what navigation needs",
+                "## IMU spectra and the noise that navigation needs",
                 "![Spectra](figures/field_spectra.png)",
                 "*Spectra of IMU 1 on all flights, as the variance per sample of white noise of "
                 "that density, against the noise that `ins_calibrate` found.*",
@@ -910,7 +910,7 @@ class Experiment:
                         for condition, off in self._online(groups).items()
                     ],
                 ),
-                "## What the IMU cannot show, simulated",
+                "## Errors that the IMU's noise does not show, simulated",
                 table(
                     (
                         "error",

@@ -280,10 +280,10 @@ def estimators(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         by_level,
         "### Disturbances, q = 0.01",
         by_disturbance,
-        "### Kept aside until the model was final",
+        "### Held out until the model was final",
         "Disturbances of other kinds than any in training, q from 1e-6 to 1.",
         by_unseen,
-        "### Kept aside from the first model",
+        "### Held out from the first model",
         "That one failed at the knocks; blows that ring are in the training since, so that this "
         "set is not unseen any more.",
         by_once_unseen,
@@ -555,7 +555,7 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         "### Levels over time, the paper's Fig. 9",
         "![q over time](figures/paper_fig9.png)",
         "Levels in force on one flight at 200 Hz with switching noise, x axes. The paper shows one "
-        "field flight, whose true levels nobody knows.",
+        "field flight, whose true levels are unknown.",
         "### Distribution of errors, the paper's Fig. 10",
         "![Distribution of position errors](figures/paper_fig10.png)",
         "Over all epochs of all flights, switching noise, 200 Hz: the summands of PRMSE and of "
@@ -563,7 +563,7 @@ def navigation(args: argparse.Namespace, bars: list[Bar]) -> list[str]:
         "## Beyond the paper",
         *(text for result in others for text in part(result)),
         "### How often, and how smooth",
-        "Switching noise, 200 Hz: ours, asked more or less often, with and without smoothing (a "
+        "Switching noise, 200 Hz: ours with other refresh periods, with and without smoothing (a "
         "weighted mean of the logarithms of the last levels and the new).",
         result_table(paces),
     ]
@@ -584,8 +584,8 @@ from its covariance, and is scored from 20 s on, midway between fixes. Bias rand
 
 Switching noise: stretches of 4 to 15 s, in every second of which the standard deviation of all six
 channels is higher by a factor of {low:g} to {high:g}, one factor for each flight. Outages: 10, 20
-and 30 s. The oracle is told the true levels at every instant; the tuned constant is the best one
-for that very scenario on six other flights, a luxury that no user has. AQ: eq. (16)–(18) with the
+and 30 s. The oracle is given the true levels at every instant; the tuned constant is the best one
+for that very scenario on six other flights, which a user does not have. AQ: eq. (16)–(18) with the
 correction spread over the IMU steps of its interval; literal: at every IMU step, as printed, where
 the levels run away to 10⁶ times the true ones and more and the filter only follows the fixes.
 
@@ -594,9 +594,9 @@ and epochs, 15 for a right covariance, more for an overconfident filter."""
 
 
 ORACLE_TEXT = """\
-Where a gain over a rival is missed, see the oracle's own gain in brackets: it is told the true
-noise at every instant, and ours does as well. Between fixes of 0.1 m every 0.2 s there is no more
-to be gained on these flights; in outages there is."""
+Where the target for the gain over another method is missed, compare with the oracle's own gain in
+brackets: the oracle is given the true noise at every instant, and ours does as well. Between fixes
+of 0.1 m every 0.2 s these flights do not allow a larger gain; in outages they do."""
 
 
 def _interval(ratio: Ratio, digits: int = 3) -> str:
@@ -622,14 +622,14 @@ def evaluate(args: argparse.Namespace) -> int:
         else []
     )
     head = [
-        "# The paper's evaluation, and ours beside it",
+        "# The paper's evaluation, with ours",
         'Or & Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM '
         "2022.",
         *quick,
         f"Made by `python -m tools.paper.evaluate --runs {args.runs}"
         f"{' --quick' if args.quick else ''}{' --by-window FOLDER' if args.by_window else ''}"
         f"{''.join(f' --without {words!r}' for words in args.without)}`.",
-        "## What is to be reached, and what was",
+        "## Targets and results",
         table(("figure", "measured [95 %]", "bar", "stretch", "met"), ()),
     ]
     head[-1] += "\n" + "\n".join(bar.row() for bar in bars)

@@ -148,15 +148,15 @@ def write_card(
         table(
             rows_of(regressor, noise_trials.disturbance_trials(_EVALUATION_SEED + 3, count, window))
         ),
-        "### By which choices were made: synthetic, q from 1e-6 to 0.1",
+        "### Validation, used for choices: synthetic, q from 1e-6 to 0.1",
         table(
             rows_of(regressor, noise_trials.validation_trials(_EVALUATION_SEED + 4, count, window))
         ),
-        "### Kept aside until the model was final: unlike any in training, q from 1e-6 to 1",
+        "### Held out until the model was final: unlike any in training, q from 1e-6 to 1",
         table(rows_of(regressor, noise_trials.fresh_trials(_EVALUATION_SEED + 5, count, window))),
         (
-            "### Kept aside from the first model, which failed at the knocks; blows that ring are "
-            "trained on since"
+            "### Held out from the first model, which failed at the knocks; shocks with decaying "
+            "oscillation are in the training since"
         ),
         table(
             rows_of(regressor, noise_trials.once_unseen_trials(_EVALUATION_SEED + 6, count, window))

@@ -37,29 +37,30 @@ after 20, squared error, 80 % of its data set drawn at random.
 Input: one channel's raw window a row, float32 (channels, window) in m/s² or rad/s. Output: noise
 variance of one sample, in those units squared.
 
-**Limits.** It knows q from 0.001 to 0.025, white noise and the paper's motion; outside it is
-wrong by orders of magnitude (tables below). It is here as the baseline. Use the plateau model.
-The rows "trajectory" are fresh noise on motion that it was trained on."""
+**Limits.** It was trained on q from 0.001 to 0.025, white noise and the paper's motion; outside
+this range it is wrong by orders of magnitude (tables below). It is the baseline for comparison;
+use the plateau model. In the rows "trajectory" the noise is new, the motion is that of the
+training."""
 
 SPECTRAL_TEXT = """\
 `hybrid_ins.noise_regressor.models.SpectralRegressor`: the plateau of
-`hybrid_ins.core.noise_spectral`, in force where no model file is given. No model file, nothing
-trained: drop the cubic trend and the tenth of the DCT modes that is slowest, average the blocks of
-modes that agree with the low end.
+`hybrid_ins.core.noise_spectral`, used where no model file can be used. It needs no model file and
+no training: it removes the cubic trend and the slowest tenth of the DCT modes, and averages the
+blocks of modes that agree with the low end.
 
 **Limits.** Strong and fast motion (more than about 0.1 cycles/sample at many sigma) leaks into
-the modes kept; one outlying sample or one step lifts them all."""
+the remaining modes; a single outlier or step raises them all."""
 
 PLATEAU_TEXT = """\
 Estimates the low-frequency plateau of a channel's noise, as the variance per sample of the white
-noise with that plateau, at the window's end: what navigation integrates. For white noise it is
-the variance. Vibration tones, steps, manoeuvres and bias do not count.
+noise with that plateau, at the window's end. This is what navigation integrates. For white noise
+it is the variance. Vibration tones, steps, manoeuvres and bias are ignored.
 
 Inside the graph: centre, divide by the largest magnitude, energies of fixed unit-gain bands (DCT
 under two tapers and three trend removals, the window's last half and quarter, differences over
-tenths of it), and a small network that sees only ratios of these energies and answers with their
-weights and one factor. So the model is offset-invariant and scale-equivariant whatever its
-weights.
+tenths of it), and a small network that receives only ratios of these energies and returns their
+weights and one factor. So the model is invariant to an offset and equivariant to the scale,
+whatever its weights are.
 
 Input: one channel's raw window a row, float32 (channels, window) in any unit. Output: variance of
 one sample in that unit squared. Subtract its mean in double precision before: float32 cannot hold
@@ -69,12 +70,11 @@ Trained on synthetic windows only (`tools.regressor.noise_data.randomised_set`),
 paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
 repeated samples, clipping, quantisation.
 
-**Limits.** Noise whose floor hides between motion and vibration without a gap cannot be seen:
-trains of pulses (an engine's strokes), jumps that come every few samples and strong random
-resonances are taken for noise, which errs on the cautious side (tables below).
-Repeated samples are undone: the estimate is that of the readings before repetition. A window that
-ends less than about 20 samples after a change of level shows the old level. Floor the result at
-LSB²/12."""
+**Limits.** Noise cannot be separated where motion and vibration leave no gap in the spectrum:
+pulse trains (an engine's strokes), jumps every few samples and strong random resonances are taken
+for noise, which makes the filter cautious (tables below). Repeated samples are removed: the
+estimate is that of the readings before repetition. A window that ends less than about 20 samples
+after a change of level shows the old level. The result must not be below LSB²/12."""
 
 
 TEXTS = {"plateau": PLATEAU_TEXT, "paper": PAPER_TEXT, "spectral": SPECTRAL_TEXT}

@@ -451,17 +451,17 @@ def report(rows: Sequence[Row], command: str, seconds: float) -> str:
     failed = sum(bool(row.failures) for row in rows)
     return f"""# Fault campaign
 
-Named faults, each injected into a simulated flight (60 s, quadrotor that vibrates by 0.3 m/s² and
-0.01 rad/s, 200 Hz, fixes at 5 Hz) and into a recorded one, replayed by the node's own estimator
-with the default parameters (no heading given); some of them played into the live node over DDS as
-well. Every run must
+Named faults, each injected into a simulated flight (60 s, a quadrotor with vibration of 0.3 m/s²
+and 0.01 rad/s, 200 Hz, fixes at 5 Hz) and into a recorded one. Both are replayed by the node's
+estimator with the default parameters and no heading given; some are also played into the live node
+over DDS. Every run must
 
 - end without an exception,
-- publish no NaN and only positive definite covariances,
-- say what is wrong: a counter or text of `/diagnostics`, or a reason of `gnss/verdict`,
-- be back, from {RECOVERY:g} s after the fault to the flight's end, within {WORSE:g} times the RMS
-  position error of the undisturbed run over the same time. (Where one run is not, the RMS over
-  {1 + OTHERS} draws of the sensors' noise decides, all with the same fault.)
+- publish no NaN, and positive definite covariances only,
+- report what is wrong: a counter or text of `/diagnostics`, or a reason in `gnss/verdict`,
+- from {RECOVERY:g} s after the fault to the flight's end, have an RMS position error of at most
+  {WORSE:g} times that of the undisturbed run over the same time. Where a single run does not, the
+  RMS over {1 + OTHERS} draws of the sensors' noise decides, all with the same fault.
 
 `peak` is the largest position error from the fault's beginning to {RECOVERY:g} s after its end.
 
