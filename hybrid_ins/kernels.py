@@ -29,7 +29,7 @@ from hybrid_ins.core import (
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 from hybrid_ins.noise_regressor import window
-from hybrid_ins.ros import odom_frame, output
+from hybrid_ins.ros import imu_input, odom_frame, output
 
 NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
 
@@ -109,6 +109,9 @@ def _compile_output() -> None:
     )
     s, acceleration, _ = clock_offset.propagate_sensitivity(np.zeros(N_ERROR), nav, zero, turn, 0.1)
     clock_offset.regress(s, zero, acceleration, z, H, np.eye(3), H.T.copy(), 0.0)
+    imu_input.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
+    stamps, vectors = np.arange(1, 3), np.ones((2, 3))
+    imu_input.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)

@@ -19,13 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import kernels, progress
-from hybrid_ins.bags.messages import FIX, INITIAL_POSE, TRANSFORMS, VELOCITY, Message
+from hybrid_ins.bags.messages import (
+    FIX,
+    INITIAL_POSE,
+    TRANSFORMS,
+    VELOCITY,
+    Message,
+    new_message,
+)
 from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.cdr import OdometryEncoder
-from hybrid_ins.ros.conversions import OUTPUTS
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.message_types import OUTPUTS, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
 
 TRUTH = "/truth/"
@@ -82,7 +89,7 @@ def replay_bag(
     if not estimator.ever_aligned:
         raise InputError(
             f"{source}: the filter never started: it waited for "
-            f"{estimator.navigator.waiting_for}; {target} holds no odometry"
+            f"{estimator.waiting_for}; {target} holds no odometry"
         )
     return Replayed(estimator, duration)
 
@@ -146,23 +153,28 @@ class _Replay:
         kernels.prepare(partial(log, "info"))
         self._estimator = estimator = Estimator(values, log)
         complete = imu.has_reading
-        estimator.foresee(
+        estimator.preload(
             self._stamps_ns[complete], imu.specific_force[complete], imu.angular_rate[complete]
         )
         self._odometry = [
             _OdometryWriter(out, values, topic, values[frame])
             for topic, frame in (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))
         ]
-        self._handlers: dict[str, Callable[[Message, int], None]] = {fix_topic: estimator.fix}
+        self._handlers: dict[str, Callable[[Message, int], None]] = {
+            fix_topic: estimator.handle_fix
+        }
         self._carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
         self._carried[fix_topic] = "/gnss/fix"
         if bag.topics.get(velocity_topic) == VELOCITY:
-            self._handlers[velocity_topic] = estimator.velocity
+            self._handlers[velocity_topic] = estimator.handle_velocity
             self._carried[velocity_topic] = "/gnss/velocity"
         if bag.topics.get("/initialpose") == INITIAL_POSE:
-            self._handlers["/initialpose"] = lambda message, _: estimator.initial_pose(message)
+            self._handlers["/initialpose"] = lambda message, _: estimator.handle_initial_pose(
+                message
+            )
         if bag.topics.get("/tf_static") == TRANSFORMS:
-            self._handlers["/tf_static"] = lambda message, _: estimator.static_transforms(message)
+            handle = estimator.handle_static_transforms
+            self._handlers["/tf_static"] = lambda message, _: handle(message)
 
     def run(self) -> Estimator:
         """Handle every message in the order of the recording."""
@@ -191,7 +203,7 @@ class _Replay:
             row, name = self._frames.popleft()
             if row > start:
                 self._handle_block(slice(start, row))
-            self._estimator.take_frame("imu/data", name)
+            self._estimator.handle_frame_id("imu/data", name)
             start = row
         self._handle_block(slice(start, stop))
 
@@ -199,8 +211,8 @@ class _Replay:
         imu = self._imu
         complete = imu.has_reading[rows]
         for _ in range(len(complete) - np.count_nonzero(complete)):
-            self._estimator.imu_without_reading()
-        for stamps_ns, *by_frame in self._estimator.imu_block(
+            self._estimator.handle_missing_reading()
+        for stamps_ns, *by_frame in self._estimator.handle_imu_block(
             self._stamps_ns[rows][complete],
             imu.specific_force[rows][complete],
             imu.angular_rate[rows][complete],
@@ -211,10 +223,9 @@ class _Replay:
         self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]))
 
     def _write_reports(self, log_ns: int) -> None:
-        outbox = self._estimator.outbox
-        while outbox:
-            topic, data = outbox.popleft()
-            self._out.write_raw("/" + topic.lstrip("/"), OUTPUTS[topic], data, log_ns)
+        for report in self._estimator.pop_reports():
+            message = to_message(report, new_message)
+            self._out.write("/" + report.topic.lstrip("/"), message, log_ns)
 
 
 class _OdometryWriter:

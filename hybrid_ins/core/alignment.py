@@ -1,9 +1,10 @@
 """
-The first state: level from gravity, position and velocity from the fixes, heading from a source.
+Initial alignment: level from gravity, position and velocity from the fixes, heading from a source.
 
-Works standing and in flight: levelling averages the specific force over a window, turned into the
-window's last attitude by the gyroscopes; whether it stood or moved tells by its uncertainty. Where
-no source gives a heading, there is a first state for every heading around, see `hypotheses`.
+Works standing and in flight: levelling averages the specific force over a window, rotated into the
+window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. Where
+no source gives a heading, there is an initial state for every cell of headings, see
+`hybrid_ins.core.multiple_model`.
 
 References
 ----------
@@ -16,12 +17,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import curvature_scale, earth_rate_n
-from hybrid_ins.core.imu_health import UNUSABLE, find_fault
+from hybrid_ins.core.imu_health import ImuFault, find_fault
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.rotations import (
@@ -49,7 +51,7 @@ BIAS_A_DRIFT, BIAS_G_DRIFT = 3e-3, 3e-4  # m/s²/√s, rad/s/√s: of known bias
 @dataclass(frozen=True, slots=True)
 class AlignmentSettings:
     """
-    How to begin.
+    What alignment is given.
 
     Attributes
     ----------
@@ -79,9 +81,50 @@ class AlignmentSettings:
     bias_g_std: Array
 
 
+class Need(Enum):
+    """What alignment waits for."""
+
+    IMU_SAMPLES = "IMU samples"
+    WINDOW = "a full window of IMU samples"
+    USABLE_IMU = "usable IMU samples"
+    FIX = "a GNSS fix"
+    SECOND_FIX = "a second GNSS fix"
+    ORIENTATION = "an orientation in the IMU messages"
+    SPEED = "speed over ground"
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """
+    What alignment lacks.
+
+    Attributes
+    ----------
+    need : Need
+    value : float
+        The speed over ground [m/s] of ``SPEED``.
+    limit : float
+        The window [s] of ``WINDOW``, the least speed [m/s] of ``SPEED``.
+    fault : ImuFault or None
+        Why the samples are of no use.
+    """
+
+    need: Need
+    value: float = 0.0
+    limit: float = 0.0
+    fault: ImuFault | None = None
+
+    @property
+    def stage(self) -> str:
+        """Which input it is about: imu, gnss, heading."""
+        if self.need in (Need.IMU_SAMPLES, Need.WINDOW, Need.USABLE_IMU):
+            return "imu"
+        return "gnss" if self.need in (Need.FIX, Need.SECOND_FIX) else "heading"
+
+
 @dataclass(frozen=True, slots=True)
 class Biases:
-    """What an earlier filter found out about the IMU."""
+    """Biases of the IMU that an earlier filter estimated."""
 
     t_ns: int
     accelerometer: Array  # (3,) m/s²
@@ -96,7 +139,7 @@ class Biases:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What filters begin with: one state, or one for each heading that is possible."""
+    """What filters start with: one state, or one for each heading that is possible."""
 
     states: tuple[NavState, ...]
     t_ns: int
@@ -105,7 +148,7 @@ class Start:
 
 class Alignment:
     """
-    Collects what the first state needs, and says what is missing.
+    Collects what the first state needs, and knows what is missing.
 
     Parameters
     ----------
@@ -116,10 +159,8 @@ class Alignment:
 
     Attributes
     ----------
-    stage : str
-        What it waits for in a word: imu, gnss, heading.
-    waiting_for : str
-        What the last attempt lacked, in words for the user.
+    waiting : Waiting
+        What the last attempt lacked.
     """
 
     def __init__(self, settings: AlignmentSettings, ring: ImuRing) -> None:
@@ -131,35 +172,34 @@ class Alignment:
         self._biases: Biases | None = None
         self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
         self._source = settings.heading_source
-        self.stage = "imu"
-        self.waiting_for = "IMU samples"
+        self.waiting = Waiting(Need.IMU_SAMPLES)
 
     def observe(self, measurement: Measurement) -> None:
-        """Take a fix or a GNSS velocity."""
+        """Use a fix or a GNSS velocity."""
         if isinstance(measurement, PositionFix):
             self._fixes.append(measurement)
         elif isinstance(measurement, VelocityFix):
             self._velocity = measurement
 
     def observe_yaw(self, yaw: float) -> None:
-        """Take the heading [rad from north] of the IMU's own orientation."""
+        """Use the heading [rad from north] of the IMU's own orientation."""
         self._imu_yaw = yaw
 
     def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
-        """Take a heading [rad from north] that was true at a stamp; it goes before all sources."""
+        """Use a heading [rad from north] that was true at a stamp; it overrides all sources."""
         self._given = (t_ns, yaw, std)
 
     def remember(self, biases: Biases) -> None:
-        """Take the biases that this IMU had before."""
+        """Use the biases that an earlier filter estimated."""
         self._biases = biases
 
     def forget_parameter(self) -> None:
-        """Let a heading given for the start no longer count: the vehicle has moved since."""
+        """Ignore the heading given for the start from now on: the vehicle has moved since."""
         if self._source == "parameter":
             self._source, self._given = "auto", None
 
     def attempt(self) -> Start | None:
-        """Return the first state at the last IMU sample, or None and set ``waiting_for``."""
+        """Return the first state at the last IMU sample, or None and set ``waiting``."""
         now = int(self._ring.latest(1)["t_ns"][0])
         if self._given is None and self._source == "parameter":
             first_ns = int(self._ring.after(0)["t_ns"][0])
@@ -167,26 +207,21 @@ class Alignment:
         window_ns = int(self._settings.window * 1e9)
         samples = self._ring.after(now - window_ns - 1)
         if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
-            self.stage = "imu"
-            self.waiting_for = f"{self._settings.window:g} s of IMU samples for levelling"
+            self.waiting = Waiting(Need.WINDOW, limit=self._settings.window)
             return None
         fault = find_fault(samples)
-        if fault is not None and fault[0] in UNUSABLE:
-            self.stage = "imu"
-            self.waiting_for = f"usable IMU samples: {fault[1]}"
+        if fault is not None and fault.unusable:
+            self.waiting = Waiting(Need.USABLE_IMU, fault=fault)
             return None
         recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
         if not recent:
-            self.stage = "gnss"
-            self.waiting_for = "a GNSS fix"
+            self.waiting = Waiting(Need.FIX)
             return None
         motion = self._motion(recent, now)
         if motion is None:
-            self.stage = "gnss"
-            self.waiting_for = "a second GNSS fix, for the first velocity"
+            self.waiting = Waiting(Need.SECOND_FIX)
             return None
         lla, p_cov, velocity_n, v_cov = motion
-        self.stage = "heading"
         yaws = self._headings(velocity_n, v_cov)
         if yaws is None:
             return None
@@ -217,7 +252,7 @@ class Alignment:
         return Start(tuple(states), now, reading)
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
-        """Biases and their covariance: as given, or those of before, which have moved since."""
+        """Biases and their covariance: as given, or the earlier estimate, grown since then."""
         settings = self._settings
         variance = np.concatenate((settings.bias_a_std, settings.bias_g_std)) ** 2
         given = settings.bias_a, settings.bias_g, np.diag(variance)
@@ -231,7 +266,7 @@ class Alignment:
         return known.accelerometer, known.gyroscope, P
 
     def _attitude(self, down_b: Array, yaw: float) -> Array:
-        """Quaternion of C_nb now; a heading given for earlier is carried on by the gyroscopes."""
+        """Quaternion of C_nb now; a heading given for an earlier stamp is propagated to now."""
         if self._given is None:
             return quat_from_rpy(*_roll_pitch(down_b), yaw)
         C_then_now = _relative(self._ring.after(self._given[0] - 1))[0].T
@@ -266,22 +301,19 @@ class Alignment:
         return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
 
     def _headings(self, velocity_n: Array, v_cov: Array) -> list[tuple[float, float]] | None:
-        """Possible headings [rad from north] and their uncertainty, or None: ``waiting_for``."""
+        """Possible headings [rad from north] and their uncertainty, or None: ``waiting``."""
         settings = self._settings
         if self._given is not None:
             return [self._given[1:]]
         if self._source == "imu":
             if self._imu_yaw is None:
-                self.waiting_for = "an orientation in the IMU messages (heading_source is imu)"
+                self.waiting = Waiting(Need.ORIENTATION)
                 return None
             return [(self._imu_yaw, settings.yaw_std)]
         if self._source == "course":
             speed = math.hypot(velocity_n[0], velocity_n[1])
             if speed < settings.course_min_speed:
-                self.waiting_for = (
-                    f"motion for the heading: {speed:.1f} m/s over ground, "
-                    f"{settings.course_min_speed:g} needed"
-                )
+                self.waiting = Waiting(Need.SPEED, speed, settings.course_min_speed)
                 return None
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
             return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
@@ -292,7 +324,7 @@ def _slope(fixes: list[PositionFix], p_cov: Array, scale: Array) -> tuple[Array,
     """
     Velocity now [m/s, NED] and its covariance from the fixes over the best of all spans.
 
-    The slope is the velocity of the span's middle: a short span has noise, a long one is old.
+    The slope is the velocity at the span's middle: a short span is noisy, a long one outdated.
     """
     last = fixes[-1]
     t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in fixes])

@@ -67,10 +67,6 @@ class ClockSearch(MultipleModelBank):
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._lag_ns = MAX_OFFSET_NS + STEP_NS
 
-    @property
-    def _also_unknown(self) -> str:
-        return f" and the clock offset (to {self.clock()[1]:.2f} s)"
-
     def clock(self) -> tuple[float, float]:
         """Return the offset still to be added to the stamps of fixes, and its σ [s]."""
         residuals = [

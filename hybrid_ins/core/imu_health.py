@@ -1,12 +1,14 @@
 """
-What an IMU's readings themselves show to be wrong with it: units, gravity, a stuck sensor.
+Faults that an IMU's readings show by themselves: wrong unit, missing gravity, a stuck sensor.
 
-Looked for now and then in the last second of samples. Each fault has a name, and words for the
-user with the value seen and what to do.
-
+Searched for in about a second of samples. A fault is a kind and the value that shows it; the words
+for the user are in `hybrid_ins.ros.wording`.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,6 @@ from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec
 from hybrid_ins.core.samples import readings_of
 
 Array = NDArray[np.float64]
-Fault = tuple[str, str]  # name and words
 
 GRAVITY = 9.80665  # m/s²
 FORCE, RATE = slice(0, 3), slice(3, 6)
@@ -24,14 +25,59 @@ LEAST_FORCE, MOST_FORCE = 0.4 * GRAVITY, 4.0 * GRAVITY  # of a vehicle's mean ov
 FROZEN = 0.5  # share of the window in which nothing changes
 AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
-NO_GRAVITY = "imu: no gravity"  # or a free fall
-UNUSABLE = (NO_GRAVITY, "imu: too much gravity", "imu: frozen", "imu: degrees")
-SPIKE = 12.0  # times the median of how far a sample lies off its neighbours
+SPIKE = 12.0  # times the median distance of a sample from its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
-WINDMILL = 3.0  # rad turned in the window: more is a spin, or degrees
+LARGEST_TURN = 3.0  # rad turned in the window: more is a spin, or degrees
 
 
-def find_fault(samples: NDArray[np.void]) -> Fault | None:
+class FaultKind(Enum):
+    """What is wrong with the IMU; the value is the name under which it is counted."""
+
+    NO_GRAVITY = "no gravity"  # or a free fall
+    TOO_MUCH_GRAVITY = "too much gravity"
+    FROZEN = "frozen"
+    DEGREES = "degrees"
+    SATURATED_FORCE = "saturated acceleration"
+    SATURATED_RATE = "saturated rate"
+    SPIKES_FORCE = "spikes in acceleration"
+    SPIKES_RATE = "spikes in rate"
+
+
+UNUSABLE = (
+    FaultKind.NO_GRAVITY,
+    FaultKind.TOO_MUCH_GRAVITY,
+    FaultKind.FROZEN,
+    FaultKind.DEGREES,
+)
+"""Faults with which no filter can run; the others mislead it for a while."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuFault:
+    """
+    A fault of the IMU.
+
+    Attributes
+    ----------
+    kind : FaultKind
+    value : float
+        What shows it, rounded as it is told: the mean specific force [m/s²] of the faults of
+        gravity, the reading [m/s² or rad/s] of the others; 0 for a frozen sensor.
+    axis : int
+        Of a saturated sensor: 0 to 2 for x, y, z of b.
+    """
+
+    kind: FaultKind
+    value: float = 0.0
+    axis: int = 0
+
+    @property
+    def unusable(self) -> bool:
+        """No filter can run on such samples."""
+        return self.kind in UNUSABLE
+
+
+def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
     """Return the gravest fault that about a second of samples (``SAMPLE_DTYPE``) shows."""
     if len(samples) < 10:
         return None
@@ -39,57 +85,38 @@ def find_fault(samples: NDArray[np.void]) -> Fault | None:
     means, size, top, at_limit, off, frozen, turned = _survey(samples["t_ns"], readings)
     mean = float(np.linalg.norm(means[:3]))
     if mean < LEAST_FORCE and float(size[:3].mean()) < LEAST_FORCE:
-        remedy = (
-            "the unit seems to be g: multiply by 9.80665"
-            if 0.7 < mean < 1.3
-            else "gravity seems to be removed: let the driver publish specific force"
-        )
-        return NO_GRAVITY, f"mean acceleration is {mean:.2f} m/s², not 9.8: {remedy}"
+        return ImuFault(FaultKind.NO_GRAVITY, round(mean, 2))
     if mean > MOST_FORCE:
-        return "imu: too much gravity", (
-            f"mean acceleration is {mean:.1f} m/s², not 9.8: check the unit (m/s² is meant)"
-        )
+        return ImuFault(FaultKind.TOO_MUCH_GRAVITY, round(mean, 1))
     steps = len(readings) - 1
     if frozen >= int(FROZEN * steps) and np.abs(readings[-1, 3:]).max() > 0.05:
-        return "imu: frozen", (
-            "the same reading again and again while it shows a turn: restart "
-            "the driver, check the cable"
-        )
-    for sensor, least, name, unit in (
-        (FORCE, LIMIT_FORCE, "acceleration", "m/s²"),
-        (RATE, LIMIT_RATE, "rate", "rad/s"),
+        return ImuFault(FaultKind.FROZEN)
+    for kind, sensor, least in (
+        (FaultKind.SATURATED_FORCE, FORCE, LIMIT_FORCE),
+        (FaultKind.SATURATED_RATE, RATE, LIMIT_RATE),
     ):
-        for axis in np.flatnonzero(top[sensor] >= least):
+        for axis in np.flatnonzero(top[sensor] >= least).tolist():
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))
             if frozen < steps and at_limit[sensor][axis] >= most:
-                return f"imu: saturated {name}", (
-                    f"{name} on axis {'xyz'[axis]} stays at {top[sensor][axis]:.2f} {unit}: "
-                    "choose a larger range, or dampen the mount"
-                )
-    for sensor, least, name, unit in (
-        (FORCE, SPIKE_FORCE, "acceleration", "m/s²"),
-        (RATE, SPIKE_RATE, "rate", "rad/s"),
+                return ImuFault(kind, round(float(top[sensor][axis]), 2), axis)
+    for kind, sensor, least in (
+        (FaultKind.SPIKES_FORCE, FORCE, SPIKE_FORCE),
+        (FaultKind.SPIKES_RATE, RATE, SPIKE_RATE),
     ):
         if off[sensor].max() <= least:
             continue
         spike = _largest_spike(readings[:, sensor], least)
         if spike:
-            return f"imu: spikes in {name}", (
-                f"single readings of {name} jump away by {spike:.1f} {unit} and back: check "
-                "plugs, cables, shielding"
-            )
-    if turned >= WINDMILL and _in_degrees(samples):
-        return "imu: degrees", (
-            f"rates of {top[RATE].max():.0f} do not fit the acceleration: they seem to be in "
-            "degrees per second; radians per second are meant"
-        )
+            return ImuFault(kind, round(spike, 1))
+    if turned >= LARGEST_TURN and _in_degrees(samples):
+        return ImuFault(FaultKind.DEGREES, round(float(top[RATE].max())))
     return None
 
 
 @kernel()
 def _survey(t_ns, readings):  # type: ignore[no-untyped-def]
     """
-    Look once at stamps (N,) [ns] and readings (N, 6).
+    Gather the statistics of stamps (N,) [ns] and readings (N, 6) in one pass.
 
     Returns
     -------
@@ -129,7 +156,7 @@ def _survey(t_ns, readings):  # type: ignore[no-untyped-def]
 
 
 def _largest_spike(readings: Array, least: float) -> float:
-    """Return how far the worst single reading lies off its neighbours; 0 where none is odd."""
+    """Return the largest distance of a single reading from its neighbours; 0 where none jumps."""
     off = np.abs(readings[1:-1] - 0.5 * (readings[2:] + readings[:-2]))
     alone = np.abs(readings[2:] - readings[:-2]) < 0.5 * off
     usual = np.median(off, axis=0)
@@ -137,7 +164,7 @@ def _largest_spike(readings: Array, least: float) -> float:
 
 
 def _in_degrees(samples: NDArray[np.void]) -> bool:
-    """Tell whether gravity turns as it would if the rates were in degrees, not radians."""
+    """Return whether gravity turns as it would if the rates were in degrees, not radians."""
     force, rate = samples["f"], samples["w"]
     dt = np.diff(samples["t_ns"])[:, None] * 1e-9
     turn = 0.5 * (rate[1:] + rate[:-1]) * dt

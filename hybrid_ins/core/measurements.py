@@ -142,6 +142,7 @@ class PositionFix:
     lla: Array  # (3,) rad, rad, m; the height is NaN where the receiver gave none
     covariance_n: Array  # (3, 3) m², NED
     lever_b: Array  # (3,) m, antenna relative to the IMU
+    stamp_ns: int | None = None  # ns, receiver's clock; None: the IMU's
 
     kind: ClassVar[str] = "position"
     aiding: ClassVar[bool] = True
@@ -160,6 +161,7 @@ class VelocityFix:
     velocity_n: Array  # (3,) m/s, NED; the down component is NaN where there is none
     covariance_n: Array  # (3, 3) (m/s)², NED
     lever_b: Array  # (3,) m, antenna relative to the IMU
+    stamp_ns: int | None = None  # ns, receiver's clock; None: the IMU's
 
     kind: ClassVar[str] = "velocity"
     aiding: ClassVar[bool] = True
@@ -199,6 +201,12 @@ class Standstill:
         H[:3, DV] = H[3:, B_G] = np.eye(3)
         R = np.diag(np.concatenate((np.full(3, STANDING_SPEED_STD**2), self.rate_std**2)))
         return z, H, R
+
+
+def clock_offset_ns(measurement: Measurement) -> int:
+    """Return what was added to the stamp by the sensor's own clock [ns], 0 where there is none."""
+    stamp_ns = getattr(measurement, "stamp_ns", None)
+    return 0 if stamp_ns is None else measurement.t_ns - stamp_ns
 
 
 def _given(z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:

@@ -106,18 +106,6 @@ class MultipleModelBank:
     def _best(self) -> int:
         return int(np.argmax(self.log_weights))
 
-    @property
-    def waiting_for(self) -> str:
-        """What the user can do about it."""
-        return (
-            f"motion that shows the heading (known to {math.degrees(self.heading()[1]):.0f}° "
-            f"so far){self._also_unknown}: speed up, brake or turn, or give it by initialpose"
-        )
-
-    @property
-    def _also_unknown(self) -> str:
-        return ""
-
     def submit(self, event: Change) -> None:
         """See `InsFilter.submit`."""
         for hypothesis in self.filters:

@@ -1,9 +1,9 @@
 """
-Whether a vehicle stands, seen from its IMU alone.
+Detection of a standing vehicle from its IMU alone.
 
-Standing is calm at two time scales: no sample strays far, and means over tenths of a second do not
-move at all. Vibration fails the first, a hovering drone's balancing the second. A smooth cruise
-passes both: whoever uses the answer must also know that the speed may be zero.
+While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
+beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
+the second. A smooth cruise passes both: the caller must also check that zero speed is plausible.
 
 References
 ----------
@@ -30,7 +30,7 @@ _SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 
 def is_standing(samples: NDArray[np.void]) -> bool:
-    """Tell whether the vehicle stood during ``samples`` (``SAMPLE_DTYPE``), about a second."""
+    """Return whether the vehicle stood during ``samples`` (``SAMPLE_DTYPE``), about a second."""
     size = len(samples) // MEANS
     if size < 2:
         return False

@@ -1,1 +1,1 @@
-"""Noise levels of the IMU, read off its recent samples."""
+"""Noise levels of the IMU, estimated from its recent samples."""

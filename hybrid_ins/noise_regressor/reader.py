@@ -1,8 +1,8 @@
 """
-Reads the present noise levels off the ring of IMU samples, and refuses what cannot be told.
+Estimates the present noise levels from the ring of IMU samples.
 
-The one place where a regressor meets the live samples: it checks the window, runs the model,
-bounds the answer, and keeps count of its refusals.
+The one place where a regressor meets the live samples: it checks the window, runs the model, bounds
+the answer, and counts its refusals.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hybrid_ins.resources import share_path
 Array = NDArray[np.float64]
 
 ABSURD = 1e6  # m/s², rad/s
-FORESEEN = 15  # windows of a recording that are read along with one
+LOOKAHEAD = 15  # windows of a recording that are read along with one
 
 
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
@@ -91,12 +91,12 @@ class NoiseReader:
         ]
         self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
-        self._ahead: tuple[NDArray[np.int64], Array] | None = None
+        self._lookahead: tuple[NDArray[np.int64], Array] | None = None
         self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
 
-    def foresee(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
+    def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
         """
-        Tell the readings of a recording in advance: the regressor is then asked once for many.
+        Provide the readings of a recording: the regressor then runs on many windows at once.
 
         Parameters
         ----------
@@ -106,8 +106,8 @@ class NoiseReader:
             Readings [m/s², rad/s] in the IMU's own axes.
         """
         readings = np.hstack((force, rate))
-        readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: the window is another then
-        self._ahead = t_ns, rounded(readings)
+        readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: the window differs then
+        self._lookahead = t_ns, rounded(readings)
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
         """Return the levels at ``t_ns`` [ns], or an estimate that says None."""
@@ -138,13 +138,13 @@ class NoiseReader:
         return np.maximum(q, self._low), ""
 
     def _ask(self, t_ns: NDArray[np.int64], readings: Array) -> Array:
-        """Return the regressor's answer (6,) to a window: stamps (N,) and readings (N, 6)."""
+        """Return the regressor's answer (6,) for a window: stamps (N,) and readings (N, 6)."""
         end_ns = int(t_ns[-1])
         window, q = self._answers.get(end_ns, (None, np.empty(0)))
         if window is not None and np.array_equal(window, readings):
             return q
         if max(self._answers, default=0) > end_ns:
-            self._ahead = None  # things went another way than foreseen
+            self._lookahead = None  # the samples differ from those preloaded
         windows = {end_ns: readings, **self._following(end_ns)}
         answers = self.regressor.estimate(
             np.concatenate([window.T for window in windows.values()]), sampling_rate(t_ns)
@@ -161,9 +161,9 @@ class NoiseReader:
     def _following(self, end_ns: int) -> dict[int, Array]:
         """Return the windows after the one that ends at a stamp, by their ends, if all goes on."""
         found: dict[int, Array] = {}
-        if self._ahead is not None:
-            t_ns, readings = self._ahead
-            for _ in range(FORESEEN):
+        if self._lookahead is not None:
+            t_ns, readings = self._lookahead
+            for _ in range(LOOKAHEAD):
                 end = 1 + int(np.searchsorted(t_ns, end_ns + self._period_ns))
                 if not self.regressor.window <= end <= len(t_ns):
                     break

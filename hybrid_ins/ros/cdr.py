@@ -1,5 +1,5 @@
 """
-Byte layouts: Imu, which comes in at its rate, and all that goes out.
+CDR byte layouts of the messages that come and go at the IMU's rate: Imu in, Odometry out.
 
 Decoding and encoding them here, without message objects, costs about a microsecond each; the typed
 path of rclpy costs twenty times that. The layout is plain CDR (XCDR version 1), little endian: a
@@ -13,7 +13,6 @@ OMG, *DDS Interoperability Wire Protocol* 2.5, section 10: encapsulation and CDR
 
 import struct
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,19 +31,19 @@ _RTPS_PADDING = 3  # a middleware may pad a payload to a multiple of 4 bytes
 
 class ImuFields(NamedTuple):
     """
-    What the filter reads of one sensor_msgs/Imu, in the message's own axes (FLU).
+    The fields of one sensor_msgs/Imu that are used, in the message's own axes (FLU).
 
-    Of each covariance only the first element is here: it says -1 where the quantity is absent.
+    Of each covariance only the first element is here: it is -1 where the quantity is absent.
     """
 
     stamp_ns: int
-    frame_id: str
-    orientation_xyzw: tuple[float, float, float, float]
-    orientation_cov0: float
+    specific_force: tuple[float, float, float]  # m/s²
     angular_rate: tuple[float, float, float]  # rad/s
-    angular_rate_cov0: float
-    specific_force: tuple[float, float, float]  # m/s2
-    specific_force_cov0: float
+    frame_id: str = ""
+    orientation_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # in ENU
+    specific_force_cov0: float = 0.0
+    angular_rate_cov0: float = 0.0
+    orientation_cov0: float = -1.0
 
 
 class ImuDecoder:
@@ -88,13 +87,13 @@ class ImuDecoder:
                     self._keep_name(name)
                 return ImuFields(
                     seconds * 1_000_000_000 + nanoseconds,
+                    (v[9], v[10], v[11]),
+                    (v[5], v[6], v[7]),
                     self._frame_id,
                     (v[0], v[1], v[2], v[3]),
-                    v[4],
-                    (v[5], v[6], v[7]),
-                    v[8],
-                    (v[9], v[10], v[11]),
                     v[12],
+                    v[8],
+                    v[4],
                 )
         return self._decode_new_layout(data)
 
@@ -124,8 +123,6 @@ class StampedEncoder:
         The header's frame_id and further texts, as they follow each other.
     count
         Number of doubles.
-    before, after
-        Small fields between the texts and the doubles, and behind them, as they lie there.
 
     Attributes
     ----------
@@ -134,18 +131,14 @@ class StampedEncoder:
 
     """
 
-    def __init__(
-        self, names: Sequence[str], count: int, before: bytes = b"", after: bytes = b""
-    ) -> None:
+    def __init__(self, names: Sequence[str], count: int) -> None:
         text = bytearray(_LITTLE_ENDIAN + bytes(8))
         for name in names:
             _put_text(text, name)
-        text += before
         start = _body_start(len(text))
         # Four bytes ahead of the message bring its doubles to a multiple of eight.
-        self._buffer = bytearray(4 + start + 8 * count + len(after))
+        self._buffer = bytearray(4 + start + 8 * count)
         self._buffer[4 : 4 + len(text)] = text
-        self._buffer[len(self._buffer) - len(after) :] = after
         self._message = memoryview(self._buffer)[4:]
         self._pack_stamp = struct.Struct("<iI").pack_into
         self.values: NDArray[np.float64] = np.frombuffer(
@@ -156,6 +149,11 @@ class StampedEncoder:
         """Serialise the present values with the stamp `stamp_ns` [ns]."""
         self._pack_stamp(self._buffer, 8, *divmod(stamp_ns, 1_000_000_000))
         return bytes(self._message)
+
+    def encode_values(self, stamp_ns: int, values: NDArray[np.float64]) -> bytes:
+        """Serialise one message: stamp [ns] and values (count,)."""
+        self.values[:] = values
+        return self.message(stamp_ns)
 
     def messages(
         self, stamp_ns: NDArray[np.int64], values: NDArray[np.float64]
@@ -223,44 +221,6 @@ class OdometryEncoder(StampedEncoder):
         self.angular[:] = angular
         self.twist_covariance[:] = twist_covariance
         return self.message(stamp_ns)
-
-
-class FixEncoder(StampedEncoder):
-    """
-    Serialises sensor_msgs/NavSatFix with status FIX, of no particular service.
-
-    Its values are latitude, longitude [deg], height [m], covariance [m², ENU] (9).
-    """
-
-    def __init__(self, frame_id: str, covariance_type: int) -> None:
-        gap = bytes(-(len(frame_id.encode()) + 1 + 1) % 2)  # the service is a 16-bit number
-        super().__init__((frame_id,), 12, b"\0" + gap + bytes(2), bytes([covariance_type]))
-
-
-class Status(NamedTuple):
-    """What a diagnostic_msgs/DiagnosticStatus says; level 0 OK, 1 WARN, 2 ERROR."""
-
-    level: int
-    name: str
-    text: str
-    values: Sequence[tuple[str, str]]
-
-
-def encode_status(status: Status) -> bytes:
-    """Serialise a diagnostic_msgs/DiagnosticStatus."""
-    buffer = bytearray(_LITTLE_ENDIAN)
-    _put_status(buffer, status)
-    return bytes(buffer)
-
-
-def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
-    """Serialise a diagnostic_msgs/DiagnosticArray with the stamp `stamp_ns` [ns]."""
-    buffer = bytearray(_LITTLE_ENDIAN + struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000)))
-    _put_text(buffer, "")
-    _put_count(buffer, len(statuses))
-    for status in statuses:
-        _put_status(buffer, status)
-    return bytes(buffer)
 
 
 def imu_records(messages: Sequence[bytes]) -> NDArray[Any]:
@@ -343,28 +303,6 @@ def _text(name: bytes) -> str:
     return name.rstrip(b"\0").decode(errors="replace")
 
 
-def _put_status(buffer: bytearray, status: Status) -> None:
-    buffer.append(status.level)
-    for text in (status.name, status.text, ""):  # without hardware_id
-        _put_text(buffer, text)
-    _put_count(buffer, len(status.values))
-    for key, value in status.values:
-        buffer += _PADDING[len(buffer) % 4] + _key(key)
-        _put_text(buffer, value)
-
-
-@lru_cache(maxsize=256)
-def _key(text: str) -> bytes:
-    """Serialise one of the few texts that come again and again, padded to a multiple of 4."""
-    buffer = bytearray()
-    _put_text(buffer, text)
-    return bytes(buffer + _PADDING[len(buffer) % 4])
-
-
 def _put_text(buffer: bytearray, text: str) -> None:
     encoded = text.encode(errors="replace")
     buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(len(encoded) + 1) + encoded + b"\0"
-
-
-def _put_count(buffer: bytearray, count: int) -> None:
-    buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(count)

@@ -1,8 +1,8 @@
 """
-The border between ROS and the filter: messages and samples, ENU/FLU and NED/FRD, degrees, radians.
+Conversions between ROS and the filter: messages to samples, ENU/FLU to NED/FRD, degrees to radians.
 
-Messages are read and filled by attribute: they may come from rclpy or from a bag. What cannot be
-used is refused with a reason for the user, never with an exception.
+Messages are read and filled by attribute: they may come from rclpy or from a bag. Input that cannot
+be used is refused with a reason for the user, never with an exception.
 
 References
 ----------
@@ -20,15 +20,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid_ins.core.earth import LocalFrame, lla_to_ecef
-from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rpy,
     rpy_from_quat,
 )
-from hybrid_ins.ros.cdr import ImuFields, Status
+from hybrid_ins.ros.cdr import ImuFields
 
 Array = NDArray[np.float64]
 Message = Any
@@ -36,20 +35,8 @@ NewMessage = Callable[[str], Message]
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
-APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types that say something
+APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
 STATUS_FIX = 0
-
-OUTPUTS = {
-    "odometry": "nav_msgs/msg/Odometry",
-    "odometry/local": "nav_msgs/msg/Odometry",
-    "gnss/filtered": "sensor_msgs/msg/NavSatFix",
-    "q/accelerometer": "geometry_msgs/msg/Vector3Stamped",
-    "q/gyroscope": "geometry_msgs/msg/Vector3Stamped",
-    "imu/bias": "geometry_msgs/msg/AccelWithCovarianceStamped",
-    "gnss/verdict": "diagnostic_msgs/msg/DiagnosticStatus",
-    "datum": "sensor_msgs/msg/NavSatFix",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-}
 
 
 def stamp_ns(stamp: Message) -> int:
@@ -93,7 +80,7 @@ def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Input that could not be used, and why; ``name`` counts it, ``text`` tells the user."""
+    """Input that could not be used: the ``name`` that counts it, and the ``text`` for the user."""
 
     name: str
     text: str
@@ -142,27 +129,28 @@ class GnssInput:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` takes its stamp's place if given."""
         t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
-            return Refused("gnss: zero stamp", "header.stamp is zero: the driver must stamp fixes")
+            return Refused("gnss: zero stamp", "header.stamp is zero: the driver must set it")
         if message.status.status < STATUS_FIX:
             return Refused("gnss: no fix", f"status {message.status.status} means no fix")
         lat, lon, height = message.latitude, message.longitude, message.altitude
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0) or math.isinf(height):
             return Refused(
                 "gnss: impossible position",
-                f"latitude {lat}, longitude {lon}, altitude {height} is no position",
+                f"latitude {lat}, longitude {lon}, altitude {height} is not a position: check the "
+                "driver's units (degrees, metres)",
             )
         if lat == 0.0 and lon == 0.0:
             return Refused(
                 "gnss: impossible position",
-                "latitude and longitude are exactly zero: "
-                "the receiver has no position, whatever its status says",
+                "latitude and longitude are exactly zero: the receiver has no position; the driver "
+                "should report status NO_FIX",
             )
         if abs(height) > 1e6:
-            return Refused("gnss: impossible position", f"altitude {height:g} m is no position")
+            return Refused("gnss: impossible position", f"altitude {height:g} m is not on Earth")
         if abs(lat) > 89.9:
             return Refused(
                 "gnss: impossible position",
-                f"latitude {lat:g}°: navigation in NED ends before the poles",
+                f"latitude {lat:g}°: NED is singular at the poles",
             )
         covariance_enu = self._position_covariance(message)
         sigma = np.sqrt(np.diag(covariance_enu))
@@ -177,6 +165,7 @@ class GnssInput:
             np.array([math.radians(lat), math.radians(lon), height]),
             SWAP @ covariance_enu @ SWAP,
             self.lever_b,
+            t_ns,
         )
 
     def _position_covariance(self, message: Message) -> Array:
@@ -195,13 +184,16 @@ class GnssInput:
         """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
         t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
-            return Refused("velocity: zero stamp", "header.stamp is zero: the driver must stamp")
+            return Refused("velocity: zero stamp", "header.stamp is zero: the driver must set it")
         linear = message.twist.twist.linear
         velocity_enu = np.array([linear.x, linear.y, linear.z], float)
         if not np.all(np.isfinite(velocity_enu[:2])) or math.isinf(velocity_enu[2]):
-            return Refused("velocity: not finite", f"{velocity_enu} holds no velocity")
+            return Refused("velocity: not finite", f"{velocity_enu} m/s is not finite")
         if np.nanmax(np.abs(velocity_enu)) > 1000.0:
-            return Refused("velocity: absurd", f"{velocity_enu} m/s is no vehicle's velocity")
+            return Refused(
+                "velocity: absurd",
+                f"{velocity_enu} m/s is too fast for a vehicle: check the driver's unit (m/s)",
+            )
         default = np.eye(3) * self.velocity_std_default**2
         covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
         covariance = floor_covariance(covariance, self.velocity_std_min, default)
@@ -210,6 +202,7 @@ class GnssInput:
             np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
             SWAP @ covariance @ SWAP,
             self.lever_b,
+            t_ns,
         )
 
 
@@ -270,13 +263,13 @@ def imu_fields(message: Message) -> ImuFields:
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     return ImuFields(
         stamp_ns(message.header.stamp),
+        (a.x, a.y, a.z),
+        (w.x, w.y, w.z),
         message.header.frame_id,
         (q.x, q.y, q.z, q.w),
-        float(message.orientation_covariance[0]),
-        (w.x, w.y, w.z),
-        float(message.angular_velocity_covariance[0]),
-        (a.x, a.y, a.z),
         float(message.linear_acceleration_covariance[0]),
+        float(message.angular_velocity_covariance[0]),
+        float(message.orientation_covariance[0]),
     )
 
 
@@ -313,54 +306,10 @@ class MapFrame:
 
 def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:
     """Fill a NavSatFix that says where the map's origin is."""
-    message = new(OUTPUTS["datum"])
+    message = new("sensor_msgs/msg/NavSatFix")
     set_stamp(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
     message.latitude, message.longitude = map(math.degrees, datum_lla[:2])
     message.altitude = float(datum_lla[2])
     message.status.status = STATUS_FIX
     return message
-
-
-def status(name: str, level: int, text: str, values: Mapping[str, object]) -> Status:
-    """Word a DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR."""
-    return Status(
-        level,
-        f"hybrid_ins: {name}",
-        text,
-        [
-            (key, f"{value:.6g}" if isinstance(value, float) else str(value))
-            for key, value in values.items()
-        ],
-    )
-
-
-def verdict_status(verdict: Verdict, time_offset: float) -> Status:
-    """Word what became of one fix."""
-    measurement: Measurement = verdict.measurement
-    sigma = dict(zip(("sigma_n", "sigma_e", "sigma_u"), verdict.sigma, strict=False))
-    if verdict.accepted:
-        text = verdict.reason or "fused"
-    else:
-        text = f"refused: {verdict.reason}"
-    if not verdict.accepted and math.isfinite(verdict.nis):
-        text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
-    return status(
-        "gnss",
-        0 if verdict.accepted and not verdict.inflated else 1,
-        text,
-        {
-            "stamp": measurement.t_ns - round(time_offset * 1e9),
-            "kind": measurement.kind,
-            "accepted": str(verdict.accepted).lower(),
-            "reason": verdict.reason,
-            "nis": verdict.nis,
-            "dof": len(verdict.sigma),
-            "threshold": verdict.threshold,
-            "sigma_e": sigma.get("sigma_e", math.nan),
-            "sigma_n": sigma.get("sigma_n", math.nan),
-            "sigma_u": sigma.get("sigma_u", math.nan),
-            "time_offset": time_offset,
-            "age": verdict.age,
-        },
-    )

@@ -1,5 +1,5 @@
 """
-``ins_node``: the estimator on ROS 2. Callbacks convert, call, publish; nothing is computed here.
+``ins_node``: the estimator on ROS 2. Callbacks convert, call, publish.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ except ModuleNotFoundError as error:
     if error.name != "rclpy":
         raise
     raise SystemExit(
-        "ins_node: error: ROS 2 is not here: source /opt/ros/jazzy/setup.bash, or install its "
+        "ins_node: error: ROS 2 is not installed: source /opt/ros/jazzy/setup.bash, or install its "
         'wheels: pip install "hybrid_ins[ros]"'
     ) from None
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -29,13 +30,8 @@ from geometry_msgs.msg import (
     TwistWithCovarianceStamped,
     Vector3Stamped,
 )
-from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from nav_msgs.msg import Odometry as OdometryMessage
+from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
@@ -63,14 +59,17 @@ except ImportError:  # the wheels of ROS have none
 
 from hybrid_ins import kernels, parameters
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter import Parameter
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder, Status, encode_diagnostics
-from hybrid_ins.ros.estimator import Estimator, warm_up
+from hybrid_ins.ros import conversions, node_parameters
+from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder
+from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.message_types import OUTPUTS, Message, fill_transforms, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
+from hybrid_ins.ros.warm_up import warm_up
 
 MESSAGES = {
-    "nav_msgs/msg/Odometry": Odometry,
+    "nav_msgs/msg/Odometry": OdometryMessage,
     "sensor_msgs/msg/NavSatFix": NavSatFix,
     "geometry_msgs/msg/TwistWithCovarianceStamped": TwistWithCovarianceStamped,
     "geometry_msgs/msg/Vector3Stamped": Vector3Stamped,
@@ -112,41 +111,39 @@ class InsNode(Node):
         super().__init__(parameters.NODE_NAME)
         given: dict[str, Any] = {}
         for p in parameters.PARAMETERS.values():
-            value = self.declare_parameter(p.name, p.default, _descriptor(p)).value
+            described = node_parameters.descriptor(p)
+            value = self.declare_parameter(p.name, p.default, described).value
             if value is not None:  # what ROS makes of an empty list in a file
-                given[p.name] = _plain(value)
-        self._tell_unknown_parameters()
+                given[p.name] = node_parameters.plain(value)
+        self._warn_of_unknown_parameters()
         values: dict[str, Any] = dict(parameters.check_all(given))
         self._decoder = ImuDecoder()
-        self._encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
-        self._estimator = Estimator(values, self._say)
-        self._local_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
-        self._estimator.odometry = self._encoder.values
-        self._estimator.local = self._local_encoder.values
+        self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
+        self._odom_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
+        self._estimator = Estimator(values, self._log)
+        self._waiting: deque[Report] = deque()  # to be published
         self._by_receipt = bool(values["use_receive_time"])
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
         self._crowded: set[str] = set()
         self._last_imu = time.monotonic()
         self._odometry_due = RateLimiter(values["odometry_rate"])
 
-        self._heard: dict[str, Callable[[bytes], None]] = {}
-        self._heard_poses: list[tuple[Callable[[bytes], None], OdometryEncoder]] = []
+        self._subscribed: dict[str, Callable[[Any], None]] = {}
         self._publishers_by_topic = {
             topic: self.create_publisher(
                 MESSAGES[type_name],
                 topic,
                 LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
-                event_callbacks=PublisherEventCallbacks(matched=self._find_listeners),
+                event_callbacks=PublisherEventCallbacks(matched=self._find_subscribers),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
-            for topic, type_name in conversions.OUTPUTS.items()
+            for topic, type_name in OUTPUTS.items()
         }
         self._transforms: Any = None
         if TFMessage is None:
             if values["publish_tf"]:
                 self.get_logger().info(
-                    "tf2_msgs is not installed: nothing is said on /tf, and "
-                    "nothing heard on /tf_static"
+                    "tf2_msgs is not installed: /tf is not published and /tf_static not read"
                 )
         else:
             if values["publish_tf"]:
@@ -155,7 +152,7 @@ class InsNode(Node):
                     TFMessage, "/tf", OUTPUT_QOS
                 ).publish
             self.create_subscription(
-                TFMessage, "/tf_static", self._estimator.static_transforms, FIXED_QOS
+                TFMessage, "/tf_static", self._estimator.handle_static_transforms, FIXED_QOS
             )
         self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, raw=True)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
@@ -164,18 +161,18 @@ class InsNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self._on_second, clock=rclpy.clock.Clock())
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
-        self._find_listeners()
-        self._flush()
+        self.add_post_set_parameters_callback(self._use_parameters)
+        self._find_subscribers()
+        self._publish_reports()
 
     def prepare(self) -> None:
-        """Make everything quick from the first message on; those that come meanwhile wait."""
+        """Load and run everything once, so that the first message is handled as fast as any."""
         kernels.prepare(self.get_logger().info)
-        warm_up(lambda name: MESSAGES[name]())
-        # What there is now stays: the collector need not look at it again and again.
+        warm_up(_new_message)
+        # What exists now stays: the collector need not traverse it again and again.
         gc.collect()
         gc.freeze()
-        self.get_logger().info("ready: waiting for " + self._estimator.navigator.waiting_for)
+        self.get_logger().info("ready: waiting for " + self._estimator.waiting_for)
 
     def _subscribe(
         self, kind: Any, topic: str, callback: Any, qos: QoSProfile, raw: bool = False
@@ -183,8 +180,8 @@ class InsNode(Node):
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
             self.get_logger().error(
-                f"{self.resolve_topic_name(topic)}: a publisher's QoS does not fit by its "
-                f"{policy}: nothing arrives from it; change it there, or ours by qos_overrides"
+                f"{self.resolve_topic_name(topic)}: the {policy} of a publisher's QoS is "
+                "incompatible: nothing arrives from it; change it there, or ours by qos_overrides"
             )
 
         self.create_subscription(
@@ -206,26 +203,28 @@ class InsNode(Node):
         except ValueError:
             imu = conversions.imu_fields(deserialize_message(data, Imu))
         self._last_imu = time.monotonic()
-        if estimator.imu_message(imu, self._received_ns()):
-            self._tell_pose(estimator.navigator.last_ns)
-        estimator.tick()
-        if estimator.outbox:
-            self._flush(1 + len(estimator.outbox) // CROWD)
+        odometry = estimator.handle_imu(imu, self._received_ns())
+        if odometry is not None:
+            self._publish_odometry(odometry)
+        estimator.run_periodic()
+        self._waiting.extend(estimator.pop_reports())
+        if self._waiting:
+            self._publish_waiting(1 + len(self._waiting) // CROWD)
 
     def _received_ns(self) -> int | None:
         return self.get_clock().now().nanoseconds if self._by_receipt else None
 
     def _on_fix(self, message: NavSatFix) -> None:
-        self._estimator.fix(message, self._received_ns())
-        self._flush()
+        self._estimator.handle_fix(message, self._received_ns())
+        self._publish_reports()
 
     def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
-        self._estimator.velocity(message, self._received_ns())
-        self._flush()
+        self._estimator.handle_velocity(message, self._received_ns())
+        self._publish_reports()
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self._estimator.initial_pose(message)
-        self._flush()
+        self._estimator.handle_initial_pose(message)
+        self._publish_reports()
 
     def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
         self._estimator.reset()
@@ -233,14 +232,14 @@ class InsNode(Node):
         return response
 
     def _on_second(self) -> None:
-        """Look at the topics, and keep diagnostics alive when no IMU sample drives them."""
-        self._find_listeners()
+        """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
+        self._find_subscribers()
         for name in ("imu/data", "gnss/fix", "gnss/velocity"):
             topic = self.resolve_topic_name(name)
             if topic not in self._crowded and self.count_publishers(topic) > 1:
                 self._crowded.add(topic)
                 nodes = [info.node_name for info in self.get_publishers_info_by_topic(topic)]
-                self._estimator.remark(
+                self._estimator.inputs.count_and_warn(
                     name,
                     conversions.Refused(
                         f"{name}: several publishers",
@@ -257,7 +256,7 @@ class InsNode(Node):
             now,
             [
                 *self._estimator.diagnostics(now),
-                conversions.status(
+                status(
                     "imu",
                     2,
                     f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
@@ -269,45 +268,47 @@ class InsNode(Node):
 
     # Output.
 
-    def _tell_pose(self, t_ns: int) -> None:
+    def _publish_odometry(self, odometry: Odometry) -> None:
         """Publish odometry and transforms where they are due."""
+        t_ns = odometry.t_ns
         if self._odometry_due.is_due(t_ns):
-            for publish, encoder in self._heard_poses:
-                publish(encoder.message(t_ns))
+            publish = self._subscribed.get("odometry")
+            if publish is not None:
+                publish(self._map_encoder.encode_values(t_ns, odometry.in_map))
+            publish = self._subscribed.get("odometry/local")
+            if publish is not None:
+                publish(self._odom_encoder.encode_values(t_ns, odometry.in_odom))
         if self._transforms is not None and self._transforms_due.is_due(t_ns):
-            self._estimator.fill_transforms(self._transforms.transforms)
+            fill_transforms(self._transforms.transforms, odometry, self._estimator.values)
             self._publish_transforms(self._transforms)
 
-    def _flush(self, most: int = sys.maxsize) -> None:
-        """Publish what waits, or the first of it that somebody listens to."""
-        outbox = self._estimator.outbox
-        while outbox and most:
-            topic, message = outbox.popleft()
-            publish = self._heard.get(topic)
+    def _publish_reports(self) -> None:
+        """Publish everything that waits."""
+        self._waiting.extend(self._estimator.pop_reports())
+        self._publish_waiting(len(self._waiting))
+
+    def _publish_waiting(self, most: int) -> None:
+        """Publish what waits, but no more than ``most`` reports that have subscribers."""
+        while self._waiting and most:
+            report = self._waiting.popleft()
+            publish = self._subscribed.get(report.topic)
             if publish is not None:
-                publish(message)
+                publish(to_message(report, _new_message))
                 most -= 1
 
-    def _find_listeners(self, _event: object = None) -> None:
-        """Publishing is worth its time only where somebody listens, or will: datum is latched."""
-        self._heard = {
+    def _find_subscribers(self, _event: object = None) -> None:
+        """Find the topics worth publishing on: those with subscribers; datum is latched."""
+        self._subscribed = {
             topic: publisher.publish
             for topic, publisher in self._publishers_by_topic.items()
             if topic == "datum" or publisher.get_subscription_count()
         }
-        self._heard_poses = [
-            (self._heard[topic], encoder)
-            for topic, encoder in (
-                ("odometry", self._encoder),
-                ("odometry/local", self._local_encoder),
-            )
-            if topic in self._heard
-        ]
 
     def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
-        self._publishers_by_topic["/diagnostics"].publish(encode_diagnostics(t_ns, statuses))
+        report = Report("/diagnostics", Diagnostics(t_ns, statuses))
+        self._publishers_by_topic["/diagnostics"].publish(to_message(report, _new_message))
 
-    def _say(self, level: str, text: str) -> None:
+    def _log(self, level: str, text: str) -> None:
         # One line for each level: rclpy ties a severity to the line it is logged from.
         if level == "info":
             self.get_logger().info(text)
@@ -318,8 +319,8 @@ class InsNode(Node):
 
     # Parameters.
 
-    def _tell_unknown_parameters(self) -> None:
-        """Warn of names that ROS passes over in silence; a file for '/**' may mean others."""
+    def _warn_of_unknown_parameters(self) -> None:
+        """Warn of names that ROS ignores silently; a file for '/**' may address other nodes."""
         for name in self._parameter_overrides:
             if name != "use_sim_time" and not name.startswith("qos_overrides."):
                 try:
@@ -335,55 +336,36 @@ class InsNode(Node):
         return SetParametersResult(successful=True)
 
     def _checked(self, changes: list[Any]) -> dict[str, Any]:
-        """Check changes of this package's parameters; others are not ours to judge."""
-        known = {p.name: _plain(p.value) for p in changes if p.name in parameters.PARAMETERS}
+        """Check changes of this package's parameters; others are not ours to check."""
+        ours = [p for p in changes if p.name in parameters.PARAMETERS]
+        known = {p.name: node_parameters.plain(p.value) for p in ours}
         return parameters.check_change(self._estimator.values, known)
 
-    def _take_parameters(self, changes: list[Any]) -> None:
+    def _use_parameters(self, changes: list[Any]) -> None:
         checked = self._checked(changes)
         if checked:
             self._estimator.change(checked)
             self._odometry_due.change(self._estimator.values["odometry_rate"])
 
-    def say_goodbye(self) -> None:
+    def publish_end(self) -> None:
         """Publish what is left and a last diagnostics message."""
-        self._flush()
+        self._publish_reports()
         now = self.get_clock().now().nanoseconds
         first, *others = self._estimator.diagnostics(now)
         first = first._replace(text=f"shut down; {first.text}")
         self._publish_diagnostics(now, [first, *others])
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
-        description=parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
-        additional_constraints=", ".join(parameter.choices) or parameter.bounds(),
-        read_only=not parameter.runtime,
-        dynamic_typing=True,
-    )
-    low = 0.0 if parameter.or_zero else parameter.low
-    bounded = abs(low) < 1e300 and abs(parameter.high) < 1e300
-    if bounded and isinstance(parameter.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=low, to_value=parameter.high)
-        ]
-    elif (
-        bounded and isinstance(parameter.default, int) and (not isinstance(parameter.default, bool))
-    ):
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(parameter.high))]
-    return descriptor
-
-
-def _plain(value: Any) -> Any:
-    """Return a parameter's value as rclpy's arrays and numbers are in YAML."""
-    return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+def _new_message(type_name: str) -> Message:
+    """Return an empty message of one of the types in ``MESSAGES``."""
+    return MESSAGES[type_name]()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM."""
     arguments = list(sys.argv if argv is None else ["ins_node", *argv])
     if {"-h", "--help"} & set(arguments[1:]):
-        print(_help())
+        print(node_parameters.help_text())
         return 0
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -408,14 +390,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if node is not None:
             if rclpy.ok():
-                node.say_goodbye()
+                node.publish_end()
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
 
 
 def _refuse_start(error: Exception) -> int:
-    """Say in one line why the node does not start."""
+    """Print in one line why the node does not start."""
     line = " ".join(str(error).split())
     if isinstance(error, UnknownROSArgsError):
         line = f"unknown ROS arguments {line}: see ins_node --help"
@@ -423,21 +405,7 @@ def _refuse_start(error: Exception) -> int:
     return 2
 
 
-def _help() -> str:
-    rows = []
-    for p in parameters.PARAMETERS.values():
-        unit = f" [{p.unit}]" if p.unit else ""
-        words = f" ({', '.join(p.choices)})" if p.choices else ""
-        rows.append(f"  {p.name} = {p.default}{unit}\n      {p.text}{words}")
-    return (
-        "usage: ins_node --ros-args [--params-file F] [-p NAME:=VALUE] [-r FROM:=TO]\n\n"
-        "INS/GNSS navigation: imu/data and gnss/fix in, odometry out.\n\n"
-        "example:\n  ins_node --ros-args --params-file params.yaml -r imu/data:=/my_imu/data\n\n"
-        "parameters and their defaults:\n" + "\n".join(rows)
-    )
-
-
 if __name__ == "__main__":
-    status = main()
+    exit_status = main()
     sys.stdout.flush()
-    os._exit(status)
+    os._exit(exit_status)

@@ -8,6 +8,7 @@ from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import rpy_from_quat
 from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT
+from hybrid_ins.ros.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
     START_LLA,
     aircraft_flight,
@@ -27,13 +28,17 @@ def test_it_says_what_it_waits_for_in_order() -> None:
     said = []
 
     def note(t: float) -> None:
-        if not said or said[-1][0] != navigator.state:
-            said.append((navigator.state, navigator.waiting_for))
+        if not said or said[-1][0] != state_of(navigator):
+            said.append((state_of(navigator), waiting_for(navigator)))
 
-    assert navigator.state == "imu" and "IMU" in navigator.waiting_for
+    assert state_of(navigator) == "waiting for the IMU" and "IMU" in waiting_for(navigator)
     play(run, navigator, fix=lambda t: t > 2.0, after=note)
 
-    assert [state for state, _ in said] == ["imu", "gnss", "heading"]
+    assert [state for state, _ in said] == [
+        "waiting for the IMU",
+        "waiting for GNSS",
+        "finding heading",
+    ]
     assert "GNSS" in said[1][1]
     assert "motion" in said[2][1] and "initialpose" in said[2][1]
 
@@ -46,7 +51,7 @@ def test_standing_still_decides_nothing_and_learns_the_gyroscope_bias() -> None:
     play(run, navigator)
 
     # THEN no heading is claimed, but position and biases are known
-    assert navigator.filter is None and navigator.standing
+    assert navigator.filter is None and navigator.monitor.standing
     assert heading_std(navigator) > np.radians(50.0)
     assert run.errors(navigator, 30.0)[0] < 0.1
     assert navigator.best is not None
@@ -170,7 +175,7 @@ def test_heading_by_hand_goes_before_all_and_ends_the_search() -> None:
     assert navigator.filter is None
 
     navigator.realign()
-    navigator.alignment.set_yaw(navigator.last_ns, 1.0, 0.02)
+    navigator.set_yaw(navigator.last_ns, 1.0, 0.02)
     play(run, navigator, start=4.0)
 
     assert navigator.filter is not None
@@ -191,9 +196,9 @@ def test_imu_heading_is_taken_where_it_is_asked_for() -> None:
     run = scene(static(4.0, heading=-2.0))
     navigator = make_navigator("imu")
     play(run, navigator, stop=2.0)
-    assert navigator.filter is None and "orientation" in navigator.waiting_for
+    assert navigator.filter is None and "orientation" in waiting_for(navigator)
 
-    navigator.alignment.observe_yaw(-2.0)
+    navigator.observe_yaw(-2.0)
     play(run, navigator, start=2.0)
 
     assert navigator.filter is not None
@@ -248,7 +253,7 @@ def test_force_in_other_units_is_refused_loudly(factor: float, words: str) -> No
 
     play(run, navigator)
 
-    assert navigator.state == "imu" and words in navigator.waiting_for
+    assert state_of(navigator) == "waiting for the IMU" and words in waiting_for(navigator)
 
 
 def test_height_may_be_missing() -> None:
@@ -270,7 +275,7 @@ def test_vibration_and_a_smooth_cruise_are_not_standing() -> None:
         play(
             run,
             navigator,
-            after=lambda t, n=navigator: pytest.fail("stands") if n.standing else None,
+            after=lambda t, n=navigator: pytest.fail("stands") if n.monitor.standing else None,
         )
 
 
@@ -279,6 +284,6 @@ def test_one_fix_is_no_velocity() -> None:
     navigator = make_navigator()
     play(run, navigator, fix=lambda t: t == 1.0)
 
-    assert navigator.state == "gnss"
+    assert state_of(navigator) == "waiting for GNSS"
     navigator.measure(PositionFix(stamp(3.0), START_LLA, np.eye(3), np.zeros(3)))
     assert navigator.last_ns > EPOCH_NS

@@ -69,7 +69,7 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
 def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
     run = stamped_early(draw(SCENE, 4), 0.15)
     estimator = through_estimator(run, **{"gnss.time_offset.estimate": True})
-    assert estimator._gnss.time_offset == pytest.approx(0.15, abs=0.03)
+    assert estimator.clock.offset == pytest.approx(0.15, abs=0.03)
     clock = estimator.diagnostics(estimator.navigator.last_ns)[-1]
     assert clock.name.endswith("clock")
     assert float(dict(clock.values)["time_offset"]) == pytest.approx(0.15, abs=0.03)
@@ -78,8 +78,8 @@ def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
 def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
     run = stamped_early(draw(SCENE, 5), 0.15)
     estimator = through_estimator(run)
-    assert estimator._gnss.time_offset == 0.0
+    assert estimator.clock.offset == 0.0
     assert estimator.counts["gnss: clock offset"] > 0
-    assert "run ins_calibrate" in estimator._clock_fault()
+    assert "run ins_calibrate" in estimator.clock.status().text
     # AND nothing is told of a right one
     assert through_estimator(draw(SCENE, 5)).counts["gnss: clock offset"] == 0

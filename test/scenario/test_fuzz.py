@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -13,7 +14,7 @@ from hybrid_ins.core.state import covariance
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import set_stamp
 from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.output import N_BIAS
+from hybrid_ins.ros.reports import Diagnostics, Report, Status
 
 MESSAGES = 100_000
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -40,12 +41,15 @@ ODD = np.array(
     ]
 )
 FRAMES = ("", "imu_link", "base_link", "/odd//name", "é" * 40, "x" * 1000)
-DOUBLES = {
-    "imu/bias": (N_BIAS, 0),
-    "gnss/filtered": (12, 1),
-    "q/accelerometer": (3, 0),
-    "q/gyroscope": (3, 0),
-}
+
+
+def numbers_of(report: Report) -> list[Any]:
+    """All numbers of a report, but those in the words of a status."""
+    content = report.content
+    if isinstance(content, Status | Diagnostics):
+        return []
+    values = [getattr(content, field.name) for field in dataclasses.fields(content)]
+    return [value for value in values if not isinstance(value, str)]
 
 
 class Fuzzer:
@@ -112,13 +116,13 @@ class Fuzzer:
         x = v.tolist()
         return ImuFields(
             self.stamp(5_000_000),
+            tuple(x[9:12]),
+            tuple(x[5:8]),
             self.frame(),
             tuple(x[:4]),
-            x[4],
-            tuple(x[5:8]),
-            x[8],
-            tuple(x[9:12]),
             x[12],
+            x[8],
+            x[4],
         )
 
     def navsat(self) -> Any:
@@ -158,23 +162,21 @@ def feed(estimator: Estimator, fuzzer: Fuzzer, count: int) -> int:
     kinds = rng.choice(4, count, p=[0.949, 0.035, 0.0155, 0.0005])
     for k, kind in enumerate(kinds.tolist()):
         if kind == 0:
-            if estimator.imu_message(fuzzer.imu()):
+            odometry = estimator.handle_imu(fuzzer.imu())
+            if odometry is not None:
                 renewed += 1
-                assert np.isfinite(estimator.odometry).all()
-                assert np.isfinite(estimator.local).all()
-            estimator.tick()
+                assert np.isfinite(odometry.in_map).all()
+                assert np.isfinite(odometry.in_odom).all()
+            estimator.run_periodic()
         elif kind == 1:
-            estimator.fix(fuzzer.navsat())
+            estimator.handle_fix(fuzzer.navsat())
         elif kind == 2:
-            estimator.velocity(fuzzer.velocity())
+            estimator.handle_velocity(fuzzer.velocity())
         else:
-            estimator.initial_pose(fuzzer.initial_pose())
-        while estimator.outbox:
-            topic, data = estimator.outbox.popleft()
-            if topic in DOUBLES:
-                number, behind = DOUBLES[topic]
-                values = np.frombuffer(data[len(data) - 8 * number - behind :], "<f8", number)
-                assert np.isfinite(values).all(), topic
+            estimator.handle_initial_pose(fuzzer.initial_pose())
+        for report in estimator.pop_reports():
+            for numbers in numbers_of(report):
+                assert np.isfinite(numbers).all(), report
         if k % 200 == 0:
             for running in estimator.navigator.filters:
                 assert np.linalg.eigvalsh(covariance(running.nav)).min() > 0.0

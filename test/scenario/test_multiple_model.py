@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 from support.runs import stamped_early, through_estimator
 
 from hybrid_ins.core import clock_search
@@ -19,7 +18,6 @@ from tools.paper.montecarlo import Run, Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 SECOND = 1_000_000_000
-STORE = get_typestore(Stores.ROS2_JAZZY)
 AUTO = {"alignment.heading_source": "auto"}
 
 
@@ -45,23 +43,19 @@ def estimating(run: Run, late: float = 0.0, **values: object) -> Estimator:
 
 
 def offset(estimator: Estimator) -> float:
-    return estimator._gnss.time_offset
+    return estimator.clock.offset
 
 
 def found(estimator: Estimator) -> tuple[float, float]:
-    told = estimator._clock_found()
+    told = estimator.clock.found()
     assert told is not None
     return told
 
 
 def told_and_waiting(estimator: Estimator) -> list[int]:
     """Stamps [ns], as the receiver gave them, of all verdicts and of what is not decided yet."""
-    verdicts = [
-        STORE.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticStatus")
-        for topic, data in estimator.outbox
-        if topic == "gnss/verdict"
-    ]
-    stamps = [int(value.value) for v in verdicts for value in v.values if value.key == "stamp"]
+    verdicts = [r.content for r in estimator.pop_reports() if r.topic == "gnss/verdict"]
+    stamps = [int(dict(verdict.values)["stamp"]) for verdict in verdicts]
     waiting = estimator.navigator.filter.withdraw()  # type: ignore[union-attr]
     return sorted([*stamps, *(m.t_ns - round(1e9 * offset(estimator)) for m in waiting)])
 
@@ -211,7 +205,7 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     # THEN there are
     bank = estimator.navigator.bank
     assert bank is not None and len(bank.filters) > N_HEADINGS
-    assert "clock offset" in estimator.navigator.waiting_for
+    assert "clock offset" in estimator.waiting_for
 
 
 def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:

@@ -6,9 +6,10 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from support.scenes import make_navigator, play, scene, stamp
 
-from hybrid_ins.core.imu_health import Fault
+from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.navigator import STAMP_FAULTS
+from hybrid_ins.core.navigator_events import GapBridged, RestartCause, Restarted
+from hybrid_ins.core.stamp_check import StampFault
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
 from hybrid_ins.simulation.motions import (
     START_LLA,
@@ -37,36 +38,39 @@ def navigator(flight):
 @pytest.mark.parametrize(
     ("step", "fault"),
     [
-        (0.0, "imu: repeated stamp"),
-        (-0.05, "imu: stamp out of order"),
-        (900.0, "imu: stamp jumps"),
-        (-900.0, "imu: stamp jumps"),
+        (0.0, StampFault.REPEATED),
+        (-0.05, StampFault.OUT_OF_ORDER),
+        (900.0, StampFault.JUMP),
+        (-900.0, StampFault.JUMP),
     ],
 )
 def test_a_stray_stamp_is_refused_by_name_and_changes_nothing(
-    flight, navigator, step: float, fault: str
+    flight, navigator, step: float, fault: StampFault
 ) -> None:
     play(flight, navigator, stop=10.0)
+    flight.events.clear()
     before = navigator.filter.nav.copy()
 
-    taken = navigator.imu(navigator.last_ns + round(step * 1e9), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    refused = navigator.imu(navigator.last_ns + round(step * 1e9), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
-    assert not taken and navigator.refusal == fault and fault in STAMP_FAULTS
+    assert refused is fault
     assert np.array_equal(navigator.filter.nav, before)
     play(flight, navigator, start=10.0, stop=12.0)
     assert flight.errors(navigator, 12.0)[0] < 0.3
-    assert not navigator.counts
+    assert not flight.events
 
 
 def test_stamps_that_stay_behind_are_a_new_beginning_said_once(flight) -> None:
     # GIVEN a bag that is played in a loop
-    reasons: list[str] = []
-    navigator = make_navigator("parameter", yaw=flight.yaw(0.0), on_restart=reasons.append)
+    navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
     play(flight, navigator, stop=20.0)
+    flight.events.clear()
 
     play(flight, navigator, stop=20.0)
 
-    assert len(reasons) == 1 and "went back by" in reasons[0]
+    [event] = flight.events
+    assert isinstance(event, Restarted) and event.cause is RestartCause.STAMPS_WENT_BACK
+    assert event.seconds == pytest.approx(20.0, abs=0.1)
     assert flight.errors(navigator, 20.0)[0] < 0.4
     assert flight.errors(navigator, 20.0)[2] < 0.05
 
@@ -79,19 +83,22 @@ def test_short_gap_is_bridged_with_a_covariance_that_covers_it() -> None:
         # WHEN 0.4 s of IMU samples are missing in a turn
         play(run, navigator, stop=30.02, imu=lambda t: not 29.6 < t < 30.0, fix=lambda t: t < 29.6)
 
-        assert navigator.counts["imu: gaps bridged"] == 1
+        [event] = run.events
+        assert isinstance(event, GapBridged) and event.seconds == pytest.approx(0.41, abs=0.02)
         normalised.append(run.errors(navigator, 30.01)[1] / sigma(navigator)[3:6].max())
 
     assert np.max(normalised) < 4.0
 
 
 def test_long_gap_ends_dead_reckoning_and_alignment_follows(flight) -> None:
-    reasons: list[str] = []
-    navigator = make_navigator(on_restart=reasons.append)
+    navigator = make_navigator()
+    flight.events.clear()
 
     play(flight, navigator, imu=lambda t: not 25.0 < t < 29.0)
 
-    assert len(reasons) == 1 and "no IMU samples for 4.0 s" in reasons[0]
+    [event] = flight.events
+    assert isinstance(event, Restarted) and event.cause is RestartCause.NO_SAMPLES
+    assert event.seconds == pytest.approx(4.0, abs=0.1)
     assert navigator.filter is not None
     assert flight.errors(navigator, 60.0)[0] < 0.4
     assert flight.errors(navigator, 60.0)[2] < 0.1
@@ -103,7 +110,7 @@ def test_heading_survives_a_gap_of_a_vehicle_that_stands() -> None:
 
     play(run, navigator, imu=lambda t: not 8.0 < t < 10.0)
 
-    assert navigator.counts["restart: no IMU samples"] == 1
+    assert [event.cause for event in run.events] == [RestartCause.NO_SAMPLES]
     assert navigator.filter is not None
     assert run.errors(navigator, 20.0)[2] < 0.05
 
@@ -129,7 +136,7 @@ def test_fix_that_is_too_old_is_refused_with_its_age(flight, navigator) -> None:
 
     navigator.measure(PositionFix(stamp(8.1), START_LLA, np.eye(3), np.zeros(3)))
 
-    verdict = navigator.verdicts.pop()
+    [verdict] = navigator.pop_events()
     assert not verdict.accepted and verdict.reason == "too old"
     assert verdict.age == pytest.approx(1.9, abs=0.02)
 
@@ -142,8 +149,9 @@ def test_fix_from_the_future_and_a_repeated_one_are_refused(flight, navigator) -
         navigator.measure(PositionFix(stamp(t), START_LLA, np.eye(3), np.zeros(3)))
 
     assert len(flight.verdicts) == count
-    assert [v.reason for v in navigator.verdicts] == ["stamped ahead of the IMU", "repeated stamp"]
-    assert not any(v.accepted for v in navigator.verdicts)
+    verdicts = navigator.pop_events()
+    assert [v.reason for v in verdicts] == ["stamped ahead of the IMU", "repeated stamp"]
+    assert not any(v.accepted for v in verdicts)
 
 
 def test_outage_is_dead_reckoned_with_growing_covariance_and_ends_without_a_spike() -> None:
@@ -197,11 +205,8 @@ def test_wild_fixes_for_a_while_do_not_move_the_state() -> None:
 
 def test_wrong_heading_is_found_out_and_given_up() -> None:
     # GIVEN a heading by hand that is wrong by a third of a turn, and claims to be right
-    reasons: list[str] = []
     run = scene(quadrotor_flight(60.0, 4), seed=4)
-    navigator = make_navigator(
-        "parameter", yaw=run.yaw(0.0) + 2.0, yaw_std=0.02, on_restart=reasons.append
-    )
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0) + 2.0, yaw_std=0.02)
 
     play(run, navigator)
 
@@ -215,7 +220,7 @@ def test_standing_vehicle_keeps_still_without_fixes() -> None:
 
     play(run, navigator, fix=lambda t: t < 20.0)
 
-    assert navigator.standing
+    assert navigator.monitor.standing
     assert run.errors(navigator, 80.0)[0] < 0.5
     assert run.errors(navigator, 80.0)[1] < 0.03
 
@@ -225,7 +230,7 @@ def test_stop_in_an_outage_is_noticed_by_the_filter() -> None:
     navigator = make_navigator("parameter", yaw=run.yaw(0.0))
     standing = []
 
-    play(run, navigator, after=lambda t: standing.append((t, navigator.standing)))
+    play(run, navigator, after=lambda t: standing.append((t, navigator.monitor.standing)))
 
     moving = {
         t: float(np.linalg.norm(v))
@@ -240,7 +245,7 @@ def test_shaking_sensor_is_not_standing() -> None:
 
     play(run, navigator)
 
-    assert not navigator.standing
+    assert not navigator.monitor.standing
 
 
 def drop() -> Motion:
@@ -259,19 +264,19 @@ def drop() -> Motion:
 def test_free_fall_is_no_missing_gravity(fix_rate: float) -> None:
     run = scene(drop(), fix_rate=fix_rate)
     navigator = make_navigator("parameter", yaw=1.2)
-    seen: list[Fault | None] = []
+    seen: list[ImuFault | None] = []
     heights: list[float] = []
 
     def watch(t: float) -> None:
         if navigator.filter is not None:
-            seen.append(navigator.fault)
+            seen.append(navigator.monitor.fault)
             truth = run.truth.lla[round(t * 100.0)]
             heights.append(abs(navigator.filter.nav[LLA][2] - truth[2]))
 
     play(run, navigator, after=watch)
 
     assert run.truth.lla[-1, 2] < -30.0
-    assert not navigator.counts
+    assert not run.events
     assert seen == [None] * len(seen)
     assert max(heights[500:]) < 0.6
 
@@ -280,12 +285,13 @@ def test_free_fall_is_no_missing_gravity(fix_rate: float) -> None:
 def test_missing_gravity_is_no_free_fall(fix_rate: float) -> None:
     run = scene(static(20.0, heading=1.2), fix_rate=fix_rate)
     run.force[run.t >= 10.0] -= run.force[:500].mean(axis=0)
-    reasons: list[str] = []
-    navigator = make_navigator("parameter", yaw=1.2, on_restart=reasons.append)
+    navigator = make_navigator("parameter", yaw=1.2)
 
     play(run, navigator, stop=12.2)
 
-    assert len(reasons) == 1 and "unusable: mean acceleration is" in reasons[0]
+    [event] = [event for event in run.events if isinstance(event, Restarted)]
+    assert event.cause is RestartCause.IMU_UNUSABLE
+    assert event.fault is not None and event.fault.kind is FaultKind.NO_GRAVITY
     assert navigator.filter is None
 
 

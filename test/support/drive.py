@@ -9,6 +9,7 @@ from support.scenes import scene
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.trajectory import Trajectory
@@ -38,6 +39,7 @@ class Drive:
         )
         self.shift_ns = 0
         self.published = 0
+        self.odometry = np.zeros(85)  # the last, in map
 
     def stamp(self, t: float) -> int:
         return EPOCH_NS + round(t * 1e9) + self.shift_ns
@@ -47,10 +49,13 @@ class Drive:
         for i in np.flatnonzero((self.truth.t >= start) & (self.truth.t < stop)):
             t = float(self.truth.t[i])
             f = self.force[i] if force is None else force(self.force[i])
-            self.published += self.estimator.imu(
-                self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist())
+            odometry = self.estimator.handle_imu(
+                ImuFields(self.stamp(t), tuple(f.tolist()), tuple(self.rate[i].tolist()))
             )
-            self.estimator.tick()
+            if odometry is not None:
+                self.odometry = odometry.in_map
+                self.published += 1
+            self.estimator.run_periodic()
             while with_fixes and k < len(self.fix_t) and self.fix_t[k] <= t:
                 self.fix(k)
                 k += 1
@@ -62,11 +67,11 @@ class Drive:
         message.altitude = float(self.fix_lla[k, 2])
         message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
         message.position_covariance_type = 2
-        self.estimator.fix(message)
+        self.estimator.handle_fix(message)
 
     def error(self, t: float) -> float:
         i = int(np.argmin(np.abs(self.truth.t - t)))
-        return float(np.linalg.norm(self.estimator.odometry[:3] - self.track.position_enu[i]))
+        return float(np.linalg.norm(self.odometry[:3] - self.track.position_enu[i]))
 
     def warnings(self) -> list[str]:
         return [text for level, text in self.log if level == "warn"]

@@ -87,7 +87,7 @@ def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimato
     stamps, start = run.samples["t_ns"], 0
     for f in run.fixes:
         stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
-        estimator.imu_block(
+        estimator.handle_imu_block(
             stamps[start:stop],
             run.samples["f"][start:stop] @ FLIP,
             run.samples["w"][start:stop] @ FLIP,
@@ -96,5 +96,5 @@ def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimato
         conversions.set_stamp(fix.header.stamp, f.t_ns)
         fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()
         fix.altitude = float(f.lla[2])
-        estimator.fix(fix)
+        estimator.handle_fix(fix)
     return estimator

@@ -16,6 +16,7 @@ from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import Event
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.rotations import rpy_from_quat
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
@@ -26,6 +27,18 @@ EPOCH_NS = 1_000_000_000_000
 Q = np.repeat([4e-4, 4e-6], 3)
 
 
+class Parts:
+    """Filter parts with constant noise, see `hybrid_ins.core.phases.FilterParts`."""
+
+    settings = FilterSettings()
+
+    def noise(self, period: float) -> FilterNoise:
+        return FilterNoise(ConstantNoise(Q), ProcessNoise(np.repeat([1e-6, 1e-8], 3), period), None)
+
+    def gate(self) -> Gate:
+        return Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0)
+
+
 def make_navigator(
     source: str = "auto",
     *,
@@ -34,28 +47,19 @@ def make_navigator(
     max_gap: float = 0.5,
     bias_a: ArrayLike = (0.0, 0.0, 0.0),
     bias_g: ArrayLike = (0.0, 0.0, 0.0),
-    on_restart: Callable[[str], None] = lambda reason: None,
 ) -> Navigator:
-    return Navigator(
-        AlignmentSettings(
-            source,
-            yaw,
-            yaw_std,
-            1.0,
-            1.0,
-            np.array(bias_a),
-            np.full(3, 0.3),
-            np.array(bias_g),
-            np.full(3, 0.01),
-        ),
-        FilterSettings(),
-        lambda period: FilterNoise(
-            ConstantNoise(Q), ProcessNoise(np.repeat([1e-6, 1e-8], 3), period)
-        ),
-        lambda: Gate({m: quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
-        max_gap,
-        on_restart=on_restart,
+    settings = AlignmentSettings(
+        source,
+        yaw,
+        yaw_std,
+        1.0,
+        1.0,
+        np.array(bias_a),
+        np.full(3, 0.3),
+        np.array(bias_g),
+        np.full(3, 0.01),
     )
+    return Navigator(settings, Parts(), max_gap)
 
 
 @dataclass
@@ -70,6 +74,7 @@ class Scene:
     fix_lla: np.ndarray
     covariance: np.ndarray
     verdicts: list[Verdict] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)  # all others
 
     def yaw(self, t: float) -> float:
         k = int(np.argmin(np.abs(self.truth.t - t)))
@@ -147,10 +152,9 @@ def play(
             _, true_t, j = pending.pop(0)
             lla = run.fix_lla[j] + [shift(true_t) / curvature_scale(run.truth.lla[0])[0], 0, 0]
             navigator.measure(PositionFix(stamp(true_t), lla, run.covariance, np.zeros(3)))
-        navigator.look()
-        while navigator.verdicts:
-            run.verdicts.append(navigator.verdicts.popleft())
-            navigator.heed(run.verdicts[-1])
+        navigator.check_imu()
+        for event in navigator.pop_events():
+            (run.verdicts if isinstance(event, Verdict) else run.events).append(event)
         after(t)
 
 

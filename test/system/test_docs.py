@@ -18,7 +18,7 @@ from support.paths import ROOT
 
 from hybrid_ins import parameter_file, parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.ros.conversions import OUTPUTS
+from hybrid_ins.ros.message_types import OUTPUTS
 from tools import generate_docs, tutorial
 from tools.processes import program
 

@@ -132,18 +132,20 @@ def test_live_odometry_is_that_of_the_replay(
 def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
     """So that the samples between them need not wait for all."""
     from hybrid_ins.ros.node import InsNode
+    from hybrid_ins.ros.reports import Report, Vector
 
-    said: list[bytes] = []
-    outbox = deque([("imu/bias", b"1"), ("q/gyroscope", b"2"), ("imu/bias", b"3")])
-    node: Any = SimpleNamespace(
-        _estimator=SimpleNamespace(outbox=outbox), _heard={"imu/bias": said.append}
+    published: list[Any] = []
+    topics = ("q/accelerometer", "q/gyroscope", "q/accelerometer")
+    waiting = deque(
+        Report(topic, Vector(k, "base_link", np.zeros(3))) for k, topic in enumerate(topics)
     )
+    node: Any = SimpleNamespace(_waiting=waiting, _subscribed={"q/accelerometer": published.append})
 
-    InsNode._flush(node, 1)
-    assert said == [b"1"]
-    InsNode._flush(node)
-    assert said == [b"1", b"3"]
-    assert not outbox
+    InsNode._publish_waiting(node, 1)
+    assert [m.header.stamp.nanosec for m in published] == [0]
+    InsNode._publish_waiting(node, 2)
+    assert [m.header.stamp.nanosec for m in published] == [0, 2]
+    assert not waiting
 
 
 def test_every_topic_is_published_with_its_frames(recorded: tuple[Path, str, int]) -> None:

@@ -15,6 +15,30 @@ MODULES = {
 }
 CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
 OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
+FLOORS = {
+    "core": 0,
+    "errors": 0,
+    "progress": 0,
+    "resources": 0,
+    "yaml_reader": 0,
+    "parameter": 1,
+    "parameter_list": 1,
+    "parameters": 1,
+    "parameter_file": 1,
+    "noise_regressor": 1,
+    "ros": 2,
+    "kernels": 3,
+    "batch": 3,
+    "replay": 3,
+    "playback": 3,
+    "bags": 3,
+    "dataset": 3,
+    "simulation": 3,
+    "calibration": 3,
+    "evaluation": 3,
+    "plotting": 3,
+    "cli": 4,
+}
 NOT_FOR_EVERYONE = {
     "onnxruntime": {"hybrid_ins.noise_regressor.models"},
     "rclpy": OUTER,
@@ -62,6 +86,34 @@ def test_nothing_imports_the_node_or_the_player() -> None:
     users = {m for m in MODULES if OUTER & set(imports(m)) - {m}}
 
     assert users <= {"hybrid_ins.playback"}
+
+
+def floor(module: str) -> int:
+    """Return on which floor of the house a module is; each may import its own and lower ones."""
+    if module == "hybrid_ins.ros.node":  # a program, too
+        return FLOORS["cli"]
+    return FLOORS[module.split(".")[1]] if "." in module else 0
+
+
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_arrows_point_to_the_same_floor_or_down(module: str) -> None:
+    higher = {m for m in imports(module) if m in MODULES and floor(m) > floor(module)}
+
+    assert not higher
+
+
+def test_nothing_but_programs_imports_a_program() -> None:
+    users = {m for m in MODULES if any(is_below(name, "hybrid_ins.cli") for name in imports(m))}
+
+    assert all(floor(m) == FLOORS["cli"] for m in users), users
+
+
+def test_no_import_goes_in_a_circle() -> None:
+    left = {m: {name for name in imports(m) if name in MODULES} - {m} for m in MODULES}
+    while leaves := {m for m, needed in left.items() if not needed & left.keys()}:
+        left = {m: needed for m, needed in left.items() if m not in leaves}
+
+    assert not left
 
 
 def test_dictionary_imports_nothing() -> None:

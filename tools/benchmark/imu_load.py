@@ -29,7 +29,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 
-from hybrid_ins.ros.cdr import FixEncoder, StampedEncoder
+from hybrid_ins.ros.cdr import StampedEncoder
+from hybrid_ins.ros.conversions import DIAGONAL, set_stamp
 
 FIX_PERIOD_NS = 200_000_000
 NOISE = np.array([0.002] * 3 + [0.02] * 3)  # rad/s, m/s²: an MPU-9250
@@ -46,8 +47,10 @@ def send(rate: float, duration: float, out: Path) -> None:
     imu = StampedEncoder(("imu_link",), 37)
     imu.values[3] = 1.0  # level, facing east
     imu.values[[4, 8, 12]] = 0.01
-    fix = FixEncoder("gnss", 2)
-    fix.values[:] = [32.1, 34.8, 50.0, 0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.02]
+    fix = NavSatFix(latitude=32.1, longitude=34.8, altitude=50.0)
+    fix.header.frame_id, fix.status.status, fix.status.service = "gnss", 0, 0
+    fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
+    fix.position_covariance_type = DIAGONAL
     noise = np.random.default_rng(0).normal(size=(4096, 6)) * NOISE
     end = time.monotonic() + 20.0
     while publisher.get_subscription_count() == 0:
@@ -72,7 +75,8 @@ def send(rate: float, duration: float, out: Path) -> None:
         publish(message(t_ns))
         if t_ns >= next_fix_ns:
             next_fix_ns = t_ns + FIX_PERIOD_NS
-            fixes.publish(fix.message(t_ns - LATENCY_OF_FIX_NS))
+            set_stamp(fix.header.stamp, t_ns - LATENCY_OF_FIX_NS)
+            fixes.publish(fix)
     np.save(out, sent)
     time.sleep(0.5)  # what is on the way arrives
     rclpy.try_shutdown()

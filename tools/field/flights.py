@@ -18,6 +18,9 @@ from hybrid_ins.bags.flight_bag import GnssRecord, stamps
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import clock_offset_ns
+from hybrid_ins.core.navigator_events import Event
 from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
@@ -140,7 +143,7 @@ class _Told(NoiseReader):
 
 
 class Recorded(Estimator):
-    """Keeps the verdicts that it tells."""
+    """Keeps the verdicts on fixes, and the noise levels in force."""
 
     def __init__(
         self, values: Mapping[str, Any], first_ns: int, told: Callable[[int], Array] | None
@@ -152,36 +155,35 @@ class Recorded(Estimator):
         self.levels: list[Array] = []
         super().__init__(values, lambda level, text: None)
 
-    def _make_reader(self) -> NoiseReader | None:
-        if self._told is None:
-            return super()._make_reader()
-        return _Told(self.values, self._mount, self._log, self._told)
+    def _start_reader(self) -> None:
+        super()._start_reader()
+        if self._told is not None:
+            mount, log = self._placement.mount, self.inputs.log
+            self._reader = _Told(self.values, mount, log, self._told)
 
-    def _tell_verdicts(self) -> None:
-        for v in self.navigator.verdicts:
-            if v.measurement.aiding:
-                offset = self._offsets.get(
-                    (v.measurement.kind, v.measurement.t_ns), self._gnss.time_offset
-                )
-                # The stamp as the receiver gave it.
-                stamp = v.measurement.t_ns - round(offset * 1e9)
-                self.rows.append(
-                    (
-                        stamp,
-                        "position",
-                        v.accepted,
-                        v.reason,
-                        v.nis,
-                        float(len(v.sigma)),
-                        v.threshold,
-                        offset,
-                    )
-                )
+    def _handle_events(self) -> None:
         running = self.navigator.filter
         if running is not None:
             self.levels_t.append((running.t_ns - self.first_ns) * 1e-9)
             self.levels.append(running.noise.levels())
-        super()._tell_verdicts()
+        super()._handle_events()
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, Verdict):
+            offset_ns = clock_offset_ns(event.measurement)
+            self.rows.append(
+                (
+                    event.measurement.t_ns - offset_ns,
+                    "position",
+                    event.accepted,
+                    event.reason,
+                    event.nis,
+                    float(len(event.sigma)),
+                    event.threshold,
+                    offset_ns * 1e-9,
+                )
+            )
+        super()._on_event(event)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +249,7 @@ def fly(
         if stop > start:
             done += [
                 (t, v)
-                for t, v, _ in estimator.imu_block(
+                for t, v, _ in estimator.handle_imu_block(
                     flight.stamp_ns[start:stop], force[start:stop], rate[start:stop]
                 )
             ]
@@ -255,11 +257,13 @@ def fly(
         conversions.set_stamp(message.header.stamp, int(aid.stamp_ns[k]))
         message.latitude, message.longitude = np.degrees(aid.lla[k, :2]).tolist()
         message.altitude = float(aid.lla[k, 2])
-        estimator.fix(message)
-        estimator.outbox.clear()
+        estimator.handle_fix(message)
+        estimator.pop_reports()
     done += [
         (t, v)
-        for t, v, _ in estimator.imu_block(flight.stamp_ns[start:], force[start:], rate[start:])
+        for t, v, _ in estimator.handle_imu_block(
+            flight.stamp_ns[start:], force[start:], rate[start:]
+        )
     ]
     track, _ = trajectory_from_odometry(
         np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])

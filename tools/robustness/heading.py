@@ -113,15 +113,15 @@ def estimate(case: Case, yaw: float | None) -> Found:
     done, start = [], 0
     for k, fix_ns in enumerate(case.fix_ns.tolist()):
         stop = int(np.searchsorted(case.stamp_ns, fix_ns, side="right"))
-        done += estimator.imu_block(
+        done += estimator.handle_imu_block(
             case.stamp_ns[start:stop], case.force[start:stop], case.rate[start:stop]
         )
         start = stop
         conversions.set_stamp(message.header.stamp, fix_ns)
         message.latitude, message.longitude = np.degrees(case.fix_lla[k, :2]).tolist()
         message.altitude = float(case.fix_lla[k, 2])
-        estimator.fix(message)
-        estimator.outbox.clear()
+        estimator.handle_fix(message)
+        estimator.pop_reports()
     if not done:
         return Found(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty(0), np.empty((0, 3)))
     stamps = np.concatenate([part[0] for part in done])

@@ -7,6 +7,7 @@ import pytest
 
 from hybrid_ins.core.imu_health import find_fault
 from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.ros.wording import describe_fault, name_of_fault
 
 RATE = 200.0
 
@@ -62,8 +63,8 @@ def spoiled(kind):
 )
 def test_faults_are_named_with_value_and_remedy(kind: str, name: str, words: str) -> None:
     fault = find_fault(spoiled(kind))
-    assert fault is not None and fault[0] == name
-    assert words in fault[1]
+    assert fault is not None and name_of_fault(fault) == name
+    assert words in describe_fault(fault)
 
 
 @pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])

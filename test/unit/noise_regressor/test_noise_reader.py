@@ -21,6 +21,7 @@ from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import SpectralRegressor
 from hybrid_ins.noise_regressor.reader import NoiseReader, load_regressor
+from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import mount_matrix
 from hybrid_ins.ros.estimator import Estimator
 
@@ -103,7 +104,7 @@ def levels_of(values: Array, ahead: Array | None) -> tuple[list[Array | None], l
     made.regressor = counted = Counted()
     samples = ring.latest(len(values))
     if ahead is not None:
-        made.foresee(samples["t_ns"], ahead[:, :3], ahead[:, 3:])
+        made.preload(samples["t_ns"], ahead[:, :3], ahead[:, 3:])
     levels = []
     for end in range(220, len(values) + 1, RATE // 5):
         ring = ImuRing()
@@ -124,7 +125,7 @@ def test_windows_that_are_known_ahead_are_read_together() -> None:
     assert np.array(together) == pytest.approx(np.array(alone), rel=1e-9)
 
 
-def test_what_comes_counts_and_not_what_was_foreseen() -> None:
+def test_what_comes_counts_and_not_what_was_preloaded() -> None:
     values = readings(2000)
     other = readings(2000, 3.0 * STD, seed=1)
 
@@ -365,8 +366,9 @@ class Standing:
             if not stuck:
                 self.last = std * self.rng.standard_normal(6)
                 self.last[2] += 9.7955
-            self.estimator.imu(self.t_ns, tuple(self.last[:3]), tuple(self.last[3:]))
-            self.estimator.tick()
+            force, rate = tuple(self.last[:3]), tuple(self.last[3:])
+            self.estimator.handle_imu(ImuFields(self.t_ns, force, rate))
+            self.estimator.run_periodic()
             if k % 40 == 0:
                 self._fix()
         return self
@@ -377,7 +379,7 @@ class Standing:
         fix.latitude, fix.longitude, fix.altitude = 32.1, 34.8, 0.0
         fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
         fix.position_covariance_type = 2
-        self.estimator.fix(fix)
+        self.estimator.handle_fix(fix)
 
     @property
     def noise(self) -> Any:
@@ -402,10 +404,8 @@ def test_levels_are_learned_and_published() -> None:
 
     assert standing.source == "learned"
     assert standing.noise.levels() == pytest.approx(STD**2, rel=0.6)
-    q = TYPES.deserialize_cdr(
-        dict(standing.estimator.outbox)["q/accelerometer"], "geometry_msgs/msg/Vector3Stamped"
-    ).vector
-    assert [q.x, q.y, q.z] == pytest.approx(standing.noise.levels()[:3])
+    reports = {report.topic: report.content for report in standing.estimator.pop_reports()}
+    assert reports["q/accelerometer"].xyz == pytest.approx(standing.noise.levels()[:3])
     assert "learned" in standing.told["source"] and "spectral" in standing.told["source"]
 
 

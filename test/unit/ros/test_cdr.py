@@ -227,13 +227,13 @@ def test_imu_as_rclpy_serialises_it(ros: SimpleNamespace) -> None:
         fields = decoder.decode(ros.serialize(message))
         assert fields == (
             5_000_000_006,
+            (0.0, 0.0, 9.8),
+            (0.0, 2.0, 0.0),
             frame_id,
             (0.25, 0.0, 0.0, 0.5),
-            -1.0,
-            (0.0, 2.0, 0.0),
-            0.0,
-            (0.0, 0.0, 9.8),
             0.1,
+            0.0,
+            -1.0,
         )
 
 

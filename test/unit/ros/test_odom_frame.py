@@ -7,6 +7,7 @@ from support.scenes import scene
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.odom_frame import advance, map_from_odom, start
@@ -42,16 +43,17 @@ def flown():
     rows, k = [], 0
     for t, f, w in zip(flight.t, flight.force @ FLIP, flight.rate @ FLIP, strict=True):
         t_ns = EPOCH_NS + round(t * 1e9)
-        if estimator.imu(t_ns, tuple(f), tuple(w)):
-            rows.append((t, estimator.odometry.copy(), estimator.local.copy()))
-        estimator.tick()
+        odometry = estimator.handle_imu(ImuFields(t_ns, tuple(f), tuple(w)))
+        if odometry is not None:
+            rows.append((t, odometry.in_map, odometry.in_odom))
+        estimator.run_periodic()
         while k < len(flight.fix_t) and flight.fix_t[k] <= t:
             set_stamp(message.header.stamp, EPOCH_NS + round(flight.fix_t[k] * 1e9))
             shift = 20.0 if flight.fix_t[k] > 30.0 else 0.0
             message.latitude, message.longitude = np.degrees(flight.fix_lla[k, :2]).tolist()
             message.latitude += shift / 111_000.0
             message.altitude = float(flight.fix_lla[k, 2])
-            estimator.fix(message)
+            estimator.handle_fix(message)
             k += 1
     t, in_map, in_odom = zip(*rows, strict=True)
     return np.array(t), np.array(in_map), np.array(in_odom)

@@ -1,0 +1,90 @@
+"""
+The phases of a navigator, and the filters that each begins with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment import Alignment, Start
+from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.state import NavState
+
+PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
+
+
+class FilterParts(Protocol):
+    """What a navigator needs to build its filters."""
+
+    @property
+    def settings(self) -> FilterSettings:
+        """Return the filters' settings."""
+
+    def noise(self, period: float) -> FilterNoise:
+        """Return the noise of a new filter for an IMU's sample period [s]."""
+
+    def gate(self) -> Gate:
+        """Return a fresh gate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aligning:
+    """No state yet."""
+
+    alignment: Alignment
+
+
+@dataclass(frozen=True, slots=True)
+class Searching:
+    """The position is known, the heading is not: one filter for each that is possible."""
+
+    bank: MultipleModelBank
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """One filter; ``clock_search`` holds others beside it that find the clock offset."""
+
+    filter: InsFilter
+    clock_search: ClockSearch | None = None
+
+
+Phase = Aligning | Searching | Running
+
+
+def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Searching | Running:
+    """Return the phase that begins with the first states that alignment found."""
+    period = float(np.median(np.diff(ring.latest(PERIOD_SAMPLES)["t_ns"]))) * 1e-9
+    begin = _factory(parts, ring, start.t_ns, start.sample, period)
+    if len(start.states) == 1:
+        return Running(begin(start.states[0], parts.settings))
+    return Searching(MultipleModelBank(start.states, begin, parts.settings))
+
+
+def search_clock(filters: Sequence[InsFilter], parts: FilterParts, ring: ImuRing) -> ClockSearch:
+    """Return filters under several clock offsets around filters of one time and one offset."""
+    first = filters[0]
+    begin = _factory(parts, ring, first.t_ns, first.sample, first.noise.process.period)
+    return ClockSearch([known.state for known in filters], begin, parts.settings)
+
+
+def _factory(
+    parts: FilterParts, ring: ImuRing, t_ns: int, sample: NDArray[np.float64], period: float
+) -> FilterFactory:
+    """Return what starts a filter at an IMU sample."""
+
+    def begin(state: NavState, settings: FilterSettings) -> InsFilter:
+        noise, gate = parts.noise(period), parts.gate()
+        return InsFilter(state, t_ns, sample, noise, gate, ring, settings)
+
+    return begin

@@ -1,0 +1,123 @@
+"""
+Admission of IMU samples and of aiding measurements by their stamps.
+
+A stamp that does not follow the last one is refused by name; several in a row that follow each
+other are a new time base, such as a bag that is played again or a clock that was set.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.measurements import Measurement, PositionFix
+
+AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
+JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
+STAMPS_KEPT = 64  # of measurements, to find repeated ones
+MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+
+
+class StampFault(Enum):
+    """Why an IMU sample is refused; the value is the name under which it is counted."""
+
+    REPEATED = "repeated stamp"
+    OUT_OF_ORDER = "stamp out of order"
+    JUMP = "stamp jumps"
+
+
+class ImuStampCheck:
+    """
+    Decides whether an IMU sample may be used, by its stamp.
+
+    The caller sets ``last_ns`` to the stamp of each sample that it uses. A step of up to
+    ``steady_ns`` needs no further check: the caller compares it itself, at the IMU's rate.
+
+    Parameters
+    ----------
+    max_gap : float
+        Longest step between samples that dead reckoning bridges [s].
+
+    Attributes
+    ----------
+    last_ns : int
+        Stamp of the last sample that was used [ns]; 0 before the first.
+    steady_ns, max_gap_ns : int
+        Steps of up to ``steady_ns`` [ns] lack no sample; steps of up to ``max_gap_ns`` are bridged.
+    """
+
+    def __init__(self, max_gap: float) -> None:
+        self.max_gap_ns = int(max_gap * 1e9)
+        self.steady_ns = self.max_gap_ns
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all stamps."""
+        self.last_ns = 0
+        self._jumped_ns = self._jumps = 0
+
+    def check(self, t_ns: int) -> StampFault | None:
+        """
+        Check a stamp [ns] that does not follow the last one within ``steady_ns``.
+
+        None: the sample is to be used. Its step from ``last_ns`` is then a gap of up to
+        ``max_gap_ns``, or leads to a new time base.
+        """
+        if self.last_ns == 0:
+            return None
+        step = t_ns - self.last_ns
+        if 0 < step <= self.max_gap_ns:
+            self._jumps = 0
+            return None
+        if -self.max_gap_ns < step <= 0:
+            return StampFault.REPEATED if step == 0 else StampFault.OUT_OF_ORDER
+        # One stray stamp is the driver's fault; several in a row are a gap, a loop, a new clock.
+        follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.max_gap_ns
+        self._jumps = self._jumps + 1 if follows else 1
+        self._jumped_ns = t_ns
+        return StampFault.JUMP if self._jumps < JUMP_CONFIRMED else None
+
+
+class MeasurementCheck:
+    """Refuses aiding measurements that come twice, from the future, or from a stuck receiver."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all measurements."""
+        self._last_lla: NDArray[np.float64] | None = None
+        self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
+
+    def forget_stamps(self) -> None:
+        """Forget the stamps of earlier measurements: the next come by another clock."""
+        self._seen.clear()
+
+    def check(self, measurement: Measurement, stamps: ImuStampCheck, speed: float) -> str:
+        """
+        Return why a measurement is refused; empty where it is not.
+
+        Parameters
+        ----------
+        measurement : Measurement
+        stamps : ImuStampCheck
+            Where the IMU is.
+        speed : float
+            Of the vehicle over ground [m/s]; 0 where it is not known.
+        """
+        key = (measurement.kind, measurement.t_ns)
+        if key in self._seen:
+            return "repeated stamp"
+        ahead_ns = measurement.t_ns - stamps.last_ns
+        if stamps.last_ns and ahead_ns > stamps.max_gap_ns + AHEAD_NS:
+            return "stamped ahead of the IMU"
+        self._seen.append(key)
+        if not isinstance(measurement, PositionFix):
+            return ""
+        last, self._last_lla = self._last_lla, measurement.lla
+        if last is not None and speed > MOVING and np.array_equal(last, measurement.lla):
+            return "same position while moving"
+        return ""

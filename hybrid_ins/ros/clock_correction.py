@@ -1,0 +1,159 @@
+"""
+The clock offset that is added to the stamps of fixes: given, estimated while running, or searched.
+
+What a filter's innovations say of it is in `hybrid_ins.core.clock_offset`; what a search over many
+offsets says is in `hybrid_ins.core.multiple_model`. Here is what is made of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.events import ClockShift
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import ClockOffsetFound
+from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.diagnostics import imu_disagrees, status
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.reports import Status
+
+CORRECTION_NS = 1_000_000_000  # between two corrections of the offset
+USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
+WRONG = 0.03  # s, of an offset that the user should know of
+SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
+
+
+class ClockCorrection:
+    """
+    The offset in force, and its corrections.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+        Searches for the offset.
+    inputs : InputLog
+        Warns of an offset that seems wrong.
+
+    Attributes
+    ----------
+    offset : float
+        Added to the stamps of fixes [s].
+    """
+
+    def __init__(self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog) -> None:
+        self._navigator = navigator
+        self._inputs = inputs
+        self._given = values["gnss.time_offset.value"]
+        self._estimate = values["gnss.time_offset.estimate"]
+        self._moved = 0.0  # s, by estimation
+        self._settled: float | None = None  # s, offset once it was known well
+        self.restart()
+        navigator.open_clock(self._estimate)
+
+    @property
+    def offset(self) -> float:
+        """See above."""
+        return float(self._given + self._moved)
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Use checked values of run-time parameters."""
+        if "gnss.time_offset.value" in changes:
+            self._given = changes["gnss.time_offset.value"]
+            self._moved, self._settled = 0.0, None
+        self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
+        if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
+            self._navigator.open_clock(self._estimate)
+
+    def restart(self) -> None:
+        """Note that the filter starts anew."""
+        self._next_ns = self._searched_ns = 0
+
+    def on_found(self, found: ClockOffsetFound) -> None:
+        """Use what a search has found."""
+        self._moved += found.step
+        self._searched_ns, self._next_ns = self._navigator.last_ns, 0
+        self._inputs.log(
+            "info",
+            f"clock offset found: {self.offset + found.missing:+.3f} ± {found.sigma:.3f} s",
+        )
+
+    def run_periodic(self) -> None:
+        """Correct the offset once a second, or warn that it is wrong; call after each fix."""
+        running = self._navigator.filter
+        if running is None or running.t_ns < self._next_ns:
+            return
+        self._next_ns = running.t_ns + CORRECTION_NS
+        correcting = self._estimate and not self._navigator.clock_open
+        if correcting:
+            self._correct(running)
+        fault = self._fault()
+        if fault:
+            self._inputs.count_and_warn("gnss/fix", Refused("gnss: clock offset", fault))
+            self._settled = None
+        if (
+            correcting
+            and (fault or imu_disagrees(running.noise))
+            and running.t_ns - self._searched_ns > SEARCH_AGAIN_NS
+        ):
+            self._navigator.open_clock(True)
+
+    def _correct(self, running: InsFilter) -> None:
+        """Add to the fixes' stamps what a running filter has found missing."""
+        missing, sigma = running.clock.residual, running.clock.sigma
+        if sigma < USABLE and abs(missing) > max(0.3 * sigma, 1e-3):
+            self._moved += missing
+            running.submit(ClockShift(running.t_ns, missing))
+        if sigma < SETTLED and self._settled is None:
+            self._settled = self.offset
+
+    def found(self) -> tuple[float, float] | None:
+        """Return what is missing from the offset in force, and its uncertainty [s]."""
+        running, bank = self._navigator.filter, self._navigator.bank
+        if isinstance(bank, ClockSearch):
+            return bank.clock()
+        return None if running is None else (running.clock.residual, running.clock.sigma)
+
+    def _fault(self) -> str:
+        """Return what is wrong with the offset, and the remedy; empty where nothing is."""
+        running = self._navigator.filter
+        if running is None:
+            return ""
+        missing, sigma = running.clock.residual, running.clock.sigma
+        total, limit = self.offset + missing, max(WRONG, 5.0 * sigma)
+        if self._estimate:
+            settled = self._settled
+            if settled is not None and abs(total - settled) > limit:
+                return (
+                    f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
+                    "and receiver stamp by one clock?"
+                )
+        elif abs(missing) > limit:
+            return (
+                f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
+                f"{self.offset:+.3f} s: run ins_calibrate, or set gnss.time_offset.estimate"
+            )
+        return ""
+
+    def status(self) -> Status:
+        """Return the status for diagnostics."""
+        found, offset = self.found(), self.offset
+        values: dict[str, object] = {
+            "time_offset": offset,
+            "estimated": str(self._estimate).lower(),
+        }
+        if found is None:
+            return status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
+        missing, sigma = found
+        values |= {"time_offset_found": offset + missing, "sigma": sigma}
+        fault = self._fault()
+        searching = ", the search goes on" if self._navigator.clock_open else ""
+        text = fault or (
+            f"fixes: {offset:+.3f} s in force, by the innovations "
+            f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}"
+        )
+        return status("clock", int(bool(fault)), text, values)

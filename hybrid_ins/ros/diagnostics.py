@@ -1,0 +1,177 @@
+"""
+The statuses on ``/diagnostics`` and ``gnss/verdict``, and their wording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import clock_offset_ns
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.noise import LearnedNoise
+from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL
+from hybrid_ins.noise_regressor.reader import NoiseReader
+from hybrid_ins.ros import wording
+from hybrid_ins.ros.reports import Status
+
+DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
+DISAGREEMENT = 3.0  # factor on the noise of IMU or fixes that the user should know of
+LARGEST_HEADING_STD = 104.0  # deg, of a heading about which nothing is known
+CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
+
+
+def status(name: str, level: int, text: str, values: Mapping[str, object]) -> Status:
+    """Return a status; level 0 OK, 1 WARN, 2 ERROR."""
+    words = [
+        (key, f"{value:.6g}" if isinstance(value, float) else str(value))
+        for key, value in values.items()
+    ]
+    return Status(level, f"hybrid_ins: {name}", text, words)
+
+
+def verdict_status(verdict: Verdict) -> Status:
+    """Return what became of one fix."""
+    measurement = verdict.measurement
+    offset_ns = clock_offset_ns(measurement)
+    sigma = dict(zip(("sigma_n", "sigma_e", "sigma_u"), verdict.sigma, strict=False))
+    text = (verdict.reason or "fused") if verdict.accepted else f"refused: {verdict.reason}"
+    if not verdict.accepted and math.isfinite(verdict.nis):
+        text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
+    return status(
+        "gnss",
+        0 if verdict.accepted and not verdict.inflated else 1,
+        text,
+        {
+            "stamp": measurement.t_ns - offset_ns,
+            "kind": measurement.kind,
+            "accepted": str(verdict.accepted).lower(),
+            "reason": verdict.reason,
+            "nis": verdict.nis,
+            "dof": len(verdict.sigma),
+            "threshold": verdict.threshold,
+            "sigma_e": sigma.get("sigma_e", math.nan),
+            "sigma_n": sigma.get("sigma_n", math.nan),
+            "sigma_u": sigma.get("sigma_u", math.nan),
+            "time_offset": offset_ns * 1e-9,
+            "age": verdict.age,
+        },
+    )
+
+
+def filter_status(navigator: Navigator, t_ns: int, fused_ns: int, fixes_fused: int) -> Status:
+    """
+    Return how the filter is at a stamp [ns].
+
+    ``fused_ns`` is the stamp of the last fix that was fused, 0 before the first.
+    """
+    running = navigator.filter
+    if running is None:
+        return _alignment_status(navigator)
+    since = (t_ns - fused_ns) * 1e-9 if fused_ns else math.inf
+    sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
+    outage = since > DEAD_RECKONING_AFTER
+    text = (
+        f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m"
+        if outage
+        else "aligned, GNSS fused"
+    )
+    return status(
+        "filter",
+        int(outage),
+        text,
+        {
+            "state": "dead reckoning" if outage else "aligned",
+            "since_last_fix": since,
+            "sigma_position_horizontal": float(math.hypot(*sigma[:2])),
+            "sigma_position_vertical": float(sigma[2]),
+            "sigma_heading_deg": math.degrees(sigma[8]),
+            "fixes_fused": fixes_fused,
+            "standing": str(navigator.monitor.standing).lower(),
+            "imu_samples": navigator.ring.count,
+        },
+    )
+
+
+def _alignment_status(navigator: Navigator) -> Status:
+    state, waiting = wording.state_of(navigator), wording.waiting_for(navigator)
+    values: dict[str, object] = {"state": state, "waiting_for": waiting}
+    bank = navigator.bank
+    if bank is not None:
+        heading_std = math.degrees(bank.heading()[1])
+        values["sigma_heading_deg"] = min(heading_std, LARGEST_HEADING_STD)
+        values["hypotheses"] = len(bank.filters)
+    return status("filter", 1, f"aligning, {state}: it needs {waiting}", values)
+
+
+def input_status(navigator: Navigator, counts: Mapping[str, int]) -> Status:
+    """Return what was refused so far, and what is wrong with the IMU now."""
+    fault, values = navigator.monitor.fault, dict(sorted(counts.items()))
+    if fault is not None:
+        text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
+        return status("input", 2, text, values)
+    refused = sum(counts.values())
+    text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
+    return status("input", int(refused > 0), text, values)
+
+
+def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) -> Status:
+    """Return the noise levels in force, and where they come from."""
+    running = navigator.filter
+    source = _source(running.noise) if running else "none"
+    if source == "learned" and reader is not None:
+        source = f"learned ({reader.regressor.name})"
+    levels = running.noise.levels() if running else np.full(6, np.nan)
+    factors = _factors(running.noise) if running else {}
+    text = f"source: {source}"
+    if running is not None and imu_disagrees(running.noise):
+        text += (
+            "; the IMU disagrees with GNSS by more than its noise: check clock offset, "
+            "mount, lever arm"
+        )
+    if factors.get("factor_fixes", 1.0) > DISAGREEMENT:
+        text += "; fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+    if reader is not None and reader.fault and running is not None:
+        text += f"; last estimate refused: {reader.fault}"
+    refusals = {} if reader is None else reader.refusals
+    return status(
+        "process noise",
+        int(source == "fallback" or max(factors.values(), default=1.0) > DISAGREEMENT),
+        text,
+        {
+            "source": source,
+            "mode": mode,
+            **factors,
+            **{f"refused: {why}": n for why, n in sorted(refusals.items())},
+            **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
+        },
+    )
+
+
+def imu_disagrees(noise: FilterNoise) -> bool:
+    """Return whether the innovations ask for much more noise of the IMU than it shows."""
+    return max(noise.imu_factors) > DISAGREEMENT
+
+
+def _source(noise: FilterNoise) -> str:
+    """Return where the variances in force come from."""
+    if isinstance(noise.model, LearnedNoise):
+        return "fallback" if noise.model.on_fallback else "learned"
+    return "innovation" if isinstance(noise.model, InnovationNoise) else "constant"
+
+
+def _factors(noise: FilterNoise) -> dict[str, float]:
+    """Return what the innovations multiply the noise by; empty where they do not."""
+    if noise.factors is None:
+        return {}
+    accelerometer, gyroscope = noise.imu_factors
+    return {
+        "factor_accelerometer": accelerometer,
+        "factor_gyroscope": gyroscope,
+        "factor_fixes": noise.fix_factor,
+    }

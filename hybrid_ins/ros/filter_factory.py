@@ -1,0 +1,105 @@
+"""
+From parameters to the parts of a filter: process noise, noise model, gate, settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins.core import chi_square
+from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.noise import (
+    PAPER_CONSTANTS,
+    ConstantNoise,
+    LearnedNoise,
+    NoiseModel,
+    ProcessNoise,
+)
+from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
+from hybrid_ins.ros.conversions import first_biases, yaw_ned_from_enu
+
+
+class FilterFactory:
+    """
+    Builds filter parts; see `hybrid_ins.core.phases.FilterParts`.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters. Parts that are made after `change` follow the changed values.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = dict(values)
+        self.settings = FilterSettings(values["covariance_interval"], values["gnss.max_delay"])
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Use checked values of run-time parameters from now on."""
+        self._values.update(changes)
+
+    def alignment(self) -> AlignmentSettings:
+        """Return what alignment is given."""
+        values = self._values
+        return AlignmentSettings(
+            values["alignment.heading_source"],
+            yaw_ned_from_enu(values["alignment.yaw"]),
+            values["alignment.yaw_std"],
+            values["alignment.course_min_speed"],
+            values["alignment.window"],
+            *first_biases(values),
+        )
+
+    def noise(self, period: float) -> FilterNoise:
+        """Return the noise of a new filter for an IMU's sample period [s]."""
+        values = self._values
+        process = self._process(period)
+        factors = None
+        if values["noise.mode"] == "learned" and values["noise.innovation_scale"]:
+            factors = NoiseMultipleModelBank()
+        return FilterNoise(self._model(process), process, factors)
+
+    def _process(self, period: float) -> ProcessNoise:
+        walk_a = self._values["imu.accelerometer_bias_walk"]
+        walk_g = self._values["imu.gyroscope_bias_walk"]
+        return ProcessNoise(
+            np.array([walk_a**2] * 3 + [walk_g**2] * 3),
+            period,
+            self._values["noise.units"] == "consistent",
+        )
+
+    def _model(self, process: ProcessNoise) -> NoiseModel:
+        values, mode = self._values, self._values["noise.mode"]
+        constant = np.repeat((values["noise.q_accelerometer"], values["noise.q_gyroscope"]), 3)
+        if mode in PAPER_CONSTANTS:
+            return ConstantNoise(np.repeat(PAPER_CONSTANTS[mode], 3))
+        if mode == "learned":
+            background = (
+                values["noise.background_accelerometer"],
+                values["noise.background_gyroscope"],
+            )
+            return LearnedNoise(constant, np.concatenate(background))
+        if mode in ("innovation", "innovation_literal"):
+            floor = (values["noise.q_accelerometer_min"], values["noise.q_gyroscope_min"])
+            return InnovationNoise(
+                constant,
+                np.repeat(floor, 3),
+                values["noise.innovation_window"],
+                process,
+                mode == "innovation_literal",
+            )
+        return ConstantNoise(constant)
+
+    def gate(self) -> Gate:
+        """Return a fresh gate."""
+        probability = self._values["gnss.gate_probability"]
+        return Gate(
+            {m: chi_square.quantile(probability, m) for m in (1, 2, 3, 6)},
+            self._values["gnss.patience"],
+        )

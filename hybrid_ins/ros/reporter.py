@@ -1,0 +1,142 @@
+"""
+What the estimator reports: verdicts as they come, the state ten times a second, diagnostics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import Event, FaultFound, GapBridged, Restarted
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL
+from hybrid_ins.ros import diagnostics, output, wording
+from hybrid_ins.ros.conversions import KNOWN, Refused
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.reports import Diagnostics, ImuBiases, Position, Report, Status, Vector
+
+Array = NDArray[np.float64]
+
+DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
+UNKNOWN = 0  # covariance type of a NavSatFix
+
+
+class Reporter:
+    """
+    Collects reports, and logs what the user should know.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    inputs : InputLog
+
+    Attributes
+    ----------
+    fixes_fused : int
+        Measurements that the filter fused.
+    fused_ns : int
+        Stamp of the last of them [ns].
+    ever_aligned : bool
+        The filter ran at some time.
+    """
+
+    def __init__(self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog) -> None:
+        self._base_frame, self._map_frame = values["base_frame"], values["map_frame"]
+        self._navigator = navigator
+        self._inputs = inputs
+        self._reports: list[Report] = []
+        self.fixes_fused = self.fused_ns = 0
+        self.ever_aligned = False
+        self.restart()
+
+    def restart(self) -> None:
+        """Announce the filter again once it runs, and send diagnostics at once."""
+        self._announced = False
+        self._diagnostics_ns = 0
+
+    def pop(self) -> Sequence[Report]:
+        """Return what is to be published since the last call."""
+        if not self._reports:
+            return ()
+        reports, self._reports = self._reports, []
+        return reports
+
+    def on_event(self, event: Event) -> None:
+        """Count, log and report what happened to the navigator."""
+        counts, log = self._inputs.counts, self._inputs.log
+        if isinstance(event, Verdict):
+            self._on_verdict(event)
+        elif isinstance(event, GapBridged):
+            counts["imu: gaps bridged"] += 1
+        elif isinstance(event, Restarted):
+            counts[f"restart: {event.cause.value}"] += 1
+            log("warn", f"{wording.describe_restart(event)}: aligning anew")
+        elif isinstance(event, FaultFound):
+            name, text = wording.name_of_fault(event.fault), wording.describe_fault(event.fault)
+            self._inputs.count_and_warn("imu/data", Refused(name, text))
+
+    def _on_verdict(self, verdict: Verdict) -> None:
+        counts = self._inputs.counts
+        if not verdict.accepted:
+            counts[f"gnss: {verdict.reason}"] += 1
+        else:
+            self.fixes_fused += 1
+            self.fused_ns = verdict.measurement.t_ns
+            if verdict.inflated:
+                counts["gnss: state opened"] += 1
+                self._inputs.log("warn", f"gnss: {verdict.reason}")
+        self._reports.append(Report("gnss/verdict", diagnostics.verdict_status(verdict)))
+
+    def report_datum(self, t_ns: int, lla: Array) -> None:
+        """Report the map's origin (rad, rad, m)."""
+        latitude, longitude = np.degrees(lla[:2]).tolist()
+        height, zero = float(lla[2]), np.zeros(9)
+        datum = Position(t_ns, self._map_frame, latitude, longitude, height, zero, UNKNOWN)
+        self._reports.append(Report("datum", datum))
+
+    def report_state(self, t_ns: int, arm_b: Array) -> None:
+        """
+        Report the state at a stamp [ns]; the position is known before the heading is.
+
+        ``arm_b``, shape (3,), is the IMU relative to the base frame's origin [m], b.
+        """
+        running = self._navigator.best
+        if running is None:
+            return
+        if not self._announced and self._navigator.filter is not None:
+            self._announced = self.ever_aligned = True
+            sigma = math.degrees(math.sqrt(running.nav[COVARIANCE][DIAGONAL][8]))
+            self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
+        self._reports += _state_reports(t_ns, running, arm_b, self._base_frame)
+
+    def is_diagnostics_due(self, t_ns: int) -> bool:
+        """Return whether to send diagnostics at a stamp [ns]."""
+        return t_ns >= self._diagnostics_ns
+
+    def report_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
+        """Report on ``/diagnostics``."""
+        self._diagnostics_ns = t_ns + DIAGNOSTICS_NS
+        self._reports.append(Report("/diagnostics", Diagnostics(t_ns, statuses)))
+
+
+def _state_reports(t_ns: int, running: InsFilter, arm_b: Array, frame: str) -> list[Report]:
+    fix, biases = np.empty(output.N_FIX), np.empty(output.N_BIAS)
+    output.fix_values(running.nav, arm_b, fix)
+    output.bias_values(running.nav, biases)
+    latitude, longitude, height = fix[:3].tolist()
+    position = Position(t_ns, frame, latitude, longitude, height, fix[3:], KNOWN)
+    levels = running.noise.levels()
+    return [
+        Report("gnss/filtered", position),
+        Report("imu/bias", ImuBiases(t_ns, frame, biases[:3], biases[3:6], biases[6:])),
+        Report("q/accelerometer", Vector(t_ns, frame, levels[:3])),
+        Report("q/gyroscope", Vector(t_ns, frame, levels[3:])),
+    ]

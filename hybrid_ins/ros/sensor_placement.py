@@ -1,0 +1,123 @@
+"""
+Where IMU and antenna are in the base frame: by parameters, or by ``/tf_static`` without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.ros.conversions import FLIP, Message, Refused, mount_matrix
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.static_transforms import StaticTransforms
+
+Array = NDArray[np.float64]
+
+PARAMETERS = {
+    "imu/data": ("imu.position", "imu.mount_rpy"),
+    "gnss/fix": ("gnss.antenna_position",),
+}
+"""Parameters that place the sensor of a topic; all zero: ``/tf_static`` does."""
+
+
+class SensorPlacement:
+    """
+    Places the sensors.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    inputs : InputLog
+        Warns of frames that change.
+
+    Attributes
+    ----------
+    mount : ndarray, shape (3, 3)
+        From the IMU message's axes to b.
+    mount_rows : tuple of float
+        The same, row by row.
+    arm_b : ndarray, shape (3,)
+        IMU relative to the base frame's origin [m], b.
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b.
+    """
+
+    def __init__(self, values: Mapping[str, Any], inputs: InputLog) -> None:
+        self._inputs = inputs
+        self._base = values["base_frame"]
+        self._use_transforms = values["use_tf_static"]
+        self._mount_rpy = values["imu.mount_rpy"]
+        self._position = values["imu.position"]
+        self._antenna = values["gnss.antenna_position"]
+        self._is_given = {
+            topic: any(any(values[name]) for name in names) for topic, names in PARAMETERS.items()
+        }
+        self._transforms = StaticTransforms()
+        self._frames = dict.fromkeys(PARAMETERS, "")
+        self._place()
+
+    def frame_of(self, topic: str) -> str:
+        """Return the frame_id of the last message on ``imu/data`` or ``gnss/fix``."""
+        return self._frames[topic]
+
+    def set_frame(self, topic: str, frame: str) -> bool:
+        """Set the frame_id of the messages on a topic; True where that moves a sensor."""
+        known, self._frames[topic] = self._frames[topic], frame
+        if known and frame != known:
+            self._inputs.count_and_warn(
+                topic,
+                Refused(
+                    f"{topic}: frame_id changes",
+                    f"frame_id changes from '{known}' to '{frame}': two publishers on one topic?",
+                ),
+            )
+        if (
+            not known
+            and frame not in ("", self._base)
+            and not self._is_given[topic]
+            and self._transforms.find(self._base, frame) is None
+        ):
+            self._inputs.log(
+                "info",
+                f"{topic}: no transform from '{self._base}' to '{frame}' (neither "
+                f"{PARAMETERS[topic][0]} nor /tf_static): assuming that they coincide",
+            )
+        return self._place_again()
+
+    def add_transforms(self, message: Message) -> bool:
+        """Use a tf2_msgs/TFMessage of /tf_static; True where it moves a sensor."""
+        self._transforms.add(message)
+        return self._place_again()
+
+    def _place_again(self) -> bool:
+        before = self.mount, self.arm_b, self.lever_b
+        self._place()
+        if all(map(np.array_equal, before, (self.mount, self.arm_b, self.lever_b))):
+            return False
+        self._inputs.log(
+            "info", f"/tf_static gives the positions of IMU and antenna in '{self._base}'"
+        )
+        return True
+
+    def _place(self) -> None:
+        mount, position, antenna = mount_matrix(self._mount_rpy), self._position, self._antenna
+        if not self._is_given["imu/data"]:
+            C, place = self._find("imu/data")
+            mount, position = FLIP @ C, place.tolist()
+        if not self._is_given["gnss/fix"]:
+            antenna = self._find("gnss/fix")[1].tolist()
+        self.mount = mount
+        self.mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
+        self.arm_b: Array = FLIP @ np.array(position)
+        self.lever_b: Array = FLIP @ np.subtract(antenna, position)
+
+    def _find(self, topic: str) -> tuple[Array, Array]:
+        """Rotation and position in the base frame of the frame that a topic's messages have."""
+        frame, found = self._frames[topic], None
+        if frame and self._use_transforms:
+            found = self._transforms.find(self._base, frame)
+        return (np.eye(3), np.zeros(3)) if found is None else found

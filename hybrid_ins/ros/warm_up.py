@@ -1,0 +1,49 @@
+"""
+A short run through everything that happens at the IMU's rate, before the first message.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.cdr import ImuFields
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.message_types import NewMessage, to_message
+
+
+def warm_up(new: NewMessage) -> None:
+    """
+    Run an estimator on a hundred samples and some fixes; see also `hybrid_ins.kernels.prepare`.
+
+    Parameters
+    ----------
+    new : callable
+        Given the name of a type, returns an empty message of it.
+    """
+    values = {
+        **parameters.defaults(),
+        "alignment.heading_source": "parameter",
+        "alignment.window": 0.05,
+    }
+    estimator = Estimator(values, lambda level, text: None)
+    fix = new("sensor_msgs/msg/NavSatFix")
+    fix.status.status = conversions.STATUS_FIX
+    fix.latitude = 1.0
+    velocity = new("geometry_msgs/msg/TwistWithCovarianceStamped")
+    for k in range(1, 101):
+        t_ns = k * 10_000_000
+        estimator.handle_imu(ImuFields(t_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+        estimator.run_periodic()
+        if k % 20 == 0:
+            for message in (fix, velocity):
+                conversions.set_stamp(message.header.stamp, t_ns)
+            estimator.handle_fix(fix)
+            estimator.handle_velocity(velocity)
+    stamps = 1_000_000_000 + 10_000_000 * np.arange(1, 6)
+    estimator.handle_imu_block(stamps, np.tile([0.0, 0.0, 9.8], (5, 1)), np.zeros((5, 3)))
+    for report in estimator.pop_reports():
+        to_message(report, new)
+    if not estimator.ever_aligned:
+        raise RuntimeError("the warm-up run did not reach the filter")

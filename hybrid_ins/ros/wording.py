@@ -1,0 +1,135 @@
+"""
+Words for the user: faults of the IMU, restarts, what alignment waits for.
+
+Each says what happened, the value, and the remedy.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hybrid_ins.core.alignment import Need, Waiting
+from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.imu_health import FaultKind, ImuFault
+from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import RestartCause, Restarted
+from hybrid_ins.core.phases import Aligning, Searching
+from hybrid_ins.core.stamp_check import StampFault
+from hybrid_ins.ros.conversions import Refused
+
+ONE_G = (0.7, 1.3)  # mean specific force of an IMU at rest that reports in g
+
+STAMP_FAULTS = {
+    StampFault.REPEATED: Refused(
+        "imu: repeated stamp",
+        "header.stamp repeats: the driver stamps twice, or two publishers share the topic",
+    ),
+    StampFault.OUT_OF_ORDER: Refused(
+        "imu: stamp out of order",
+        "header.stamp goes back a little: the driver stamps on receipt, or two publishers share "
+        "the topic",
+    ),
+    StampFault.JUMP: Refused(
+        "imu: stamp jumps",
+        "header.stamp jumps; the filter restarts if the stamps stay there",
+    ),
+}
+STATES = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
+
+
+def name_of_fault(fault: ImuFault) -> str:
+    """Return the name under which a fault is counted."""
+    return f"imu: {fault.kind.value}"
+
+
+def describe_fault(fault: ImuFault) -> str:
+    """Return what a fault is, the value that shows it, and the remedy."""
+    kind, value = fault.kind, fault.value
+    if kind is FaultKind.NO_GRAVITY:
+        remedy = (
+            "the unit seems to be g: multiply by 9.80665"
+            if ONE_G[0] < value < ONE_G[1]
+            else "gravity seems to be removed: let the driver publish specific force"
+        )
+        return f"mean acceleration is {value:.2f} m/s², not 9.8: {remedy}"
+    if kind is FaultKind.TOO_MUCH_GRAVITY:
+        return f"mean acceleration is {value:.1f} m/s², not 9.8: check the unit (m/s² is expected)"
+    if kind is FaultKind.FROZEN:
+        return (
+            "the same reading again and again while it shows a turn: restart the driver, check "
+            "the cable"
+        )
+    if kind is FaultKind.DEGREES:
+        return (
+            f"rates of {value:.0f} do not fit the acceleration: they seem to be in degrees per "
+            "second; radians per second are expected"
+        )
+    is_force = kind in (FaultKind.SATURATED_FORCE, FaultKind.SPIKES_FORCE)
+    name, unit = ("acceleration", "m/s²") if is_force else ("rate", "rad/s")
+    if kind in (FaultKind.SATURATED_FORCE, FaultKind.SATURATED_RATE):
+        return (
+            f"{name} on axis {'xyz'[fault.axis]} stays at {value:.2f} {unit}: choose a larger "
+            "range, or dampen the mount"
+        )
+    return (
+        f"single readings of {name} jump by {value:.1f} {unit} and back: check plugs, cables, "
+        "shielding"
+    )
+
+
+def describe_restart(restarted: Restarted) -> str:
+    """Return why a state was given up."""
+    cause = restarted.cause
+    if cause is RestartCause.STAMPS_WENT_BACK:
+        return f"the IMU's stamps went back by {restarted.seconds:.1f} s"
+    if cause is RestartCause.NO_SAMPLES:
+        return f"no IMU samples for {restarted.seconds:.1f} s"
+    if cause is RestartCause.NOT_FINITE:
+        return "the filter's state became NaN or infinite"
+    if cause is RestartCause.IMU_UNUSABLE and restarted.fault is not None:
+        return f"the IMU is unusable: {describe_fault(restarted.fault)}"
+    return "repeated covariance resets: the heading is probably wrong"
+
+
+def state_of(navigator: Navigator) -> str:
+    """Return where a navigator is, as diagnostics call it."""
+    phase = navigator.phase
+    if isinstance(phase, Aligning):
+        return STATES[phase.alignment.waiting.stage]
+    return STATES["heading"] if isinstance(phase, Searching) else "aligned"
+
+
+def waiting_for(navigator: Navigator) -> str:
+    """Return what alignment lacks; empty once one filter runs."""
+    phase = navigator.phase
+    if isinstance(phase, Aligning):
+        return _describe_need(phase.alignment.waiting)
+    return _describe_search(phase.bank) if isinstance(phase, Searching) else ""
+
+
+def _describe_need(waiting: Waiting) -> str:
+    need = waiting.need
+    if need is Need.WINDOW:
+        return f"{waiting.limit:g} s of IMU samples for levelling"
+    if need is Need.USABLE_IMU and waiting.fault is not None:
+        return f"usable IMU samples: {describe_fault(waiting.fault)}"
+    if need is Need.SECOND_FIX:
+        return "a second GNSS fix, for the first velocity"
+    if need is Need.ORIENTATION:
+        return "an orientation in the IMU messages (heading_source is imu)"
+    if need is Need.SPEED:
+        return (
+            f"motion for the heading: {waiting.value:.1f} m/s over ground, {waiting.limit:g} needed"
+        )
+    return str(need.value)
+
+
+def _describe_search(bank: MultipleModelBank) -> str:
+    clock = ""
+    if isinstance(bank, ClockSearch):
+        clock = f" and the clock offset (to {bank.clock()[1]:.2f} s)"
+    return (
+        f"motion that shows the heading (known to {math.degrees(bank.heading()[1]):.0f}° "
+        f"so far){clock}: speed up, brake or turn, or give it by initialpose"
+    )
