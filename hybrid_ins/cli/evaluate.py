@@ -19,6 +19,8 @@ from hybrid_ins.evaluation.result import Scoring
 from hybrid_ins.evaluation.run import Run, Topics
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
+from hybrid_ins.export.writer import check_export, export
+from hybrid_ins.output_file import write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.comparison import MOST_RUNS, comparison
 from hybrid_ins.plotting.overview import overview
@@ -48,6 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path,
         help="write a picture, .png or .svg; of several bags, an overlay of their runs",
+    )  # fmt: skip
+    parser.add_argument(
+        "--export", metavar="FILE", type=Path, action="append", default=[],
+        help="write the estimate for other tools, by suffix: .tum, .csv, .kml, .gpx or .geojson; "
+        "may be repeated",
     )  # fmt: skip
     parser.add_argument(
         "--report", metavar="FILE", type=Path,
@@ -102,11 +109,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
+    inputs = [*args.estimate, *filter(None, [args.truth])]
     if args.plot is not None:
-        style.check(args.plot)
+        style.check(args.plot, inputs)
     if args.report is not None:
-        report.check(args.report)
+        report.check(args.report, inputs)
         style.check(args.report.with_suffix(".png"))
+    for path in args.export:
+        check_export(path, inputs)
     if args.no_truth and args.truth is not None:
         raise InputError("--truth and --no-truth exclude each other")
     topics = Topics(
@@ -122,8 +132,8 @@ def _run(args: argparse.Namespace) -> int:
         args.outage_gap,
     )
     if len(args.estimate) > 1 or not batch.is_bag(args.estimate[0]):
-        if args.json or args.report:
-            raise InputError("--json and --report are for one bag at a time")
+        if args.json or args.report or args.export:
+            raise InputError("--json, --report and --export are for one bag at a time")
         return _evaluate_many(args, topics, scoring)
     [path] = args.estimate
     run = _read(path, truth=args.truth, topics=topics, no_truth=args.no_truth)
@@ -140,9 +150,13 @@ def _run(args: argparse.Namespace) -> int:
     if args.report is not None:
         picture = io.BytesIO()
         style.write(overview(run, result), picture, "png")
-        args.report.write_text(report.page(run, result, picture.getvalue()), encoding="utf-8")
+        write_text(args.report, report.page(run, result, picture.getvalue()))
         if not args.json:
             print(f"report: {args.report}")
+    for path in args.export:
+        export(run.estimate, run.name, path)
+        if not args.json:
+            print(f"trajectory: {path}")
     return 0
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import html
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from hybrid_ins.evaluation.result import Result
 from hybrid_ins.evaluation.run import Run, Series
 from hybrid_ins.evaluation.statistics import Consistency
 from hybrid_ins.evaluation.table import table
+from hybrid_ins.output_file import check_output
 
 _SETTLED = 1.5  # a standard deviation has settled within this factor of its last value
 _PAGE = """\
@@ -45,20 +47,19 @@ pre {{ overflow-x: auto }}
 """
 
 
-def check(path: Path) -> None:
+def check(path: Path, inputs: Sequence[Path] = ()) -> None:
     """
     Check, before the work, that a report can be written to `path`.
 
     Raises
     ------
     InputError
-        Not ``.html``, or no such folder.
+        Not ``.html``, no such folder, or one of the `inputs`.
 
     """
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report's name ends in .html")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such folder")
+    check_output(path, inputs, overwrite=True)
 
 
 def page(run: Run, result: Result, picture_png: bytes) -> str:

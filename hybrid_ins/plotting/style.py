@@ -7,12 +7,14 @@ This package is the only one that imports matplotlib, and only when a picture is
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import check_output, replacing
 from hybrid_ins.ros.trajectory import Array
 
 if TYPE_CHECKING:
@@ -57,20 +59,19 @@ STYLE = {
 }
 
 
-def check(path: Path) -> None:
+def check(path: Path, inputs: Sequence[Path] = ()) -> None:
     """
     Check, before the work, that a picture can be written to `path`.
 
     Raises
     ------
     InputError
-        Unknown suffix, no such folder, or matplotlib is not installed.
+        Unknown suffix, no such folder, one of the `inputs`, or matplotlib is not installed.
 
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: a picture's name ends in {' or '.join(SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such folder")
+    check_output(path, inputs, overwrite=True)
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError('pictures need matplotlib: pip install "hybrid_ins[plot]"')
 
@@ -78,7 +79,7 @@ def check(path: Path) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG or SVG, by the suffix of `path`."""
     check(path)
-    with path.open("wb") as file:
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
         write(figure, file, path.suffix.lower().removeprefix("."))
 
 
