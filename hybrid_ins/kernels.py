@@ -1,22 +1,26 @@
 """
 All kernels compiled ahead of their first use, by two processes.
 
-Compiling takes ten seconds of one processor, once for each version of the package; the machine
-code is kept (`core.compilation`). Programs call `prepare` before their first sample;
-``python -m hybrid_ins.kernels`` does it at the end of an installation.
+Compiling takes ten to sixty seconds, once for each version of the package; the machine code is kept
+(`kernel_cache`). Programs call `prepare` before their first sample, the node before `rclpy.init`,
+which would take over the signals; ``python -m hybrid_ins.kernels`` does it at the end of an
+installation.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
+from hybrid_ins import kernel_cache
 from hybrid_ins.core import (
     clock_offset,
-    compilation,
     imu_health,
     iterated_update,
     kalman,
@@ -31,41 +35,97 @@ from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 from hybrid_ins.noise_regressor import window
 from hybrid_ins.ros import imu_input, odom_frame, output
 
-NOTICE = "compiling the filter for this machine, once: 10 to 60 s"
+COMPILING = "compiling the filter for this machine, once: 10 to 60 s"
+WAITING = "another process compiles the filter for this machine; waiting for it: up to 60 s"
+FILTER, CALIBRATION = "filter", "calibration"
 
 
-def prepare(tell: Callable[[str], None] = lambda text: None) -> None:
+def prepare(
+    announce: Callable[[str], None] = lambda text: None, *, calibration: bool = False
+) -> None:
     """
     Load every kernel, after compiling it where that has not been done.
 
+    Of several processes that need it, one compiles and the others wait. All of them may be ended
+    by a signal at any time; what was compiled until then is kept.
+
     Parameters
     ----------
-    tell : callable
-        Given a line for the user when it will take a while.
+    announce : callable
+        Given a line for the user before anything that takes long.
+    calibration : bool
+        The kernels of `hybrid_ins.calibration`, too.
     """
-    compilation.spare_blas()
-    if compilation.is_compiled():
-        _compile_filter()
-        _compile_output()
-        return
-    tell(NOTICE)
-    other = None
-    if compilation.CACHE is not None:
-        other = subprocess.Popen(
-            [sys.executable, "-m", "hybrid_ins.kernels", "filter"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    try:
-        _compile_output()
-        if other is not None:
-            other.wait()
-    finally:
-        if other is not None:
-            other.kill()
-            other.wait()
+    _skip_scipy()
+    kernel_cache.enable()
+    parts = (FILTER, CALIBRATION) if calibration else (FILTER,)
+    if not all(map(kernel_cache.is_complete, parts)):
+        with kernel_cache.exclusive(lambda: announce(WAITING)):
+            if not all(map(kernel_cache.is_complete, parts)):
+                announce(COMPILING)
+                with _filter_compiled_beside():
+                    _compile_output()
+                _compile_filter()
+                kernel_cache.mark_complete(FILTER)
+                if calibration:
+                    _compile_calibration()
+                    kernel_cache.mark_complete(CALIBRATION)
+                return
     _compile_filter()
-    compilation.mark_compiled()
+    _compile_output()
+
+
+def is_compiled() -> bool:
+    """Return whether `prepare` has nothing to compile for the node."""
+    return kernel_cache.is_complete(FILTER)
+
+
+@contextmanager
+def _filter_compiled_beside() -> Iterator[None]:
+    """Within the block, another process compiles the filter; it does not outlive this one."""
+    if kernel_cache.enable() is None:
+        yield
+        return
+    child = subprocess.Popen(
+        [sys.executable, "-m", "hybrid_ins.kernels", FILTER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield
+        child.wait()
+    finally:
+        child.kill()
+        child.wait()
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that holds the other end of its standard input does."""
+
+    def watch() -> None:
+        while os.read(0, 1024):
+            pass
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _skip_scipy() -> None:
+    """
+    Keep numba from loading SciPy's linear algebra.
+
+    Numba imports it when it starts, in case that a kernel multiplies matrices. Ours do not, and
+    the import alone costs 0.3 s of the start and 40 MB.
+    """
+    name = "scipy.linalg.cython_blas"
+    if name in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[name]
 
 
 def _compile_filter() -> None:
@@ -120,6 +180,28 @@ def _compile_output() -> None:
     window.quantisation_step(readings)
 
 
+def _compile_calibration() -> None:
+    from hybrid_ins.calibration.innovations import innovations
+
+    empty = np.empty((0, 3))
+    innovations(
+        _some_state(),
+        np.zeros(1),
+        np.zeros((1, 6)),
+        np.empty(0),
+        np.empty(0, np.int64),
+        empty,
+        np.empty((0, 3, 3)),
+        np.zeros(3),
+        0.0,
+        0.0,
+        empty,
+        np.empty((0, 3, 3)),
+        np.empty(0),
+        np.empty((0, N_NAV)),
+    )
+
+
 def _some_state() -> np.ndarray:
     return NavState(
         np.array([0.5, 0.0, 0.0]),
@@ -132,12 +214,14 @@ def _some_state() -> np.ndarray:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Compile all kernels, or those of the filter proper."""
+    """Compile all kernels, or (as a child of `prepare`) those of the filter proper."""
     words = list(sys.argv[1:] if argv is None else argv)
-    if words == ["filter"]:
+    if words == [FILTER]:
+        _end_with_parent()
+        kernel_cache.enable()
         _compile_filter()
     else:
-        prepare(print)
+        prepare(print, calibration=True)
     return 0
 
 

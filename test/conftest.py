@@ -9,7 +9,10 @@ import pytest
 from hypothesis import settings
 from support.paths import ROOT
 
+from hybrid_ins import kernel_cache
 from tools.processes import Processes, isolated_ros
+
+kernel_cache.enable()
 
 # The same examples every time, however busy the machine is.
 settings.register_profile("repeatable", derandomize=True, deadline=None)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from hybrid_ins.core.compilation import is_compiled
+from hybrid_ins.kernels import is_compiled
 from hybrid_ins.resources import share_path
 from tools.processes import Processes, isolated_ros, program
 

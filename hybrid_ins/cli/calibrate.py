@@ -80,7 +80,7 @@ def _body(args: argparse.Namespace) -> int:
         )
         for path in paths
     ]
-    kernels.prepare(partial(_log, "info"))
+    kernels.prepare(partial(_log, "info"), calibration=True)
     with _Stages() as stages:
         found = calibrate(
             recordings,

@@ -12,6 +12,7 @@ from typing import NoReturn
 
 from tqdm import tqdm
 
+from hybrid_ins import kernel_cache
 from hybrid_ins.errors import InputError
 
 EXIT_BAD_INPUT = 2
@@ -57,6 +58,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
 
     """
     name = getattr(args, "program_name", Path(sys.argv[0]).name)
+    kernel_cache.enable()
     with _logging_to_stderr(name), _sigterm_raised():
         try:
             return body(args) or 0

@@ -1,5 +1,6 @@
 """
-The filter itself: pure numpy and numba.
+The filter: numpy and numba, NED and FRD, SI units and radians.
 
-Nothing here imports ROS, files, plots or the network's run time; a test says so.
+It imports neither ROS nor plots nor the network's run time, touches no file, and does nothing at
+import; tests check that.
 """

@@ -2,8 +2,12 @@
 
 import os
 import shutil
+import signal
+import stat
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,7 +20,12 @@ from hybrid_ins.cli import simulate
 from hybrid_ins.core import compilation
 from hybrid_ins.replay import replay
 
-STEP = "from hybrid_ins import kernels; kernels._compile_output()"
+STEP = (
+    "from hybrid_ins import kernel_cache, kernels; "
+    "kernel_cache.enable(); kernels._compile_output()"
+)
+    "from hybrid_ins import kernel_cache, kernels; kernel_cache.enable(); kernels._compile_output()"
+)
 
 
 def compiled() -> dict[str, int]:
@@ -72,7 +81,7 @@ def installed(tmp_path: Path) -> Path:
     """A copy of the package without machine code, and where none can be kept, not even by root."""
     package = tmp_path / "site" / "hybrid_ins"
     shutil.copytree(ROOT / "hybrid_ins", package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "core" / "__pycache__").touch()
+    (package / "__pycache__").touch()
     return package.parent
 
 
@@ -110,12 +119,12 @@ def test_a_read_only_installation_compiles_once(installed: Path, tmp_path: Path)
 
 def test_a_changed_source_is_compiled_anew(tmp_path: Path) -> None:
     """Another text of any kernel's module takes another directory."""
-    name = "import sys; from hybrid_ins.core import compilation; print(compilation.CACHE.name)"
+    name = "from hybrid_ins import kernel_cache; print(kernel_cache.enable())"
     package = tmp_path / "hybrid_ins"
     shutil.copytree(ROOT / "hybrid_ins", package, ignore=shutil.ignore_patterns("__pycache__"))
 
-    def cache() -> str:
-        return subprocess.run(
+    def cache() -> Path:
+        printed = subprocess.run(
             [sys.executable, "-c", name],
             cwd=tmp_path,
             capture_output=True,
@@ -123,10 +132,94 @@ def test_a_changed_source_is_compiled_anew(tmp_path: Path) -> None:
             check=True,
             env=os.environ | {"PYTHONPATH": str(tmp_path)},
         ).stdout
+        return Path(printed.strip())
 
     before = cache()
     with (package / "core" / "earth.py").open("a") as file:
         file.write("\n# another text\n")
 
     assert cache() != before
-    assert not list(package.rglob(before.strip()))
+
+
+def test_importing_kernels_touches_no_file(tmp_path: Path) -> None:
+    package = tmp_path / "hybrid_ins"
+    shutil.copytree(ROOT / "hybrid_ins", package, ignore=shutil.ignore_patterns("__pycache__"))
+    before = sorted(tmp_path.rglob("*"))
+    code = "import hybrid_ins.kernels, hybrid_ins.core.navigator, hybrid_ins.ros.estimator"
+
+    subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        cwd=tmp_path,
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path), "HOME": str(tmp_path)},
+    )
+
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def trusted(place: Path) -> bool:
+    code = (
+        "from hybrid_ins import kernel_cache; from pathlib import Path; "
+        f"raise SystemExit(not kernel_cache._make_private(Path({str(place)!r})))"
+    )
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+def test_only_a_directory_of_ones_own_is_trusted_among_temporary_files(tmp_path: Path) -> None:
+    made, open_to_all, link = tmp_path / "made", tmp_path / "open", tmp_path / "link"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+
+    assert trusted(made) and stat.S_IMODE(made.stat().st_mode) == 0o700
+    assert trusted(made)
+    link.symlink_to(made)
+    assert not trusted(open_to_all)
+    assert not trusted(link)
+
+
+def of_cache(directory: Path) -> list[int]:
+    """Processes whose machine code is kept in ``directory``."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"NUMBA_CACHE_DIR={directory}\0".encode() in (process / "environ").read_bytes():
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+def until(condition: Callable[[], bool], patience: float = 60.0) -> None:
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_compilation_is_announced_once_and_ends_with_who_started_it(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    # GIVEN two processes on an empty cache
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "hybrid_ins.kernels"]
+    outputs = [tmp_path / "first.txt", tmp_path / "second.txt"]
+    started = []
+    for output in outputs:
+        with output.open("w") as file:
+            started.append(
+                subprocess.Popen(command, cwd=ROOT, env=environment, stdout=file, stderr=file)
+            )
+        until(lambda output=output: bool(output.read_text()))
+    # THEN one compiles, with a child beside it, and the other waits and says so
+    assert outputs[0].read_text().strip() == kernels.COMPILING
+    assert outputs[1].read_text().strip() == kernels.WAITING
+    until(lambda: len(of_cache(tmp_path)) == 3)
+    # WHEN the one that waits is ended THEN the other goes on
+    started[1].send_signal(number)
+    assert started[1].wait(20.0) != 0
+    assert started[0].poll() is None
+    # WHEN that is ended, too THEN nothing is left of them
+    started[0].send_signal(number)
+    assert started[0].wait(60.0) != 0
+    until(lambda: not of_cache(tmp_path))
