@@ -46,7 +46,7 @@ def test_errors_at_the_start_are_drawn_from_the_covariance_that_the_filter_is_to
     normalised = [state_error(run, 0, run.start) / START_STD for run in runs]
     run = runs[0]
 
-    assert np.diag(run.start.P) == pytest.approx(START_STD**2)
+    assert np.diag(run.start.P) == pytest.approx(np.square(START_STD))
     spread = np.sqrt(np.mean(np.square(normalised), axis=0))
     assert np.all((spread > 0.7) & (spread < 1.35))
 

@@ -58,9 +58,7 @@ from tools.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
-START_STD: Array = np.repeat((0.5, 0.3, 0.02, 0.05, 0.003), 3)
-"""Of the error at the start: position [m], velocity [m/s], misalignment [rad], biases."""
-START_STD[8] = 0.05  # heading
+START_STD = (*(0.5,) * 3, *(0.3,) * 3, 0.02, 0.02, 0.05, *(0.05,) * 3, *(0.003,) * 3)
 LOST = 1e5  # m: a filter that far off has diverged
 T0_NS = 1_000_000_000
 PAPER_WALK = np.full(6, 1e-3)  # the paper's epsilon, as a density
@@ -83,8 +81,13 @@ class Scenario:
         Length of a run, and the time from which its errors count [s].
     fix_rate : float
         GNSS fixes per second [Hz].
+    score_every : int
+        Fixes from one scored epoch to the next.
+    start_std : tuple of float
+        Of the error that the filter starts with: position [m], velocity [m/s], misalignment [rad],
+        accelerometer [m/s²] and gyroscope biases [rad/s], three each.
     errors : ImuErrors
-        Its biases at the start are drawn from ``START_STD`` instead.
+        Its biases at the start are drawn from ``start_std`` instead.
     rough : (float, float), optional
         Range of the factor by which the noise's standard deviation rises in rough stretches
         (log-uniform, one factor a run); None: the noise is constant.
@@ -100,6 +103,8 @@ class Scenario:
     duration: float = 120.0
     scored_from: float = 20.0
     fix_rate: float = 5.0
+    score_every: int = 1
+    start_std: tuple[float, ...] = START_STD
     errors: ImuErrors = field(default_factory=ImuErrors)
     rough: tuple[float, float] | None = None
     dwell: tuple[float, float] = (4.0, 15.0)
@@ -132,6 +137,8 @@ class Method:
         Share of the last levels that is kept at an estimate, of their logarithms.
     as_printed : bool
         Qc = q and bias random walks of ``PAPER_WALK``, as the paper's text has it.
+    covariance_interval : float
+        Time between two steps of the covariance [s]; 0: at every sample.
     """
 
     name: str
@@ -142,6 +149,7 @@ class Method:
     refresh: float = 0.2
     smoothing: float = 0.0
     as_printed: bool = False
+    covariance_interval: float = FilterSettings().covariance_interval
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,7 @@ class Run:
 @dataclass(frozen=True)
 class Flight:
     """
-    How a method did on a run, at its scored epochs.
+    How a method did on a run: at its K scored epochs, and at the M fixes that were decided.
 
     Attributes
     ----------
@@ -206,6 +214,12 @@ class Flight:
         Levels in force.
     fallback : ndarray of bool, shape (K,)
         They were those of the fallback.
+    fix_t : ndarray, shape (M,)
+        Time of the fixes [s].
+    nis : ndarray, shape (M,)
+        Their normalised innovation squared: 3 on average for a right covariance.
+    accepted : ndarray of bool, shape (M,)
+        The gate let them pass.
     """
 
     t: Array
@@ -214,6 +228,9 @@ class Flight:
     position_nees: Array
     q: Array
     fallback: NDArray[np.bool_]
+    fix_t: Array
+    nis: Array
+    accepted: NDArray[np.bool_]
 
     @property
     def diverged(self) -> bool:
@@ -238,7 +255,7 @@ def draw(scenario: Scenario, seed: int) -> Run:
     rng = np.random.default_rng(seed)
     start_rng, schedule_rng, imu_rng, fix_rng = rng.spawn(4)
     flight = scenario.motion(scenario.duration, seed)
-    error = START_STD * start_rng.standard_normal(N_ERROR)
+    error = np.array(scenario.start_std) * start_rng.standard_normal(N_ERROR)
     errors = replace(
         scenario.errors,
         accelerometer_bias=error[B_A],
@@ -265,9 +282,10 @@ def draw(scenario: Scenario, seed: int) -> Run:
         quat_multiply(quat_from_rotvec(error[EPS]), truth.quat_xyzw[0]),
         np.zeros(3),
         np.zeros(3),
-        np.diag(START_STD**2),
+        np.diag(np.square(scenario.start_std)),
     )
-    between = np.arange(scenario.scored_from, scenario.duration, 1.0 / scenario.fix_rate)
+    step = scenario.score_every / scenario.fix_rate
+    between = np.arange(scenario.scored_from, scenario.duration, step)
     scored = np.searchsorted(imu.t, between + 0.5 / scenario.fix_rate - 1e-6)
     scored = scored[scored < len(imu.t)]
     walk = [
@@ -305,9 +323,16 @@ def _stamps(t: Array) -> NDArray[np.int64]:
     return np.rint(t * 1e9).astype(np.int64) + T0_NS
 
 
-def fly(run: Run, method: Method) -> Flight:
+def fly(run: Run, method: Method, gate: Gate | None = None) -> Flight:
     """
     Run the filter over a run under a method.
+
+    Parameters
+    ----------
+    run, method
+        What is flown, and how the process noise is set.
+    gate : Gate, optional
+        One of its own for each call; without, every fix is taken.
 
     Raises
     ------
@@ -319,13 +344,13 @@ def fly(run: Run, method: Method) -> Flight:
     ring.extend(samples[:1])
     first = np.concatenate((samples["f"][0], samples["w"][0]))
     # Delays do not occur here, and a short horizon keeps few rewind points.
-    settings = FilterSettings(max_delay=0.2)
+    settings = FilterSettings(method.covariance_interval, max_delay=0.2)
     ins = InsFilter(
         run.start,
         int(stamps[0]),
         first,
         noise_of(method, run),
-        Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0),
+        gate or Gate(dict.fromkeys((1, 2, 3), np.inf), patience=0.0),
         ring,
         settings,
     )
@@ -352,7 +377,15 @@ def fly(run: Run, method: Method) -> Flight:
             else:
                 act()
     return Flight(
-        run.t, error[:, DP], nees(error, P), nees(error[:, DP], P[:, DP, DP]), q, fallback
+        run.t,
+        error[:, DP],
+        nees(error, P),
+        nees(error[:, DP], P[:, DP, DP]),
+        q,
+        fallback,
+        np.array([(v.measurement.t_ns - T0_NS) * 1e-9 for v in ins.verdicts]),
+        np.array([v.nis for v in ins.verdicts]),
+        np.array([v.accepted for v in ins.verdicts]),
     )
 
 

@@ -16,13 +16,11 @@ import numpy as np
 from hybrid_ins import progress
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import N_ERROR
-from hybrid_ins.evaluation.statistics import mean_band, nees
+from hybrid_ins.evaluation.statistics import mean_band
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight
 from tools.paper import montecarlo
-from tools.paper.montecarlo import T0_NS, Method, Scenario
+from tools.paper.montecarlo import Method, Scenario, draw
 from tools.parallel import run_parallel
 
 OUTAGE = (60.0, 60.0)  # s, start and duration
@@ -37,41 +35,18 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
         kind, KINDS[kind], rate=100.0, duration=sum(OUTAGE) + AFTER + 1.0, outages=(OUTAGE,)
     )
     method = Method(mode, mode)  # type: ignore[arg-type]
-    run = montecarlo.draw(scenario, seed)
-    samples = run.samples
-    stamps = samples["t_ns"]
-    ring = ImuRing()
-    ring.extend(samples[:1])
-    ins = InsFilter(
-        run.start,
-        int(stamps[0]),
-        np.concatenate((samples["f"][0], samples["w"][0])),
-        montecarlo.noise_of(method, run),
-        Gate({m: chi_square.quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0),
-        ring,
-        FilterSettings(max_delay=0.2),
-    )
+    run = draw(scenario, seed)
+    gate = Gate({m: chi_square.quantile(0.9999, m) for m in (1, 2, 3, 6)}, 3.0)
+    flight = montecarlo.fly(run, method, gate)
     back = sum(OUTAGE)
-    wanted = [int(np.searchsorted(run.t, t)) - 1 for t in (back - 0.05, back + AFTER)]
-    found: list[float] = []
-    error = 0.0
-    at = 0
-    for t_ns, _, act in sorted(montecarlo._events(run, method, ins), key=lambda e: e[:2]):
-        stop = int(np.searchsorted(stamps, t_ns, side="right"))
-        if stop > at + 1:
-            ring.extend(samples[at + 1 : stop])
-            ins.predict_block(samples[at + 1 : stop])
-            at = stop - 1
-        if not isinstance(act, int):
-            act()
-        elif act in wanted:
-            state = ins.state
-            e = montecarlo.state_error(run, act, state)
-            found.append(float(nees(e[None], state.P[None])[0]))
-            if act == wanted[0]:
-                error = float(np.linalg.norm(e[:3]))
-    returned = [v for v in ins.verdicts if v.measurement.t_ns >= T0_NS + round(back * 1e9) - 1]
-    return (found, [v.nis for v in returned[:FIRST]], sum(not v.accepted for v in returned), error)
+    end, after = (int(np.searchsorted(run.t, t)) - 1 for t in (back - 0.05, back + AFTER))
+    returned = flight.fix_t > back - 1e-6
+    return (
+        flight.nees[[end, after]].tolist(),
+        flight.nis[returned][:FIRST].tolist(),
+        int(np.sum(~flight.accepted[returned])),
+        float(np.linalg.norm(flight.position_error[end])),
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
