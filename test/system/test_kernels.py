@@ -24,8 +24,6 @@ STEP = (
     "from hybrid_ins import kernel_cache, kernels; "
     "kernel_cache.enable(); kernels._compile_output()"
 )
-    "from hybrid_ins import kernel_cache, kernels; kernel_cache.enable(); kernels._compile_output()"
-)
 
 
 def compiled() -> dict[str, int]:
