@@ -40,12 +40,32 @@ def bridge(nav: Array, reading: Array, dt: float, interval: float) -> None:
         See `propagation.step`.
     """
     last = np.concatenate((nav[LAST_F], nav[LAST_W]))
-    rate = float(np.linalg.norm(reading[3:]))
-    parts = 1 + int(dt * max(rate, float(np.linalg.norm(last[3:]))) / MAX_STEP_ROTATION)
-    line = last + np.linspace(0.0, 1.0, parts + 1)[1:, None] * (reading - last)
-    propagation.run(nav, np.full(parts, dt / parts), line, interval, np.empty((0, N_NAV)))
+    readings = line(last, reading, dt)
+    steps = np.full(len(readings), dt / len(readings))
+    propagation.run(nav, steps, readings, interval, np.empty((0, N_NAV)))
     propagation.propagate_covariance(nav)
-    jump = np.abs(reading - last)
+    inflate(nav, last, reading, dt)
+
+
+def line(last: Array, reading: Array, dt: float) -> Array:
+    """
+    Return readings, shape (n, 6), at the ends of n equal steps over a gap.
+
+    Parameters
+    ----------
+    last, reading : ndarray, shape (6,)
+        Samples before the gap and behind it, see `bridge`.
+    dt : float
+        Length of the gap [s].
+    """
+    fastest = max(float(np.linalg.norm(reading[3:])), float(np.linalg.norm(last[3:])))
+    parts = 1 + int(dt * fastest / MAX_STEP_ROTATION)
+    return np.asarray(last + np.linspace(0.0, 1.0, parts + 1)[1:, None] * (reading - last))
+
+
+def inflate(nav: Array, last: Array, reading: Array, dt: float) -> None:
+    """Add unmeasured motion in a gap to the covariance of ``nav``; parameters as in `line`."""
+    jump, rate = np.abs(reading - last), float(np.linalg.norm(reading[3:]))
     force_std = GAP_FORCE + 0.5 * jump[:3].max() + rate
     rate_std = GAP_RATE + 0.5 * jump[3:].max() + 0.2 * rate
     P = covariance(nav)

@@ -104,6 +104,10 @@ class Gate:
         self._patience_ns = int(patience * 1e9)
         self._refusals: dict[str, _Refusals] = {}
 
+    def threshold(self, components: int) -> float:
+        """Return the largest NIS of a measurement with so many components that is fused."""
+        return self._thresholds[components]
+
     def judge(
         self,
         measurement: Measurement,

@@ -26,6 +26,7 @@ from hybrid_ins.core.events import (
     order,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import (
     inflate_covariance,
@@ -71,11 +72,14 @@ class FilterSettings:
         Age of the oldest measurement that is still fused, by rewinding [s].
     clock_std : float
         Standard deviation of the clock offset of fixes at the start [s].
+    keep_record : bool
+        Keep a `FilterRecord`, for a smoother.
     """
 
     covariance_interval: float = 0.01
     max_delay: float = 1.0
     clock_std: float = 0.5
+    keep_record: bool = False
 
 
 class InsFilter:
@@ -111,6 +115,8 @@ class InsFilter:
         Clock offset of fixes, estimated beside the state; changes nothing by itself.
     verdicts : deque of Verdict
         One per measurement submitted, in order of decision; the owner empties it.
+    record : FilterRecord or None
+        What became of every event; None unless the settings ask for it.
     """
 
     def __init__(
@@ -137,6 +143,9 @@ class InsFilter:
         self._corrected_ns = t_ns
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
+        self.record: FilterRecord | None = None
+        if settings.keep_record:
+            self.record = FilterRecord(FilterStart(t_ns, sample, initial, noise.levels()))
         self._checkpoint()
         self._schedule()
 
@@ -146,6 +155,11 @@ class InsFilter:
         nav = self.nav.copy()
         propagation.propagate_covariance(nav)
         return NavState.from_flat(nav)
+
+    @property
+    def covariance_interval(self) -> float:
+        """Time that is pending when the covariance is propagated [s]."""
+        return self._interval
 
     @property
     def sample(self) -> Array:
@@ -216,7 +230,12 @@ class InsFilter:
         elif isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
-            self.verdicts.append(Verdict.rejected(event, "too old", self._age(event)))
+            verdict = Verdict.rejected(event, "too old", self._age(event))
+            self.verdicts.append(verdict)
+            if self.record is not None:
+                threshold = self.gate.threshold(len(event.linearise(self.nav)[0]))
+                verdict = replace(verdict, threshold=threshold)
+                self.record.add_too_old(verdict, self.noise, self.clock)
 
     def withdraw(self) -> list[Measurement]:
         """Remove and return the measurements that are ahead of the IMU."""
@@ -257,6 +276,7 @@ class InsFilter:
         self._checkpoint()
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
+        r_scale, verdict, moved = self.noise.fix_factor, None, False
         if isinstance(event, NoiseChange):
             self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
@@ -267,14 +287,21 @@ class InsFilter:
             pack(inflate_covariance(covariance(self.nav), event.std), self.nav[COVARIANCE])
             self.noise.restart(keep_weights=True)
         else:
-            self._fuse(event)
+            moved = self._fuse(event)
+            verdict = self.verdicts[-1]
         self.nav[PSD] = self.noise.psd()
+        if self.record is not None:
+            self.record.add(event, verdict, r_scale, moved, self.noise, self.clock)
 
-    def _fuse(self, measurement: Measurement) -> None:
-        """Decide on a measurement, fuse it, and let the noise and the clock learn from it."""
+    def _fuse(self, measurement: Measurement) -> bool:
+        """
+        Decide on a measurement, fuse it, and let the noise and the clock learn from it.
+
+        Returns whether the noise moved the state, too.
+        """
         if not np.isfinite(self.nav).all():
             self.verdicts.append(Verdict.rejected(measurement, "the state is lost"))
-            return
+            return False
         z, H, R = measurement.linearise(self.nav)
         if measurement.aiding:
             R = R * self.noise.fix_factor
@@ -289,20 +316,19 @@ class InsFilter:
                 inflate_to_innovation(self.nav, z, H, interval)
             dx, K = iterated_update.update(self.nav, z, H, R)
         if not measurement.aiding:
-            return
+            return False
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
-        if not (verdict.inflated or verdict.jump):
-            C_nb = matrix_from_quat(self.nav[QUAT])
-            self._learn(
-                Correction(
-                    measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
-                )
-            )
+        if verdict.inflated or verdict.jump:
+            return False
+        C_nb = matrix_from_quat(self.nav[QUAT])
+        return self._learn(
+            Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted)
+        )
 
-    def _learn(self, correction: Correction) -> None:
+    def _learn(self, correction: Correction) -> bool:
         """Let clock and noise learn from a correction; noise may say where the state belongs."""
         self.clock.update(correction)
         moved = self.noise.take_correction(correction)
@@ -310,6 +336,7 @@ class InsFilter:
             inject(self.nav, moved.dx)
             pack(moved.P, self.nav[COVARIANCE])
             self.clock.restart(self.nav[VELOCITY])
+        return moved is not None
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""
@@ -334,6 +361,8 @@ class InsFilter:
             return False
         samples = samples[: np.searchsorted(samples["t_ns"], self.t_ns, side="right")]
         waiting, again = self._pending, self._history.rewind(late.t_ns)
+        if self.record is not None:
+            self.record.rewind(self._history.count)
         self.nav[:N_NAV] = point.nav
         self.t_ns, self._corrected_ns = point.t_ns, point.corrected_ns
         self.noise, self.gate, self.clock = point.noise, point.gate, point.clock

@@ -48,14 +48,14 @@ def update(nav, z, H, R):  # type: ignore[no-untyped-def]
         The correction that was applied and the gain it came from, eq. (10)-(11) of [3]_.
     """
     dx, K = gain(nav[COVARIANCE], z, H, R)
-    if _is_nonlinear(nav[COVARIANCE], dx, H, R):
-        return _iterate(nav, z, H, R, dx, K)
+    if is_nonlinear(nav[COVARIANCE], dx, H, R):
+        return _update_by_iteration(nav, z, H, R, dx, K)
     apply(nav, dx, K, H, R)
     return dx, K
 
 
 @register_jitable
-def _is_nonlinear(packed, dx, H, R):  # type: ignore[no-untyped-def]
+def is_nonlinear(packed, dx, H, R):  # type: ignore[no-untyped-def]
     """Tell whether the difference of half φ × δ is noticeable in the measurement."""
     rotation = packed[DIAGONAL[6]] + packed[DIAGONAL[7]] + packed[DIAGONAL[8]]
     for a in range(len(R)):
@@ -69,9 +69,29 @@ def _is_nonlinear(packed, dx, H, R):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def _iterate(nav, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
-    """`update` by iteration; by the linear correction, given as well, where that diverges."""
-    m, packed = len(z), nav[COVARIANCE]
+def iterate(packed, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
+    """
+    Find the correction by iteration, beginning with the linear one and its gain.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (120,)
+        Upper triangle of P.
+    z, H, R, linear, K_linear : ndarray
+        See `update`.
+
+    Returns
+    -------
+    converged : bool
+        Otherwise the linear correction is to be used.
+    K : ndarray, shape (15, m)
+        Gain at the correction.
+    z_x, H_x : ndarray, shape (m,), (m, 15)
+        Innovation and measurement matrix at the correction, of the transformed error.
+    error, G : ndarray, shape (15,), (15, 15)
+        The correction, and its derivative by the transformed error.
+    """
+    m = len(z)
     x, G, error = linear.copy(), np.eye(N_ERROR), linear.copy()
     H_x, z_x = np.empty((m, N_ERROR)), np.empty(m)
     K, moved = K_linear, np.inf
@@ -89,10 +109,20 @@ def _iterate(nav, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
         last = x
         x, K = gain(packed, z_x, H_x, R)
         moved = (x[6] - last[6]) ** 2 + (x[7] - last[7]) ** 2 + (x[8] - last[8]) ** 2
-    if not moved < CONVERGED**2:
+    converged = moved < CONVERGED**2
+    if converged:
+        left_jacobian_transform(x, error, G)
+    return converged, K, z_x, H_x, error, G
+
+
+@register_jitable
+def _update_by_iteration(nav, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
+    """`update` by iteration; by the linear correction, given as well, where that diverges."""
+    m, packed = len(z), nav[COVARIANCE]
+    converged, K, _, H_x, error, G = iterate(packed, z, H, R, linear, K_linear)
+    if not converged:
         apply(nav, linear, K_linear, H, R)
         return linear, K_linear
-    left_jacobian_transform(x, error, G)
     joseph_update(packed, K, H_x, R)
     # P now refers to the new estimate, about which (δp, δv, ε) and its transform are the same.
     P, GP, K_mapped = np.empty((N_ERROR, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), np.zeros_like(K)

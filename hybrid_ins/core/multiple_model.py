@@ -77,6 +77,8 @@ class MultipleModelBank:
         The hypotheses that are left.
     log_weights : ndarray
         Logarithms of their weights, normalised.
+    heading_open : bool
+        Each state has another heading.
     clock_open : bool
         The hypotheses also differ in the clock offset of fixes.
     """
@@ -88,7 +90,7 @@ class MultipleModelBank:
     ) -> None:
         self.filters = [make_filter(state, settings) for state in states]
         self.log_weights = np.full(len(states), -math.log(len(states)))
-        self._heading_open = len(states) > 1
+        self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
         self._lag_ns = 0  # of the filters behind the IMU, so that no measurement is late
@@ -214,7 +216,7 @@ class MultipleModelBank:
             self._has_lasted(("heading", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in HEADING_KNOWN
         ]
-        return not self._heading_open or any(known)
+        return not self.heading_open or any(known)
 
     def _has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
         """Tell whether a condition is true, and was for so long [ns]."""

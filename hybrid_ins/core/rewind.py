@@ -69,6 +69,11 @@ class History:
         """The youngest event within the time span."""
         return self._events[-1] if self._events else None
 
+    @property
+    def count(self) -> int:
+        """Number of events that are applied."""
+        return self._count
+
     def add_event(self, event: Event) -> None:
         """Append an event that is applied now."""
         self._events.append(event)

@@ -1,0 +1,100 @@
+"""
+What a forward run decided in the end, kept so that a smoother can do the same with hindsight.
+
+A `RunRecord` follows a navigator. It holds, for each stretch between two restarts, the IMU samples
+and the filters that ran, whose own records say what became of every measurement once it could not
+be rewound any more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+
+Samples = NDArray[np.void]
+
+
+@dataclass(eq=False)
+class Stretch:
+    """
+    A stretch of a run without a restart, in which a filter ran at the end.
+
+    Attributes
+    ----------
+    blocks : list of ndarray of SAMPLE_DTYPE
+        The IMU's samples.
+    filters : list of (InsFilter, float)
+        Those that ran one after the other, and what each one's clock added to the stamps beyond
+        its predecessor's [s].
+    running_ns : int
+        When the first of them was taken [ns].
+    heading_found : bool
+        It was started by several headings.
+    """
+
+    blocks: list[Samples] = field(default_factory=list)
+    filters: list[tuple[InsFilter, float]] = field(default_factory=list)
+    running_ns: int = 0
+    heading_found: bool = False
+
+    @property
+    def samples(self) -> Samples:
+        """All samples."""
+        return np.concatenate(self.blocks) if self.blocks else np.empty(0, SAMPLE_DTYPE)
+
+
+class RunRecord:
+    """
+    The stretches of a run.
+
+    Attributes
+    ----------
+    stretches : list of Stretch
+        In order; those without a filter hold samples alone.
+    """
+
+    def __init__(self) -> None:
+        self.stretches: list[Stretch] = []
+        self._loose: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a new stretch: the state was given up."""
+        self._gather()
+        if self.stretches and not self.stretches[-1].blocks:
+            self.stretches.pop()
+        self.stretches.append(Stretch())
+
+    def sample(self, t_ns: int, *reading: float) -> None:
+        """Take a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b."""
+        self._loose.append((t_ns, reading[:3], reading[3:]))
+
+    def block(self, samples: Samples) -> None:
+        """Take many samples."""
+        self._gather()
+        self.stretches[-1].blocks.append(samples)
+
+    def follow(self, running: InsFilter, offset: float, heading_found: bool) -> None:
+        """Take the filter that runs from now on, unless it is the last one; see `Stretch`."""
+        self._gather()
+        stretch = self.stretches[-1]
+        if stretch.filters and stretch.filters[-1][0] is running:
+            return
+        if not stretch.filters:
+            stretch.running_ns, stretch.heading_found = running.t_ns, heading_found
+        stretch.filters.append((running, offset))
+
+    def finish(self) -> list[Stretch]:
+        """Return the stretches in which a filter ran."""
+        self._gather()
+        return [stretch for stretch in self.stretches if stretch.filters]
+
+    def _gather(self) -> None:
+        if self._loose:
+            self.stretches[-1].blocks.append(np.array(self._loose, SAMPLE_DTYPE))
+            self._loose = []
