@@ -1,6 +1,7 @@
 """What the documentation says is so: links, commands, parameters, topics, layouts, policy."""
 
 import ast
+import importlib
 import json
 import re
 import subprocess
@@ -24,7 +25,8 @@ from tools.processes import program
 
 PAGES = sorted(
     path
-    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *ROOT.glob("config/**/*.md"))
+    for folder in (".", "docs", "models", "config/viewers")
+    for path in (ROOT / folder).glob("*.md")
 )
 INPUTS = {
     "imu/data": "sensor_msgs/msg/Imu",
@@ -88,12 +90,16 @@ class TestPages:
                 for option in re.findall(r"(?:^|\s)(--[a-z-]+)", rest.partition("--ros-args")[0]):
                     assert option in help_of(name), f"{name} has no {option}: {line}"
 
-    def test_scripts_exist(self, page: Path) -> None:
+    def test_modules_and_files_exist(self, page: Path) -> None:
         for line in commands(page):
-            for script in re.findall(r"\b(tools/[a-z_]+\.(?:py|sh))", line):
-                assert (ROOT / script).is_file(), line
-            for test in re.findall(r"\b(test/test_[a-z_0-9]+\.py)", line):
-                assert (ROOT / test).is_file(), line
+            for module in re.findall(r"python3? -m ((?:tools|hybrid_ins)[\w.]*)", line):
+                path = ROOT.joinpath(*module.split("."))
+                assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), line
+            for module in re.findall(r"^(hybrid_ins(?:\.\w+){2,}|tools(?:\.\w+)+)$", line):
+                assert resolves(module), line
+            for file in re.findall(r"(?:^|[\s(])([\w.-]+(?:/[\w.-]+)*\.(?:py|sh))\b", line):
+                places = (ROOT, ROOT / "hybrid_ins", ROOT / "tools", page.parent)
+                assert "/" not in file or any((place / file).is_file() for place in places), line
 
     def test_launch_files_and_their_arguments_exist(self, page: Path) -> None:
         for line in commands(page):
@@ -113,6 +119,22 @@ class TestPages:
 
     def test_nothing_is_left_to_fill_in(self, page: Path) -> None:
         assert "TODO" not in page.read_text(encoding="utf-8")
+
+
+def resolves(name: str) -> bool:
+    """Tell whether a dotted name is a module, or an object in one."""
+    for depth in range(name.count(".") + 1):
+        module, *names = name.rsplit(".", depth)
+        try:
+            found = importlib.import_module(module)
+        except ModuleNotFoundError:
+            continue
+        for part in names:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
 
 
 def anchors(page: Path) -> set[str]:
