@@ -145,6 +145,23 @@ def anchors(page: Path) -> set[str]:
     }
 
 
+def test_the_installation_names_what_the_package_needs() -> None:
+    assigned = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in ast.parse((ROOT / "setup.py").read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id in ("NODE", "OFFLINE", "EXTRAS")
+    }
+    required = {*assigned["NODE"], *assigned["OFFLINE"], *assigned["EXTRAS"]["plot"]}
+    names = sorted(re.split("[<>=]", item)[0].lower() for item in required)
+    for name in ("README.md", "docs/installation.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        (line,) = re.findall(r"\.venv/bin/pip install '(numpy<2)' ([\w ]+)$", text, re.MULTILINE)
+
+        assert sorted(["numpy", *line[1].lower().split()]) == names, name
+
+
 def test_what_is_written_from_the_declarations_is_current() -> None:
     assert generate_docs.main(["--check"]) == 0
 
