@@ -1,11 +1,11 @@
 """
-How far the fixes' clock is off, told by the innovations while flying.
+Clock offset of fixes, estimated beside the filter from its innovations.
 
-A fix that was true a time tau after its stamp lies v tau ahead of where the vehicle was then. The
-filter follows part of that: its state carries a sensitivity s = d(error)/d(tau), which moves with
-the error dynamics and is corrected as the state is, so that an innovation holds (H s + v) tau. As
-tau is a constant to the filter, regressing the innovations on that factor is what an augmented
-filter would do, [1]_, and the filter itself is untouched by it.
+A fix that was valid a time tau after its stamp is displaced by v tau. The filter follows part of
+that: its state has a sensitivity s = d(error)/d(tau), which is propagated by the error dynamics
+and corrected as the state is, so that the innovation has the mean (H s + v) tau. For the filter tau
+is a constant: regressing the innovations on that factor is what an augmented filter would do, [1]_,
+and the filter itself is not changed by it.
 
 References
 ----------
@@ -30,21 +30,23 @@ from hybrid_ins.core.strapdown import rotation
 Array = NDArray[np.float64]
 
 RANDOM_WALK = 1e-3  # s per sqrt(s), of one clock against the other
-NONLINEARITY = 0.5  # of a shift: what is left uncertain, since the motion is no straight line
-MAX_INTERVAL = 60.0  # s without a fix after which the sensitivity begins anew
-MEMORY = 40.0  # corrections over which the misfit is averaged
+NONLINEARITY = (
+    0.5  # of a shift: its standard deviation afterwards, since the motion is not linear in it
+)
+MAX_INTERVAL = 60.0  # s without a fix after which the sensitivity starts anew
+NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
 
 
 class ClockOffsetObserver:
     """
-    Estimates what is missing from the offset that was added to the fixes' stamps.
+    Estimates the offset that is still to be added to the stamps of fixes.
 
-    Nothing is changed in place: a shallow copy is a snapshot.
+    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
 
     Parameters
     ----------
     std : float
-        How far it may be off at the start [s].
+        Standard deviation at the start [s].
 
     Attributes
     ----------
@@ -67,7 +69,7 @@ class ClockOffsetObserver:
         return math.sqrt(self._variance * max(self._nis_scale, 1.0))
 
     def update(self, correction: Correction) -> None:
-        """Take a correction, or a measurement that was refused, into account."""
+        """Take a correction, or a measurement that was rejected, into account."""
         nav = correction.nav
         velocity_n = nav[VELOCITY].copy()
         T = (correction.t_ns - self._t_ns) * 1e-9
@@ -79,7 +81,7 @@ class ClockOffsetObserver:
             self._s, nav, self._velocity_n, self._C_nb, T
         )
         if correction.fused:
-            information, pull, nis = regress(
+            information, gradient, nis = regress(
                 s,
                 velocity_n,
                 acceleration_n,
@@ -89,20 +91,20 @@ class ClockOffsetObserver:
                 correction.K,
                 self.residual,
             )
-            self._nis_scale += (nis / len(correction.z) - self._nis_scale) / MEMORY
+            self._nis_scale += (nis / len(correction.z) - self._nis_scale) / NIS_MEMORY
             gain = self._variance / (1.0 + self._variance * information)
-            self.residual += gain * pull
+            self.residual += gain * gradient
             self._variance *= 1.0 - gain * information
         self._s, self._t_ns = s, correction.t_ns
         self._velocity_n, self._C_nb = velocity_n + correction.dx[DV], C_nb
 
     def set_estimate(self, residual: float, sigma: float) -> None:
-        """Take over what others have found, too [s]."""
+        """Replace estimate and standard deviation [s] by those of a mixture of filters."""
         self.residual = residual
         self._variance = sigma**2 / max(self._nis_scale, 1.0)
 
     def shift(self, by: float) -> Array:
-        """From now on ``by`` [s] more is added; returns what the state is off by that, (15,)."""
+        """Note that ``by`` [s] more is added from now on; return the state's error by it, (15,)."""
         self.residual -= by
         self._variance += (NONLINEARITY * by) ** 2
         moved = np.zeros(N_ERROR) if self._s is None else by * self._s
@@ -110,13 +112,13 @@ class ClockOffsetObserver:
         return moved
 
     def restart(self, velocity_n: Array) -> None:
-        """Take note that the state was put near the fixes."""
+        """Start the sensitivity anew: the state was moved to where the fixes are."""
         self._s = initial_sensitivity(velocity_n)
         self._velocity_n = velocity_n.copy()
 
 
 def initial_sensitivity(velocity_n: Array) -> Array:
-    """Sensitivity, shape (15,), of a state that was read off the fixes."""
+    """Return the sensitivity, shape (15,), of a state that follows the fixes."""
     s = np.zeros(N_ERROR)
     s[DP] = -velocity_n
     return s
@@ -125,7 +127,7 @@ def initial_sensitivity(velocity_n: Array) -> Array:
 @kernel()
 def propagate_sensitivity(s, nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     """
-    Move the sensitivity on with the error dynamics.
+    Propagate the sensitivity by the error dynamics.
 
     Parameters
     ----------
@@ -163,9 +165,9 @@ def propagate_sensitivity(s, nav, velocity_n, C_nb, T):  # type: ignore[no-untyp
 
 
 @kernel()
-def regress(s, velocity_n, acceleration_n, z, H, S, K, missing):  # type: ignore[no-untyped-def]
+def regress(s, velocity_n, acceleration_n, z, H, S, K, residual):  # type: ignore[no-untyped-def]
     """
-    Hold an innovation against the sensitivity ``s``, which is corrected in place.
+    Regress an innovation on the clock offset; the sensitivity ``s`` is corrected in place.
 
     Parameters
     ----------
@@ -173,34 +175,34 @@ def regress(s, velocity_n, acceleration_n, z, H, S, K, missing):  # type: ignore
         Now.
     z, H, S, K : ndarray, shape (m,), (m, 15), (m, m), (15, m)
         See `Correction`.
-    missing : float
-        Offset believed so far [s].
+    residual : float
+        Estimate of the offset so far [s].
 
     Returns
     -------
-    information, pull, nis : float
-        With what ``residual`` leaves of the innovation, r, and its factor h on the offset:
+    information, gradient, nis : float
+        With the innovation's factor h on the offset, and r = z - h residual:
         h' S^-1 h, h' S^-1 r, r' S^-1 r.
     """
     m = len(z)
-    factor, left = np.empty(m), np.empty(m)
+    factor, rest = np.empty(m), np.empty(m)
     for a in range(m):
         total = 0.0
         for k in range(N_ERROR):
             total += H[a, k] * s[k]
         for i in range(3):
             total += H[a, i] * velocity_n[i] + H[a, 3 + i] * acceleration_n[i]
-        factor[a], left[a] = total, z[a] - total * missing
+        factor[a], rest[a] = total, z[a] - total * residual
     root = S.copy()
     factorise(root)
-    weighted_factor, weighted_left = factor.copy(), left.copy()
+    weighted_factor, weighted_rest = factor.copy(), rest.copy()
     solve(root, weighted_factor)
-    solve(root, weighted_left)
-    information, pull, nis = 0.0, 0.0, 0.0
+    solve(root, weighted_rest)
+    information, gradient, nis = 0.0, 0.0, 0.0
     for a in range(m):
         information += factor[a] * weighted_factor[a]
-        pull += factor[a] * weighted_left[a]
-        nis += left[a] * weighted_left[a]
+        gradient += factor[a] * weighted_rest[a]
+        nis += rest[a] * weighted_rest[a]
         for i in range(N_ERROR):
             s[i] -= K[i, a] * factor[a]
-    return information, pull, nis
+    return information, gradient, nis

@@ -1,5 +1,5 @@
 """
-Which measurements are believed, and the way back when belief itself went wrong.
+Chi-square gate on the innovation, with recovery after sustained rejection.
 
 References
 ----------
@@ -20,29 +20,29 @@ from hybrid_ins.core.measurements import Measurement
 
 Array = NDArray[np.float64]
 
-BARELY = 0.5  # of the threshold: a NIS beyond it, after refusals that agree with it, is no fit
-UNSEEN_ACCELERATION = 10.0  # m/s², the most that an INS mistakes: a tilt unknown altogether
+MARGINAL = 0.5  # of the threshold: a NIS above it, after consistent rejections, is no agreement
+MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """
-    What became of one measurement.
+    The decision on one measurement.
 
     Attributes
     ----------
     measurement : Measurement
-        The one that was judged.
+        The one that was decided on.
     accepted : bool
         It was fused.
     reason : str
-        Why not, or what was done besides fusing; empty for a plain fusion.
+        Why it was rejected, or what was done besides fusing; empty for a plain fusion.
     age : float
-        How far it lay behind the IMU when it was decided [s].
+        How far it lay behind the IMU when it was decided on [s].
     nis : float
-        Normalised innovation squared; NaN when it did not get that far.
+        Normalised innovation squared; NaN where it was not computed.
     threshold : float
-        What the NIS was held against.
+        Largest NIS that is accepted.
     sigma : ndarray, shape (m,)
         Standard deviations used for the measurement, NED [m or m/s].
     log_det : float
@@ -50,8 +50,8 @@ class Verdict:
     inflated : bool
         The covariance was inflated for this measurement, see `Gate`.
     jump : bool
-        It is refused, and belongs to a run of refusals that began with a jump: no error of an
-        INS grows that fast.
+        It is rejected, in a run of rejections that began with a jump: no error of an INS grows
+        that fast.
     """
 
     measurement: Measurement
@@ -67,34 +67,34 @@ class Verdict:
 
     @classmethod
     def rejected(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
-        """Return the verdict on a measurement that never met the state."""
+        """Return the verdict on a measurement that was not compared with the state."""
         return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
 
 
 @dataclass(frozen=True, slots=True)
-class _Refusals:
-    """A run of measurements refused one after the other."""
+class _Rejections:
+    """A run of measurements rejected one after the other."""
 
     first_ns: int
-    agreeing_ns: int  # since when they agree
+    consistent_ns: int  # since when they are consistent with each other
     z: Array  # innovation of the last
-    jump: bool  # the first came out of the blue
+    jump: bool  # the first was one
 
 
 class Gate:
     """
-    Chi-square test of the innovation, with a limit on how long it may say no.
+    Chi-square test of the innovation, with a limit on the duration of rejections.
 
-    Measurements that are refused without interruption for ``patience`` seconds, and agree with
-    each other, are taken for right and the state for wrong: the next one opens the state
-    (`Verdict.inflated`). Those that contradict each other have to wait three times as long, but not
-    for ever. Where the covariance has grown meanwhile until such a measurement barely fits, the
-    state is as wrong, and opened as well.
+    Measurements that are rejected without interruption for ``patience`` seconds, and are consistent
+    with each other, are assumed right and the state wrong: for the next one the covariance is
+    inflated (`Verdict.inflated`). Inconsistent ones have to wait three times as long. Where the
+    covariance has grown meanwhile until such a measurement is just below the threshold, the state
+    is as wrong, and the covariance is inflated as well.
 
     Parameters
     ----------
     thresholds : mapping of int to float
-        Largest NIS that is fused, by the number of components.
+        Largest NIS that is accepted, by the number of components.
     patience : float
         [s].
     """
@@ -102,7 +102,7 @@ class Gate:
     def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
-        self._refusals: dict[str, _Refusals] = {}
+        self._rejections: dict[str, _Rejections] = {}
 
     def threshold(self, components: int) -> float:
         """Return the largest NIS of a measurement with so many components that is fused."""
@@ -127,21 +127,21 @@ class Gate:
         sigma = np.sqrt(R.diagonal())
         log_det = log_determinant(S)
         kind, t_ns = measurement.kind, measurement.t_ns
-        last = self._refusals.get(kind)
-        others = {k: run for k, run in self._refusals.items() if k != kind}
+        last = self._rejections.get(kind)
+        others = {k: run for k, run in self._rejections.items() if k != kind}
         first_ns = last.first_ns if last else t_ns
-        agreeing_ns = last.agreeing_ns if last and _agree(last.z, z, R) else t_ns
+        consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
         patience_ns = self._patience_ns
         if nis <= threshold:
-            barely = nis > BARELY * threshold and t_ns - agreeing_ns > patience_ns // 3
-            if not (barely and measurement.aiding):
-                self._refusals = others
+            marginal = nis > MARGINAL * threshold and t_ns - consistent_ns > patience_ns // 3
+            if not (marginal and measurement.aiding):
+                self._rejections = others
                 return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
         elif not measurement.aiding or (
-            t_ns - agreeing_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
+            t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            jump = last.jump if last else _jumps(kind, z, R, interval)
-            self._refusals = {**others, kind: _Refusals(first_ns, agreeing_ns, z, jump)}
+            jump = last.jump if last else _is_jump(kind, z, R, interval)
+            self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             return Verdict(
                 measurement,
                 False,
@@ -153,11 +153,11 @@ class Gate:
                 log_det,
                 jump=jump,
             )
-        self._refusals = others
+        self._rejections = others
         return Verdict(
             measurement,
             True,
-            f"refused for {(t_ns - first_ns) * 1e-9:.1f} s: state opened to the measurement",
+            f"rejected for {(t_ns - first_ns) * 1e-9:.1f} s: covariance inflated, then accepted",
             age,
             nis,
             threshold,
@@ -167,14 +167,14 @@ class Gate:
         )
 
 
-def _jumps(kind: str, z: Array, R: Array, interval: float) -> bool:
-    """Tell whether an innovation is larger than an unseen acceleration could have made it."""
-    grown = UNSEEN_ACCELERATION * interval * (0.5 * interval if kind == "position" else 1.0)
+def _is_jump(kind: str, z: Array, R: Array, interval: float) -> bool:
+    """Return whether no acceleration error can have made an innovation so large."""
+    grown = MAX_ACCELERATION_ERROR * interval * (0.5 * interval if kind == "position" else 1.0)
     return float(np.linalg.norm(z)) > grown + 5.0 * float(np.sqrt(np.trace(R)))
 
 
-def _agree(last: Array, z: Array, R: Array) -> bool:
-    """Tell whether two innovations say the same of the state: a shift, or one that grows."""
+def _are_consistent(last: Array, z: Array, R: Array) -> bool:
+    """Return whether two innovations show one error of the state: constant, or growing."""
     m = min(len(last), len(z))
     change = float(np.linalg.norm(z[:m] - last[:m]))
     return change <= max(0.5 * float(np.linalg.norm(z)), 4.0 * float(np.sqrt(np.trace(R))))

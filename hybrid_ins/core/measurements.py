@@ -1,10 +1,10 @@
 """
 What aiding sensors measure, as innovation z, matrix H of the error state and covariance R.
 
-A measurement is a small frozen record that knows its own model: the filter asks it to linearise
-and does not know which kind it holds. With errors as true minus estimated, z is measured minus
-predicted. A component the sensor did not give (NaN) is left out. Records are valid by
-construction: `conversions` refuses what is not.
+A measurement is a small frozen record with its own model: the filter calls its ``linearise`` and
+does not depend on its kind. With errors as true minus estimated, z is measured minus
+predicted. A component that the sensor did not give (NaN) is left out. Records are valid by
+construction: `conversions` rejects what is not.
 
 References
 ----------
@@ -174,7 +174,7 @@ class VelocityFix:
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """Neither velocity nor turn: what a standing vehicle's IMU tells besides its readings."""
+    """Zero velocity, and zero rotation relative to the Earth: a standing vehicle."""
 
     t_ns: int  # ns
     rate_b: Array  # (3,) rad/s, mean of the gyroscopes' readings

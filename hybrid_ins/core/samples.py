@@ -1,7 +1,9 @@
 """
 Arrays of IMU samples, and the ring buffer of the recent ones.
 
-All stamps are integer nanoseconds on the IMU's clock; all vectors are in the b frame.
+All stamps are integer nanoseconds on the IMU's clock; all vectors are in the b frame. Samples have
+one type, ``SAMPLE_DTYPE``. A live sample is passed as the seven numbers of one: to make an object of
+each takes 1.4 (a named tuple) to 6.5 times (an array) as long as to filter it.
 """
 
 from __future__ import annotations

@@ -431,11 +431,11 @@ def test_outlier_is_refused_and_leaves_no_trace() -> None:
     assert np.max(np.abs(difference(ins.nav, clean.nav)[:3])) < 1e-4
 
 
-def test_fixes_refused_for_long_are_believed_at_last() -> None:
+def test_fixes_rejected_for_long_are_accepted_at_last() -> None:
     """
     GIVEN fixes that jumped by 50 m and stay there
     WHEN they have been refused for the gate's patience
-    THEN the state opens, goes there within one fix, and says so.
+    THEN the covariance is inflated, the state goes there within one fix, and the verdict says so.
     """
     truth = flight()
     ins = gated(truth)
@@ -445,9 +445,9 @@ def test_fixes_refused_for_long_are_believed_at_last() -> None:
 
     accepted = [v.accepted for v in ins.verdicts]
     assert accepted == [True] * 5 + [False] * 5 + [True] * 9
-    opened = [v for v in ins.verdicts if v.inflated]
-    assert [v.measurement.t_ns for v in opened] == [11 * SECOND // 5]
-    assert "opened" in opened[0].reason
+    inflated = [v for v in ins.verdicts if v.inflated]
+    assert [v.measurement.t_ns for v in inflated] == [11 * SECOND // 5]
+    assert "inflated" in inflated[0].reason
     assert difference(truth.flat(-1), ins.nav)[0] == pytest.approx(-50.0, abs=0.5)
     np.linalg.cholesky(ins.state.P)
 
