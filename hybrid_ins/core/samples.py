@@ -2,8 +2,8 @@
 Arrays of IMU samples, and the ring buffer of the recent ones.
 
 All stamps are integer nanoseconds on the IMU's clock; all vectors are in the b frame. Samples have
-one type, ``SAMPLE_DTYPE``. A live sample is passed as the seven numbers of one: to make an object of
-each takes 1.4 (a named tuple) to 6.5 times (an array) as long as to filter it.
+one type, ``SAMPLE_DTYPE``. A live sample is passed as its seven numbers: filtering takes 1.4 times
+as long with a named tuple for each, and 6.5 times with an array.
 """
 
 from __future__ import annotations

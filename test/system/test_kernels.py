@@ -21,8 +21,7 @@ from hybrid_ins.core import compilation
 from hybrid_ins.replay import replay
 
 STEP = (
-    "from hybrid_ins import kernel_cache, kernels; "
-    "kernel_cache.enable(); kernels._compile_output()"
+    "from hybrid_ins import kernel_cache, kernels; kernel_cache.enable(); kernels._compile_output()"
 )
 
 
