@@ -255,18 +255,14 @@ def test_imu_table(tmp_path: Path, encode: Callable[[int], bytes]) -> None:
     assert table.stamp_ns.dtype == table.log_ns.dtype == np.int64
 
 
-def test_bulk_is_fast(tmp_path: Path) -> None:
-    """Ten minutes at 200 Hz; the limits leave a factor of five for a busy machine."""
+def test_ten_minutes_at_200_hz_are_read_whole(tmp_path: Path) -> None:
     data = serialised(imu_message(1))
-    start = time.process_time()
     with BagWriter(tmp_path / "bag.mcap") as bag:
         for k in range(120_000):
             bag.write_raw("/imu/data", IMU, data, stamp_ns(k))
-    written = time.process_time()
     with BagReader(tmp_path / "bag.mcap") as bag:
-        assert len(bag.imu().stamp_ns) == 120_000
-    assert written - start < 1.2
-    assert time.process_time() - written < 0.8
+        table = bag.imu()
+    np.testing.assert_array_equal(table.log_ns, [stamp_ns(k) for k in range(120_000)])
 
 
 # --- errors that the user can act on --------------------------------------------------------------
@@ -455,9 +451,7 @@ def test_mutated_files_are_read_or_refused(
     refused = 0
     for seed in range(300):
         mutant.write_bytes(mutate(data, seed))
-        start = time.monotonic()
         complaint = complaint_about(mutant)
-        assert time.monotonic() - start < 5
         if complaint:
             refused += 1
             assert str(mutant) in complaint

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -193,13 +192,6 @@ def test_the_nominal_flight_flies_eights_with_straight_legs() -> None:
     assert (course_rate < -0.5).mean() > 0.15
     assert (np.abs(course_rate) < 0.05).mean() > 0.1
     assert np.ptp(truth.lla[:, 2]) == pytest.approx(15.0, abs=2.0)
-
-
-def test_ten_minutes_of_truth_take_seconds() -> None:
-    begin = time.process_time()
-    sample(quadrotor_flight(600.0), sample_times(600.0, 100.0))
-
-    assert time.process_time() - begin < 3.0
 
 
 # --- IMU errors -----------------------------------------------------------------------------------
