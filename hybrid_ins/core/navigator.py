@@ -133,10 +133,9 @@ class Navigator:
     def _enter(self, phase: Phase) -> None:
         """Change the phase; every transition passes here."""
         self.phase = phase
-        self.filter: InsFilter | None = None
+        self.filter: InsFilter | None = phase.filter  # beside the phase: read at every sample
         self.stamps.steady_ns = self.stamps.max_gap_ns
-        if isinstance(phase, Running):
-            self.filter = phase.filter
+        if phase.filter is not None:
             self.stamps.steady_ns = min(phase.filter.long_step_ns, self.stamps.max_gap_ns)
 
     def _forget_given_heading(self) -> None:
@@ -146,14 +145,12 @@ class Navigator:
     @property
     def bank(self) -> MultipleModelBank | None:
         """The filters of several hypotheses: of the heading, or of the clock offset."""
-        if isinstance(self.phase, Searching):
-            return self.phase.bank
-        return self.phase.clock_search if isinstance(self.phase, Running) else None
+        return self.phase.bank
 
     @property
     def best(self) -> InsFilter | None:
         """The filter, or the likeliest while searching: its position is good already."""
-        return self.phase.bank.best if isinstance(self.phase, Searching) else self.filter
+        return self.phase.best
 
     @property
     def filters(self) -> list[InsFilter]:
@@ -219,20 +216,11 @@ class Navigator:
             self._discard_samples()
         else:
             self._events.append(Restarted(RestartCause.NO_SAMPLES, seconds))
-            kept = self._heading_after(seconds)
+            kept = _heading_after(seconds, self.filter, self.monitor.standing)
             self._discard_samples()
             self._forget_given_heading()
             if kept is not None:
                 self.set_yaw(t_ns, *kept)
-
-    def _heading_after(self, gap: float) -> tuple[float, float] | None:
-        """Heading and its uncertainty [rad] after seconds without samples, if still of use."""
-        if self.filter is None:
-            return None
-        state = self.filter.state
-        rate = 0.1 * TURN_IN_GAP if self.monitor.standing else TURN_IN_GAP
-        std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
-        return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None
 
     # Headings for the start.
 
@@ -283,7 +271,7 @@ class Navigator:
         """Continue the search for the clock offset beside the filter; due some times a second."""
         if not isinstance(self.phase, Running):
             return
-        running, bank = self.phase.filter, self.phase.clock_search
+        running, bank = self.phase.filter, self.phase.bank
         if bank is not None:
             bank.advance(self.ring, self.last_ns)
             self._decide(bank)
@@ -405,3 +393,15 @@ class Navigator:
         if len(self._resets) == RESETS and t_ns - self._resets[0] < RESETS_NS and speed > 1.0:
             self._biases.clear()
             self.give_up(RestartCause.REPEATED_RESETS)
+
+
+def _heading_after(
+    gap: float, running: InsFilter | None, standing: bool
+) -> tuple[float, float] | None:
+    """Heading and its uncertainty [rad] after seconds without samples, if still of use."""
+    if running is None:
+        return None
+    state = running.state
+    rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
+    std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
+    return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None

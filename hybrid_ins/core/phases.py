@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,10 @@ class Aligning:
 
     alignment: Alignment
 
+    filter: ClassVar[InsFilter | None] = None
+    best: ClassVar[InsFilter | None] = None
+    bank: ClassVar[MultipleModelBank | None] = None
+
 
 @dataclass(frozen=True, slots=True)
 class Searching:
@@ -50,13 +54,25 @@ class Searching:
 
     bank: MultipleModelBank
 
+    filter: ClassVar[InsFilter | None] = None
+
+    @property
+    def best(self) -> InsFilter:
+        """The likeliest filter: its position is good already."""
+        return self.bank.best
+
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """One filter; ``clock_search`` holds others beside it that find the clock offset."""
+    """One filter; ``bank`` holds others beside it that find the clock offset."""
 
     filter: InsFilter
-    clock_search: ClockSearch | None = None
+    bank: ClockSearch | None = None
+
+    @property
+    def best(self) -> InsFilter:
+        """The filter."""
+        return self.filter
 
 
 Phase = Aligning | Searching | Running

@@ -20,7 +20,6 @@ from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
-from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import conversions, diagnostics, wording
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
@@ -28,6 +27,7 @@ from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
 from hybrid_ins.ros.filter_factory import FilterFactory
 from hybrid_ins.ros.imu_input import NO_READING, ImuInput
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.noise_input import NoiseInput
 from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import Reporter
 from hybrid_ins.ros.reports import Odometry, OdometryBlock, Report, Status
@@ -73,10 +73,10 @@ class Estimator:
         self._odometry = OdometrySource()
         self._imu = ImuInput(values, self.navigator, self._placement, self._odometry, self.inputs)
         self._reporter = Reporter(values, self.navigator, self.inputs)
-        self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None
+        self._noise = NoiseInput(self.navigator, log)
+        self._noise.configure(values, self._placement.mount)
         self._restart_schedule()
         self._convert_gnss()
-        self._start_reader()
         if values["datum"]:
             latitude, longitude, height = values["datum"]
             lla = np.array([math.radians(latitude), math.radians(longitude), height])
@@ -85,7 +85,7 @@ class Estimator:
     def _restart_schedule(self) -> None:
         """Make everything periodic due at the next sample."""
         self._due_ns = 1  # when `run_periodic` has something to do
-        self._report_ns = self._refresh_ns = 0
+        self._report_ns = 0
 
     def _convert_gnss(self) -> None:
         """Convert fixes by the present parameters, placement and clock offset."""
@@ -94,14 +94,6 @@ class Estimator:
             lever_b=self._placement.lever_b,
             time_offset=self.clock.offset,
         )
-
-    def _start_reader(self) -> None:
-        """Read noise levels off the samples, where ``noise.mode`` asks for it."""
-        self._reader: NoiseReader | None = None
-        if self.values["noise.mode"] == "learned":
-            self._reader = NoiseReader(self.values, self._placement.mount, self.inputs.log)
-            if self._lookahead is not None:
-                self._reader.preload(*self._lookahead)
 
     def _set_datum(self, lla: Array, t_ns: int) -> None:
         self._odometry.map = MapFrame(lla)
@@ -151,15 +143,13 @@ class Estimator:
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused
             ),
             diagnostics.input_status(self.navigator, self.counts),
-            diagnostics.noise_status(self.navigator, self._reader, mode),
+            diagnostics.noise_status(self.navigator, self._noise.reader, mode),
             self.clock.status(),
         ]
 
     def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
         """Provide what `handle_imu_block` will be given, see `NoiseReader.preload`."""
-        self._lookahead = t_ns, force, rate
-        if self._reader is not None:
-            self._reader.preload(*self._lookahead)
+        self._noise.preload(t_ns, force, rate)
 
     # Control.
 
@@ -176,7 +166,7 @@ class Estimator:
                 noise = self._parts.noise(running.noise.process.period)
                 running.submit(NoiseChange(running.t_ns, noise))
         if noise_changes:
-            self._start_reader()
+            self._noise.configure(self.values, self._placement.mount)
 
     def reset(self) -> None:
         """Discard the state and align anew; the map stays where it is."""
@@ -188,6 +178,7 @@ class Estimator:
         self._odometry.restart()
         self._reporter.restart()
         self.clock.restart()
+        self._noise.restart()
         self._restart_schedule()
 
     def handle_initial_pose(self, message: Message) -> None:
@@ -212,7 +203,7 @@ class Estimator:
 
     def _on_moved_sensors(self) -> None:
         self._convert_gnss()
-        self._start_reader()
+        self._noise.configure(self.values, self._placement.mount)
         if self.navigator.ring.count:
             self.reset()
 
@@ -320,9 +311,7 @@ class Estimator:
         if t_ns < self._due_ns and not self.navigator.has_events:
             return
         self._handle_events()
-        if self._reader is not None and t_ns >= self._refresh_ns:
-            self._refresh_ns = t_ns + int(self.values["noise.refresh_period"] * 1e9)
-            self.navigator.submit(self._reader.read(self.navigator.ring, t_ns))
+        self._noise.run_periodic(t_ns)
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
             self.navigator.check_imu()
@@ -331,9 +320,7 @@ class Estimator:
             self._reporter.report_state(t_ns, self._placement.arm_b)
             if self._reporter.is_diagnostics_due(t_ns):
                 self._reporter.report_diagnostics(t_ns, self.diagnostics(t_ns))
-        self._due_ns = self._report_ns
-        if self._reader is not None:
-            self._due_ns = min(self._due_ns, self._refresh_ns)
+        self._due_ns = min(self._report_ns, self._noise.next_ns)
 
     def _handle_events(self) -> None:
         for event in self.navigator.pop_events():

@@ -149,17 +149,12 @@ class Recorded(Estimator):
         self, values: Mapping[str, Any], first_ns: int, told: Callable[[int], Array] | None
     ) -> None:
         self.first_ns = first_ns
-        self._told = told
         self.rows: list[tuple[int, str, bool, str, float, float, float, float]] = []
         self.levels_t: list[float] = []  # s, and the levels in force then
         self.levels: list[Array] = []
         super().__init__(values, lambda level, text: None)
-
-    def _start_reader(self) -> None:
-        super()._start_reader()
-        if self._told is not None:
-            mount, log = self._placement.mount, self.inputs.log
-            self._reader = _Told(self.values, mount, log, self._told)
+        if told is not None:
+            self._noise.reader = _Told(values, self._placement.mount, self.inputs.log, told)
 
     def _handle_events(self) -> None:
         running = self.navigator.filter
