@@ -15,6 +15,7 @@ from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.calibration.recording import antenna_is_base, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
 from hybrid_ins.cli import options, program
+from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 
@@ -30,7 +31,7 @@ EXAMPLE = "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot cali
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = program.parser("ins_calibrate", DESCRIPTION, EXAMPLE)
-    parser.add_argument("bags", metavar="BAG", nargs="+", help="recordings of one robot")
+    parser.add_argument("bags", metavar="BAG", nargs="+", type=Path, help="recordings of one robot")
     parser.add_argument("--out", metavar="F", type=Path, help="parameter file to write (YAML)")
     parser.add_argument(
         "--plot", metavar="F", type=Path,
@@ -65,11 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _body(args: argparse.Namespace) -> int:
     values = options.parameter_values(args)
+    inputs = [*args.bags, *([Path(args.params_file)] if args.params_file else [])]
     if args.out:
-        options.check_new(args.out, args.overwrite)
+        check_output(args.out, inputs, args.overwrite)
     if args.plot:
-        style.check(args.plot)
-    paths = [Path(bag) for bag in args.bags]
+        style.check(args.plot, inputs)
     recordings = [
         read_recording(
             path,
@@ -78,7 +79,7 @@ def _body(args: argparse.Namespace) -> int:
             use_truth=args.use_truth,
             longest=args.longest,
         )
-        for path in paths
+        for path in args.bags
     ]
     kernels.prepare(partial(_log, "info"), calibration=True)
     with _Stages() as stages:
@@ -89,17 +90,18 @@ def _body(args: argparse.Namespace) -> int:
             search=args.search,
             nose_first=args.nose_first,
             trust_fixes=args.use_truth,
-            antenna_is_base=antenna_is_base(paths, values, args.fix_topic),
+            antenna_is_base=antenna_is_base(args.bags, values, args.fix_topic),
             on_stage=stages.start,
             log=_log,
         )
+    if args.out:  # before the text: whoever reads that may stop reading
+        write_text(args.out, parameter_file(found))
+    if args.plot:
+        style.save(figure(found), args.plot)
     print(table(found.findings))
     print(innovation_line(found))
     if args.out:
-        args.out.write_text(parameter_file(found), encoding="utf-8")
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")
-    if args.plot:
-        style.save(figure(found), args.plot)
     return 0
 
 

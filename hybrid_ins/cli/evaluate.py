@@ -15,7 +15,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation import report
 from hybrid_ins.evaluation.evaluate import evaluate_run
-from hybrid_ins.evaluation.result import Scoring
+from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run import Run, Topics
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
@@ -138,26 +138,32 @@ def _run(args: argparse.Namespace) -> int:
     [path] = args.estimate
     run = _read(path, truth=args.truth, topics=topics, no_truth=args.no_truth)
     result = evaluate_run(run, scoring)
+    written = _write_files(args, run, result)
     if args.json:
         bags = {"estimate": str(path), "truth": str(args.truth or path)}
         print(json.dumps({**bags, **result.as_dict()}, indent=2, allow_nan=False))
     else:
         print(table(result))
+        for kind, file in written:
+            print(f"{kind}: {file}")
+    return 0
+
+
+def _write_files(args: argparse.Namespace, run: Run, result: Result) -> list[tuple[str, Path]]:
+    """Write picture, report and trajectories; return the kind and path of each."""
+    written: list[tuple[str, Path]] = []
     if args.plot is not None:
         style.save(overview(run, result), args.plot)
-        if not args.json:
-            print(f"picture: {args.plot}")
+        written.append(("picture", args.plot))
     if args.report is not None:
         picture = io.BytesIO()
         style.write(overview(run, result), picture, "png")
         write_text(args.report, report.page(run, result, picture.getvalue()))
-        if not args.json:
-            print(f"report: {args.report}")
+        written.append(("report", args.report))
     for path in args.export:
         export(run.estimate, run.name, path)
-        if not args.json:
-            print(f"trajectory: {path}")
-    return 0
+        written.append(("trajectory", path))
+    return written
 
 
 def _evaluate_many(args: argparse.Namespace, topics: Topics, scoring: Scoring) -> int:

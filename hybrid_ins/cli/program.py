@@ -1,6 +1,7 @@
 """The shell around every program: option parser, messages on stderr, exit status."""
 
 import argparse
+import io
 import logging
 import os
 import signal
@@ -27,8 +28,12 @@ class Terminated(BaseException):
 def parser(name: str, description: str, example: str = "") -> argparse.ArgumentParser:
     """Build the option parser of program `name`.
 
-    `description` and `example` keep their line breaks in ``--help``.
+    `description` and `example` keep their line breaks in ``--help``. From here on, characters that
+    the terminal's encoding lacks are printed as question marks.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     result = argparse.ArgumentParser(
         prog=name,
         description=description,

@@ -23,6 +23,7 @@ from support.recordings import (
     write_track,
     write_verdict,
 )
+from support.streams import closed_pipe
 
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.cli.evaluate import main
@@ -727,3 +728,15 @@ class TestProgram:
         _, error = run_program(capsys, 2, tmp_path / "estimate", "--truth", truth_bag)
 
         assert "no usable message" in error
+
+    def test_a_closed_pipe_does_not_lose_picture_report_and_track(
+        self, estimate_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        pytest.importorskip("matplotlib")
+        files = [tmp_path / name for name in ("run.svg", "run.html", "run.csv")]
+        options = zip(("--plot", "--report", "--export"), map(str, files), strict=True)
+
+        with closed_pipe(monkeypatch):
+            assert main([str(estimate_bag), "--no-truth", *(p for o in options for p in o)]) == 0
+
+        assert all(file.stat().st_size > 1000 for file in files)

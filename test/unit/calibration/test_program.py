@@ -1,0 +1,93 @@
+"""``ins_calibrate``: what it finds is not lost, and no input is lost either."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.streams import closed_pipe, latin_1
+
+from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import Calibration, Finding
+from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.cli import calibrate as program
+from hybrid_ins.errors import InputError
+from hybrid_ins.parameter_file import load
+from hybrid_ins.parameters import defaults
+
+
+def found() -> Calibration:
+    """Return a calibration without the work."""
+    one = FilterPass(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.ones(5), np.empty((0, 1)))
+    fitted = Fit(
+        ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (), np.zeros(1),
+        np.zeros((1, 1)), np.array([0.0]),
+    )  # fmt: skip
+    values = {**defaults(), "gnss.time_offset.value": 0.1}
+    notes = {"gnss.time_offset.value": "identified: clock offset ± 0.01 s"}
+    findings = [Finding("clock offset", "+0.1 s", "0.01 s", "identified", "σ")]
+    return Calibration(fitted, [one], [one], findings, values, notes)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
+    """Run the program in a folder with a bag, reading and fitting left out."""
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(program, "read_recording", lambda *args, **options: None)
+    monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
+    monkeypatch.setattr(program, "calibrate", lambda *args, **options: found())
+    monkeypatch.setattr(program.kernels, "prepare", lambda *args, **options: None)
+    return lambda *arguments: program.main(list(arguments))
+
+
+def test_a_closed_pipe_does_not_lose_the_file(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closed_pipe(monkeypatch):
+        assert run("bag", "--out", "robot.yaml") == 0
+
+    assert load("robot.yaml")["gnss.time_offset.value"] == 0.1
+
+
+def test_any_terminal_shows_the_table(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with latin_1(monkeypatch) as shown:
+        assert run("bag", "--out", "robot.yaml") == 0
+        text = shown.getvalue().decode("latin-1")
+
+    assert "identified: ?" in text  # for the σ
+    assert "robot.yaml: for ins_node" in text
+    assert "± 0.01 s" in Path("robot.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("out", ["bag", "bag/bag_0.mcap", "other/../bag", "link", "given.yaml"])
+@pytest.mark.parametrize("option", ["--out", "--plot"])
+def test_no_input_is_replaced(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str], option: str, out: str
+) -> None:
+    Path("other").mkdir()
+    Path("link").symlink_to("bag")
+    Path("given.yaml").write_text("/**:\n  ros__parameters:\n    gnss.max_delay: 1.0\n")
+
+    assert run("bag", "--params-file", "given.yaml", option, out, "--overwrite") == 2
+
+    error = capsys.readouterr().err
+    assert ("is the input" if option == "--out" else ".png") in error
+    assert Path("bag/bag_0.mcap").read_bytes() == b"recording"
+    assert "max_delay" in Path("given.yaml").read_text()
+
+
+def test_a_failed_run_leaves_nothing_that_blocks_the_next(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*args: object, **options: object) -> Calibration:
+        raise InputError("not today")
+
+    with monkeypatch.context() as m:
+        m.setattr(program, "calibrate", fail)
+        assert run("bag", "--out", "robot.yaml") == 2
+    assert sorted(p.name for p in Path.cwd().iterdir()) == ["bag"]
+    assert run("bag", "--out", "robot.yaml") == 0
