@@ -1,25 +1,23 @@
 """Arrows point inward only: what each part of the package may import."""
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from support.paths import ROOT
 
-PACKAGE = ROOT / "hybrid_ins"
-MODULES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
-    for path in sorted(PACKAGE.rglob("*.py"))
-}
+from tools import structure
+from tools.structure import is_below
+
+MODULES = structure.read_modules()
 CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
 OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
 LIBRARIES = 3
 FLOORS = {
     **dict.fromkeys(("core", "errors", "output_file", "progress", "resources", "yaml_reader"), 0),
     **dict.fromkeys(("parameter", "parameter_list", "parameters", "parameter_file"), 1),
-    "noise_regressor": 1,
+    **dict.fromkeys(("kernel_cache", "noise_regressor"), 1),
     "ros": 2,
     "cli": 4,
 }
@@ -32,23 +30,23 @@ NOT_FOR_EVERYONE = {
 }
 
 
-def imports(module: str) -> Iterator[str]:
-    """Yield the full name of everything that a module imports, anywhere in its text."""
-    path = MODULES[module]
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) - node.level + 1]
-            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
-            for alias in node.names:
-                inner = f"{base}.{alias.name}"
-                yield inner if inner in MODULES else base
+LONG_FILES = {
+    "hybrid_ins.bags.mcap_file",
+    "hybrid_ins.core.navigator",
+    "hybrid_ins.core.smoother",
+    "hybrid_ins.parameter_list",
+    "hybrid_ins.ros.node",
+}
+LONG_CLASSES = {
+    "hybrid_ins.core.ins_filter.InsFilter",
+    "hybrid_ins.core.navigator.Navigator",
+    "hybrid_ins.core.smoother.Smoother",
+    "hybrid_ins.ros.estimator.Estimator",
+}
 
 
-def is_below(name: str, package: str) -> bool:
-    return name == package or name.startswith(package + ".")
+def imports(module: str) -> frozenset[str]:
+    return MODULES[module].imports
 
 
 @pytest.mark.parametrize("module", sorted(CORE))
@@ -94,15 +92,45 @@ def test_nothing_but_programs_imports_a_program() -> None:
 
 
 def test_no_import_goes_in_a_circle() -> None:
-    left = {m: {name for name in imports(m) if name in MODULES} - {m} for m in MODULES}
-    while leaves := {m for m, needed in left.items() if not needed & left.keys()}:
-        left = {m: needed for m, needed in left.items() if m not in leaves}
+    assert not structure.in_cycles(MODULES)
 
-    assert not left
+
+def test_no_more_files_and_classes_are_long() -> None:
+    assert set(structure.long_files(MODULES)) <= LONG_FILES
+    assert set(structure.long_classes(MODULES)) <= LONG_CLASSES
+
+
+def test_an_imu_message_is_a_few_steps_from_the_covariance_equation() -> None:
+    road = structure.imu_road()
+
+    assert road[0] == "ros/node.py: _on_imu"
+    assert road[-1] == "core/_covariance_step.py: covariance_step"
+    assert len({step.partition(":")[0] for step in road[:-1]}) <= 6
+    assert len(road) <= 8
+
+
+def test_a_cycle_and_what_is_too_long_are_found(tmp_path: Path) -> None:
+    package = tmp_path / "some"
+    package.mkdir()
+    for name, text in {
+        "__init__": "",
+        "a": "from some import b",
+        "b": "from .c import thing",
+        "c": "import some.a\nthing = 1",
+        "d": "from some import b\n" + "x = 1\n" * 400,
+        "e": "class Long:\n" + "    x = 1\n" * 250,
+    }.items():
+        (package / f"{name}.py").write_text(text)
+
+    modules = structure.read_modules(tmp_path, "some")
+
+    assert structure.in_cycles(modules) == {"some.a", "some.b", "some.c", "some.d"}
+    assert structure.long_files(modules) == {"some.d": 401}
+    assert structure.long_classes(modules) == {"some.e.Long": 251}
 
 
 def test_dictionary_imports_nothing() -> None:
-    assert not list(imports("hybrid_ins"))
+    assert not imports("hybrid_ins")
 
 
 def test_importing_the_core_loads_no_outer_library() -> None:
