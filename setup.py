@@ -12,6 +12,7 @@ NAME = MANIFEST.findtext("name")
 
 # What the live node needs; test/system/test_packaging.py runs its estimator with nothing else.
 NODE = [
+    "mcap>=1.1",
     "numba>=0.58",
     "numpy>=1.26",
     "onnxruntime>=1.17",
@@ -20,7 +21,6 @@ NODE = [
 
 # What the other programs need besides: bags, simulation, calibration and evaluation.
 OFFLINE = [
-    "joblib>=1.4",
     "rosbags>=0.11",
     "scipy>=1.11",
     "tqdm>=4.60",
@@ -54,7 +54,6 @@ EXTRAS = {
         "colcon-ros",
         "evo",
         "hypothesis",
-        "mcap",
         "pytest",
         "pytest-cov",
         "pytest-timeout",

@@ -17,8 +17,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from hybrid_ins.bags import mcap_file
-from hybrid_ins.bags.mcap_file import Channel, McapReader, Record
+from hybrid_ins.bags.mcap_reader import MAGIC, Channel, McapReader, Record
 from hybrid_ins.bags.messages import TYPES, absolute, is_standard
 from hybrid_ins.errors import InputError
 
@@ -138,7 +137,7 @@ def open_recording(path: Path) -> Source:
         head = file.read(16)
     if not head:
         raise InputError(f"{path}: is empty (0 bytes): record it again")
-    if head.startswith(mcap_file.MAGIC):
+    if head.startswith(MAGIC):
         return McapReader(path)
     if head.startswith(b"SQLite format 3\0"):
         if path.suffix != ".db3":

@@ -8,6 +8,7 @@ them with or without the leading slash. Times are integer nanoseconds.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags.formats import open_recording
-from hybrid_ins.bags.mcap_file import Channel, McapReader, Record
+from hybrid_ins.bags.mcap_reader import Channel, Record
 from hybrid_ins.bags.messages import IMU, TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.cdr import ImuDecoder, imu_records, imu_rows
+from hybrid_ins.ros.cdr import ImuDecoder, imu_records
 from hybrid_ins.ros.conversions import imu_fields
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+INPUT_TOPICS = ("/imu/data", "/gnss/fix")  # where the input is expected
+
+_log = logging.getLogger(__name__)
 
 
 class InputTopics(TypedDict):
@@ -87,6 +93,7 @@ class BagReader:
         channels = {c: n for c, n in self._source.counts.items() if _is_readable(c)}
         self.topics: dict[str, str] = {c.topic: c.type_name for c in reversed(channels)}
         self._counts: dict[str, int] = {}
+        self._replaced: set[str] = set()
         for channel, count in channels.items():
             self._counts[channel.topic] = self._counts.get(channel.topic, 0) + count
         self.start_ns: int = self._source.start_ns
@@ -111,7 +118,10 @@ class BagReader:
 
     def require(self, topic: str, type_name: str, option: str) -> str:
         """
-        Check that a topic is there and of the right type.
+        Find a topic of the right type.
+
+        Where an input topic is missing under its usual name and only one topic has its type, that
+        one is taken, with a warning.
 
         Parameters
         ----------
@@ -137,11 +147,19 @@ class BagReader:
         found = self.topics.get(topic)
         if found == type_name:
             return topic
-        wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
         others = [  # a map's origin is no fix, and the truth no estimate
             name for name, other in self.topics.items()
             if other == type_name and name != "/datum" and not name.startswith("/truth/")
         ]  # fmt: skip
+        if not found and topic in INPUT_TOPICS and len(others) == 1:
+            if topic not in self._replaced:
+                self._replaced.add(topic)
+                _log.warning(
+                    "%s: no topic %s: reading %s, the only %s",
+                    *(self.path, topic, others[0], type_name),
+                )
+            return others[0]
+        wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
         way_out = (
             f"choose {' or '.join(sorted(others))} with {option}"
             if others
@@ -189,19 +207,14 @@ class BagReader:
 
         """
         topic = self.require(topic, IMU, option)
-        found = None
-        if isinstance(self._source, McapReader):
-            found = self._source.rows(lambda c: c.topic == topic and _is_readable(c))
+        messages = list(self._records([topic]))
+        if not messages:
+            raise InputError(f"{self.path}: no message on {topic} can be read: record it again")
+        log_ns = np.array([record[0] for record in messages], np.int64)
         try:
-            if found is not None:
-                log_ns, table = found[0], imu_rows(found[1])
-            else:
-                records = list(self._records([topic]))
-                log_ns = np.array([record[0] for record in records], np.int64)
-                table = imu_records([record[2] for record in records])
+            table = imu_records([record[2] for record in messages])
         except (ValueError, IndexError):
-            records = list(self._records([topic]))
-            return self._imu_one_by_one(records)
+            return self._imu_one_by_one(messages)
         return ImuTable(
             table["seconds"].astype(np.int64) * 1_000_000_000 + table["nanoseconds"],
             log_ns,

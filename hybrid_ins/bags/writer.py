@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hybrid_ins.bags.mcap_file import Channel, McapWriter
+from hybrid_ins.bags.mcap_reader import Channel
+from hybrid_ins.bags.mcap_writer import McapWriter
 from hybrid_ins.bags.messages import TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
 
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+LATCHED = ("/datum", "/truth/datum", "/tf_static")  # topics whose last message late readers get
+
 _METADATA = "metadata.yaml"
+_FOREVER = {"sec": 9_223_372_036, "nsec": 854_775_807}  # as rosbag2 writes it
 
 _log = logging.getLogger(__name__)
 
@@ -115,13 +118,6 @@ class BagWriter:
         if len(rows):
             self._writer.write_rows(self._number(topic, type_name), log_ns, rows)
 
-    def write_many(
-        self, topic: str, type_name: str, messages: Sequence[bytes], log_ns: Sequence[int]
-    ) -> None:
-        """Append many serialised messages with their log times."""
-        if messages:
-            self._writer.write_many(self._number(topic, type_name), log_ns, messages)
-
     def _number(self, topic: str, type_name: str) -> int:
         """Return a topic's channel, made if it is new."""
         number = self._numbers.get((topic, type_name))
@@ -140,7 +136,10 @@ class BagWriter:
         return self._writer.add_channel(
             Channel(topic, type_name, "cdr"),
             TYPES.generate_msgdef(type_name, ros_version=2)[0],
-            {"offered_qos_profiles": "", "topic_type_hash": TYPES.hash_rihs01(type_name)},
+            {
+                "offered_qos_profiles": yaml.safe_dump(_offered_qos(topic), sort_keys=False),
+                "topic_type_hash": TYPES.hash_rihs01(type_name),
+            },
         )
 
     def _metadata(self) -> dict[str, Any]:
@@ -156,7 +155,7 @@ class BagWriter:
                 "name": absolute(topic),
                 "type": type_name,
                 "serialization_format": "cdr",
-                "offered_qos_profiles": [],
+                "offered_qos_profiles": _offered_qos(absolute(topic)),
                 "type_description_hash": TYPES.hash_rihs01(type_name),
             }
             for (topic, type_name), number in self._numbers.items()
@@ -177,6 +176,23 @@ class BagWriter:
             "ros_distro": "jazzy",
         }
         return {"rosbag2_bagfile_information": information}
+
+
+def _offered_qos(topic: str) -> list[dict[str, Any]]:
+    """Return the QoS that ``ros2 bag play`` shall offer, as rosbag2 writes it in version 9."""
+    return [
+        {
+            "history": "keep_last",
+            "depth": 100,
+            "reliability": "reliable",
+            "durability": "transient_local" if topic in LATCHED else "volatile",
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
 
 
 def _make_way(path: Path, overwrite: bool) -> None:

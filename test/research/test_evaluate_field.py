@@ -8,7 +8,6 @@ from support.paths import ROOT
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib")
 pytest.importorskip("onnxruntime", reason="models run in onnxruntime")
-pytest.importorskip("joblib", reason="evaluate_field uses joblib")
 
 from tools.field import evaluate
 from tools.field.evaluate import BEST, OURS, TUNED, Group

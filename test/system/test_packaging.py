@@ -26,7 +26,7 @@ PROGRAMS = {
     "ins_simulate",
 }
 ROSDEP_KEYS = {
-    "joblib": "python3-joblib",
+    "mcap": "mcap-ros2-support",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "onnxruntime": "python3-onnxruntime-pip",

@@ -198,7 +198,7 @@ def test_ended_by_a_signal_the_recording_is_whole(
     assert len(numbers) > 50
 
 
-def test_a_bag_that_is_damaged_midway_ends_with_one_line(
+def test_a_bag_that_is_damaged_midway_is_played_without_the_damage(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
 ) -> None:
     data = bytearray(flight.read_bytes())
@@ -207,11 +207,11 @@ def test_a_bag_that_is_damaged_midway_ends_with_one_line(
     damaged.write_bytes(data)
     out = tmp_path / "estimate.mcap"
     options = ("--record", out, "--record-topics", "odometry")
-    output = play(processes, damaged, *options, status=2)
+    output = play(processes, damaged, *options)
     assert "Traceback" not in output
-    assert f"ins_play: error: {damaged}: damaged at byte" in output
+    assert f"ins_play: warning: {damaged}: damaged at byte" in output
     with BagReader(out) as bag:
-        assert bag.count("/odometry") > 1000
+        assert RATE < bag.count("/odometry") < RATE * SECONDS
 
 
 # --- wrong use ------------------------------------------------------------------------------------
