@@ -1,8 +1,7 @@
-"""ins_evaluate: figures with analytic answers, what is scored, and what is refused."""
+"""The evaluation: figures with analytic answers, what is scored, and what is refused."""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,28 +10,18 @@ from support.recordings import (
     FAST,
     START_NS,
     TRUTH,
-    bag,
     flight,
-    navsatfix,
-    run_program,
-    set_stamp,
     shifted,
     stamps,
     verdicts,
     with_sigma,
-    write_track,
-    write_verdict,
 )
-from support.streams import closed_pipe
 
-from hybrid_ins.bags.messages import new_message
-from hybrid_ins.cli.evaluate import main
 from hybrid_ins.core import rotations
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.evaluate import evaluate, outage_spans
 from hybrid_ins.evaluation.result import Result, Scoring
-from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
 from hybrid_ins.ros.trajectory import Trajectory
 
@@ -500,243 +489,3 @@ class TestResult:
         assert result.nis_position is not None
         assert result.as_dict()["epochs"] is None
         assert "no truth" in table(result)
-
-
-# Bags
-
-
-def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
-    with bag(tmp_path / "run", flight(TRUTH)) as out:
-        write_track(out, "/odometry", flight(FAST))
-        for below in ("", "/truth"):
-            for second, stamp_ns in enumerate(stamps([1.0, 2.0])):
-                bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
-                set_stamp(bias, stamp_ns)
-                bias.accel.accel.linear.x, bias.accel.accel.angular.z = 0.5, -0.1
-                bias.accel.covariance = np.diag([4.0, 4.0, 4.0, 9.0, 9.0, 9.0]).ravel()
-                out.write(f"{below}/imu/bias", bias, int(stamp_ns))
-                noise = new_message("geometry_msgs/msg/Vector3Stamped")
-                set_stamp(noise, stamp_ns)
-                noise.vector.y = 1.0 + second
-                out.write(f"{below}/q/gyroscope", noise, int(stamp_ns))
-        for stamp_ns, source in zip(
-            stamps([0.0, 1.0, 2.0, 3.0]), ("none", "fallback", "learned", "learned"), strict=True
-        ):
-            array = new_message("diagnostic_msgs/msg/DiagnosticArray")
-            set_stamp(array, stamp_ns)
-            status, pair = map(
-                new_message,
-                ("diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"),
-            )
-            status.name, pair.key, pair.value = "hybrid_ins: process noise", "source", source
-            status.values.append(pair)
-            array.status.append(status)
-            out.write("/diagnostics", array, int(stamp_ns))
-        lost = navsatfix(int(stamps(1.1)), DATUM, status=-1)
-        out.write("/gnss/fix", lost, int(stamps(1.1)))
-        write_verdict(out, int(stamps(1.2)), kind="position", accepted="false", reason="late")
-        write_verdict(out, int(stamps(1.4)), accepted="true", nis="1.5", dof="x")
-
-    run = read_run(tmp_path / "run")
-
-    for errors in (run.sensor_errors, run.true_sensor_errors):
-        assert errors.accelerometer_bias is not None
-        assert errors.gyroscope_bias is not None
-        assert errors.accelerometer_bias.values[0].tolist() == [0.5, 0.0, 0.0]
-        assert errors.gyroscope_bias.values[0].tolist() == [0.0, 0.0, -0.1]
-        assert errors.gyroscope_bias.sigma is not None
-        assert errors.gyroscope_bias.sigma[0].tolist() == [3.0, 3.0, 3.0]
-        assert errors.accelerometer_noise is None
-        assert errors.gyroscope_noise is not None
-        assert errors.gyroscope_noise.values[:, 1].tolist() == [1.0, 2.0]
-    assert [source for _, source in run.noise_source] == ["fallback", "learned"]
-    assert len(run.fixes) == 101  # without the one that says it is none
-    assert run.verdicts.reason.tolist() == ["late", ""]
-    assert run.verdicts.accepted.tolist() == [False, True]
-    assert np.isnan(run.verdicts.dof).all()
-    assert run.truth is not None
-    assert run.truth.datum_lla == pytest.approx(DATUM)
-
-
-class TestProgram:
-    @pytest.fixture
-    def truth_bag(self, tmp_path: Path) -> Path:
-        with bag(tmp_path / "truth.mcap", flight(TRUTH)):
-            pass
-        return tmp_path / "truth.mcap"
-
-    @pytest.fixture
-    def estimate_bag(self, tmp_path: Path) -> Path:
-        there = LocalFrame(DATUM).lla(np.array([30.0, -20.0, 3.0]))
-        estimate = shifted(with_sigma(flight(FAST), 0.5), [-0.3, -0.4, 0.0])
-        with bag(tmp_path / "estimate") as out:
-            write_track(out, "/odometry", estimate.in_map_of(there))
-            out.write("/datum", navsatfix(START_NS, there), START_NS)
-            for stamp_ns in stamps(TRUTH[::2]):
-                write_verdict(
-                    out, stamp_ns, kind="position", accepted="true", nis="2.5", dof="3",
-                    threshold="16.3", time_offset="0.0",
-                )  # fmt: skip
-        return tmp_path / "estimate"
-
-    def test_two_bags_with_different_datums(
-        self, estimate_bag: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        out, _ = run_program(capsys, 0, estimate_bag, "--truth", truth_bag, "--json")
-
-        figures = json.loads(out)
-        assert figures["prmse_m"] == pytest.approx(0.5, abs=1e-6)
-        assert figures["pmae_m"] == pytest.approx(0.7, abs=1e-5)
-        assert figures["velocity_rmse_mps"] == pytest.approx(0.0, abs=1e-6)
-        assert figures["nees_position"]["mean"] == pytest.approx(1.0, abs=1e-5)
-        assert figures["nees_attitude"]["mean"] == pytest.approx(0.0, abs=1e-9)
-        assert figures["nis_position"]["per_dof"] == pytest.approx(2.5 / 3)
-        assert figures["epochs"]["fed"] == 101
-        assert figures["notes"] == []
-
-    def test_table_and_truth_beside_the_estimate(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        with bag(tmp_path / "both", flight(TRUTH)) as out:
-            write_track(out, "/odometry", flight(FAST))
-
-        text, _ = run_program(capsys, 0, tmp_path / "both")
-
-        assert "scored 100 of 201 truth epochs; left out: 101 at fix stamps" in text
-        assert "the estimate's datum is not in the bag" in " ".join(text.split())
-
-    def test_no_truth_is_an_error_unless_asked_for(
-        self, estimate_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        _, error = run_program(capsys, 2, estimate_bag)
-        text, _ = run_program(capsys, 0, estimate_bag, "--no-truth")
-
-        assert "--truth" in error
-        assert error.count("\n") == 1
-        assert "position NIS" in text
-
-    def test_no_odometry_names_what_there_is(
-        self, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        _, error = run_program(capsys, 2, truth_bag)
-
-        assert "no topic /odometry" in error
-        assert "/truth/odometry" in error.partition("it has")[2]
-
-    def test_a_zero_quaternion_is_no_attitude(
-        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        with bag(tmp_path / "estimate") as out:
-            write_track(out, "/odometry", replace(flight(FAST), quat_xyzw=None))
-
-        out_text, _ = run_program(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
-
-        figures = json.loads(out_text)
-        assert figures["prmse_m"] == pytest.approx(0.0, abs=1e-6)
-        assert figures["attitude_rmse_deg"] is None
-        assert figures["velocity_rmse_mps"] is None
-        assert any("quaternions are invalid" in note for note in figures["notes"])
-
-    def test_nan_zero_stamps_and_repeated_stamps_are_left_out_and_said(
-        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        estimate = flight(FAST)
-        position, stamp_ns = estimate.position_enu.copy(), estimate.stamp_ns.copy()
-        position[500] = np.nan
-        stamp_ns[600] = 0
-        stamp_ns[700] = stamp_ns[699]
-        position[699] = 1e6  # before the correction at the same stamp
-        with bag(tmp_path / "estimate") as out:
-            write_track(
-                out,
-                "/odometry",
-                replace(estimate, position_enu=position, stamp_ns=stamp_ns, velocity_enu=None),
-            )
-
-        text, _ = run_program(capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--json")
-
-        notes = " ".join(json.loads(text)["notes"])
-        assert "1 of 2001 messages ignored: no time stamp" in notes
-        assert "1 of 2000 messages ignored: NaN" in notes
-        assert "1 messages repeat" in notes
-        assert "every velocity is zero" in notes
-        assert json.loads(text)["prmse_m"] < 0.1
-
-    def test_other_topics_and_frames(
-        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        with bag(tmp_path / "estimate") as out:
-            write_track(out, "/odometry/filtered", flight(FAST), ("odom", "base_footprint"))
-
-        text, _ = run_program(
-            capsys, 0, tmp_path / "estimate", "--truth", truth_bag, "--odometry",
-            "odometry/filtered", "--json",
-        )  # fmt: skip
-
-        assert any("'odom'" in note for note in json.loads(text)["notes"])
-
-    @pytest.mark.parametrize(
-        "arguments",
-        [
-            [],
-            ["EST", "--skip", "-1"],
-            ["EST", "--skip", "soon"],
-            ["EST", "--time-offset", "nan"],
-            ["EST", "--unknown"],
-        ],
-    )
-    def test_wrong_arguments(self, arguments: list[str]) -> None:
-        with pytest.raises(SystemExit) as stopped:
-            main(arguments)
-
-        assert stopped.value.code == 2
-
-    @pytest.mark.parametrize(
-        ("arguments", "text"),
-        [
-            (["/nowhere/bag"], "/nowhere/bag"),
-            (["EST", "--truth", "/nowhere/truth"], "/nowhere/truth"),
-            (["EST", "--truth", "EST", "--no-truth"], "exclude"),
-            (["EST", "--truth", "EST"], "/truth/odometry"),
-            (["EST", "--plot", "picture.bmp"], ".png or .svg"),
-            (["EST", "--plot", "/nowhere/picture.png"], "no such folder"),
-            (["EST", "--odometry", "/gnss/verdict"], "diagnostic_msgs"),
-        ],
-    )
-    def test_what_cannot_be_used_is_one_clear_line(
-        self,
-        estimate_bag: Path,
-        capsys: pytest.CaptureFixture[str],
-        arguments: list[str],
-        text: str,
-    ) -> None:
-        given = [str(estimate_bag) if a == "EST" else a for a in arguments]
-
-        _, error = run_program(capsys, 2, *given)
-
-        assert text in error
-        assert error.startswith("ins_evaluate: error: ")
-        assert error.count("\n") == 1
-
-    def test_an_estimate_without_any_usable_message(
-        self, tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        estimate = flight(FAST[:5])
-        with bag(tmp_path / "estimate") as out:
-            write_track(out, "/odometry", replace(estimate, position_enu=np.full((5, 3), np.nan)))
-
-        _, error = run_program(capsys, 2, tmp_path / "estimate", "--truth", truth_bag)
-
-        assert "no usable message" in error
-
-    def test_a_closed_pipe_does_not_lose_picture_report_and_track(
-        self, estimate_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        pytest.importorskip("matplotlib")
-        files = [tmp_path / name for name in ("run.svg", "run.html", "run.csv")]
-        options = zip(("--plot", "--report", "--export"), map(str, files), strict=True)
-
-        with closed_pipe(monkeypatch):
-            assert main([str(estimate_bag), "--no-truth", *(p for o in options for p in o)]) == 0
-
-        assert all(file.stat().st_size > 1000 for file in files)
