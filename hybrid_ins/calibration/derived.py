@@ -26,7 +26,7 @@ from hybrid_ins.noise_regressor.reader import NoiseReader
 Array = NDArray[np.float64]
 
 REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: prior of the biases' change from start to start
-PRIOR_STARTS = 2.0  # recordings that this prior is worth
+PRIOR_STARTS = 2.0  # number of recordings to which this prior is equivalent
 ORDINARY = 0.99  # share of the time in which the regressor reads less than the background
 
 

@@ -239,7 +239,7 @@ def _nis(verdicts: Verdicts, notes: list[str]) -> dict[str, Any]:
     accepted = of(tested.rows(tested.accepted))
     if accepted is not None and accepted.effective_count < _WHITE * accepted.count:
         notes.append(
-            f"successive NIS values are correlated ({accepted.count} are worth "
+            f"successive NIS values are correlated ({accepted.count} are equivalent to "
             f"{accepted.effective_count:.0f}), those of a consistent filter are not: check clock "
             "offset, lever arm and slow errors of the receiver"
         )

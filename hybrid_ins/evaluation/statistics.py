@@ -34,7 +34,7 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> Array:
     error : array_like, shape (..., n)
         True minus estimated.
     covariance : array_like, shape (..., n, n)
-        What the filter claims about it.
+        Its covariance as stated by the filter.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> Array:
     """
     e, P = np.broadcast_arrays(np.asarray(error, float)[..., None], np.asarray(covariance, float))
     e = e[..., :1]
-    # Scaled to unit diagonal: metres and radians in one matrix must not look singular.
+    # Scaled to unit diagonal: metres and radians in one matrix are not singular.
     sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=-2, axis2=-1), 0.0))
     scale = np.where(sigma > 0.0, sigma, np.nan)[..., None]
     with np.errstate(invalid="ignore"):
@@ -71,7 +71,7 @@ def mean_band(dof: float, count: float, probability: float = PROBABILITY) -> tup
 
 def effective_count(values: ArrayLike) -> float:
     """
-    Return how many independent values the mean of a correlated series is worth; [2]_ 3.3.
+    Return the equivalent number of independent values of a correlated series; [2]_ 3.3.
 
     The autocorrelations are summed in pairs as long as the pairs are positive.
     """
@@ -115,8 +115,8 @@ class Consistency:
         x, d = x[np.isfinite(x)], d[np.isfinite(x)]
         if not len(x):
             return None
-        worth = effective_count(x / d)
-        return cls(float(np.mean(d)), len(x), worth, float(np.mean(x)), independent)
+        equivalent = effective_count(x / d)
+        return cls(float(np.mean(d)), len(x), equivalent, float(np.mean(x)), independent)
 
     @property
     def per_dof(self) -> float:

@@ -91,3 +91,25 @@ def test_a_failed_run_leaves_nothing_that_blocks_the_next(
         assert run("bag", "--out", "robot.yaml") == 2
     assert sorted(p.name for p in Path.cwd().iterdir()) == ["bag"]
     assert run("bag", "--out", "robot.yaml") == 0
+
+
+def test_a_first_compilation_is_announced_before_the_work(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    order: list[str] = []
+
+    def prepare(announce: Callable[[str], None], *, calibration: bool) -> None:
+        assert calibration
+        announce("compiling")
+        order.append("compiled")
+
+    def calibrate(*args: object, **options: object) -> Calibration:
+        order.append("calibrated")
+        return found()
+
+    monkeypatch.setattr(program.kernels, "prepare", prepare)
+    monkeypatch.setattr(program, "calibrate", calibrate)
+
+    assert run("bag") == 0
+    assert order == ["compiled", "calibrated"]
+    assert "ins_calibrate: info: compiling" in capsys.readouterr().err
