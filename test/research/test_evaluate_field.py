@@ -4,15 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.paths import ROOT
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib")
 pytest.importorskip("onnxruntime", reason="models run in onnxruntime")
 
 from tools.field import evaluate
 from tools.field.evaluate import BEST, OURS, TUNED, Group
-
-DATA = ROOT.parent / "shared/data/quadrotor"
 
 
 def rows() -> list[evaluate.Row]:
@@ -49,9 +46,10 @@ def test_a_folder_without_flights_is_refused(
     assert "holds no Horizontal/path_2" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the quadrotor flights are not here")
-def test_report_of_a_few_flights(tmp_path: Path) -> None:
-    words = ["--data", str(DATA), "--quick", "--jobs", "1", "--out", str(tmp_path)]
+def test_report_of_a_few_flights(
+    flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["--data", str(flights), "--quick", "--jobs", "1", "--out", str(tmp_path)]
     assert evaluate.main(words) == 0
     text = (tmp_path / "field_experiment.md").read_text(encoding="utf-8")
     assert "Its figures mean nothing" in text
@@ -59,4 +57,13 @@ def test_report_of_a_few_flights(tmp_path: Path) -> None:
         assert (tmp_path / f"figures/{name}.png").stat().st_size > 10_000
         assert f"(figures/{name}.png)" in text
     # AND what was finished is not done again
+    for name in ("fly_task", "calibrate_task", "simulate_task"):
+
+        def again(*_: object) -> None:
+            pytest.fail("a finished part was done again")
+
+        again.__name__ = name
+        monkeypatch.setattr(evaluate, name, again)
+    (tmp_path / "field_experiment.md").unlink()
     assert evaluate.main(words) == 0
+    assert (tmp_path / "field_experiment.md").is_file()

@@ -117,8 +117,18 @@ class TestPages:
             for name in named:
                 assert name in parameters.PARAMETERS, line
 
-    def test_nothing_is_left_to_fill_in(self, page: Path) -> None:
-        assert "TODO" not in page.read_text(encoding="utf-8")
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    reached, waiting = set[Path](), [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        for link in re.findall(r"\]\(([^)\s#]+)", page.read_text(encoding="utf-8")):
+            there = (page.parent / link).resolve()
+            pages = there.glob("*.md") if there.is_dir() else [there]
+            waiting += [p for p in pages if p.suffix == ".md" and p not in reached and p.is_file()]
+
+    assert not set(PAGES) - reached
 
 
 def resolves(name: str) -> bool:
