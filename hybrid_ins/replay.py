@@ -29,12 +29,16 @@ from hybrid_ins.bags.messages import (
 )
 from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.message_types import OUTPUTS, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.reports import Report
+from hybrid_ins.row_file import RowFile
 
+SMOOTHED = ("gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
 TRUTH = "/truth/"
 BLOCK = 256  # odometry messages that are written at a time
 
@@ -59,6 +63,7 @@ def replay_bag(
     topics: InputTopics,
     *,
     overwrite: bool = False,
+    smooth: bool = False,
     log: Log | None = None,
 ) -> Replayed:
     """
@@ -74,7 +79,7 @@ def replay_bag(
         Where the input is.
     overwrite : bool
         See `BagWriter`.
-    log : callable, optional
+    smooth, log
         See `replay`.
 
     Raises
@@ -84,7 +89,7 @@ def replay_bag(
 
     """
     with BagReader(source) as bag, BagWriter(target, overwrite=overwrite) as out:
-        estimator = replay(bag, out, values, **topics, log=log)
+        estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
         duration = (bag.end_ns - bag.start_ns) * 1e-9
     if not estimator.ever_aligned:
         raise InputError(
@@ -102,6 +107,7 @@ def replay(
     imu_topic: str = "/imu/data",
     fix_topic: str = "/gnss/fix",
     velocity_topic: str = "/gnss/velocity",
+    smooth: bool = False,
     log: Log | None = None,
 ) -> Estimator:
     """
@@ -115,6 +121,9 @@ def replay(
         Checked parameters.
     imu_topic, fix_topic, velocity_topic : str
         Where the input is.
+    smooth : bool
+        Write smoothed states in place of filtered ones: each knows all measurements before and
+        after it. Verdicts and diagnostics remain those of the filter.
     log : callable, optional
         Called with the level and the text of the estimator's messages; by default they are
         logged.
@@ -129,7 +138,13 @@ def replay(
     InputError
         A topic is missing or of another type.
     """
-    return _Replay(bag, out, values, imu_topic, fix_topic, velocity_topic, log or log_message).run()
+    record = RunRecord() if smooth else None
+    topics = imu_topic, fix_topic, velocity_topic
+    run = _Replay(bag, out, values, *topics, log or log_message, record)
+    estimator = run.filter()
+    if record is not None and estimator.ever_aligned:
+        run.smooth(record)
+    return estimator
 
 
 class _Replay:
@@ -144,14 +159,16 @@ class _Replay:
         fix_topic: str,
         velocity_topic: str,
         log: Log,
+        record: RunRecord | None,
     ) -> None:
+        self._values, self._log, self._is_filtered = values, log, record is None
         self._bag, self._out = bag, out
         self._imu = imu = bag.imu(imu_topic)
         self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
         self._frames = deque(imu.frames)
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"))
-        self._estimator = estimator = Estimator(values, log)
+        self._estimator = estimator = Estimator(values, log, record)
         complete = imu.has_reading
         estimator.preload(
             self._stamps_ns[complete], imu.specific_force[complete], imu.angular_rate[complete]
@@ -176,7 +193,7 @@ class _Replay:
             handle = estimator.handle_static_transforms
             self._handlers["/tf_static"] = lambda message, _: handle(message)
 
-    def run(self) -> Estimator:
+    def filter(self) -> Estimator:
         """Handle every message in the order of the recording."""
         start, total = 0, len(self._imu.log_ns)
         with progress.bar("replay", total, "sample", unit_scale=True) as bar:
@@ -218,14 +235,36 @@ class _Replay:
             imu.angular_rate[rows][complete],
             imu.orientation_xyzw[rows][complete],
         ):
-            for writer, odometry in zip(self._odometry, by_frame, strict=True):
-                writer.write(stamps_ns, odometry)
+            if self._is_filtered:
+                self._write_odometry(stamps_ns, *by_frame)
         self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]))
+
+    def _write_odometry(self, stamps_ns: NDArray[np.int64], *by_frame: NDArray[np.float64]) -> None:
+        for writer, odometry in zip(self._odometry, by_frame, strict=True):
+            writer.write(stamps_ns, odometry)
 
     def _write_reports(self, log_ns: int) -> None:
         for report in self._estimator.pop_reports():
-            message = to_message(report, new_message)
-            self._out.write("/" + report.topic.lstrip("/"), message, log_ns)
+            if self._is_filtered or report.topic not in SMOOTHED:
+                self._write_report(report, log_ns)
+
+    def _write_report(self, report: Report, log_ns: int) -> None:
+        message = to_message(report, new_message)
+        self._out.write("/" + report.topic.lstrip("/"), message, log_ns)
+
+    def smooth(self, record: RunRecord) -> None:
+        """Write the smoothed run, after `filter`."""
+        # Its kernels are compiled here only: a node that filters does not wait for them.
+        from hybrid_ins.ros.smoothed import smoothed_run
+
+        total = 3 * record.count
+        with progress.bar("smooth", total, "sample", unit_scale=True) as bar:
+            for block, reports in smoothed_run(self._estimator, record, RowFile, bar.update):
+                self._write_odometry(*block)
+                for stamp_ns, report in reports:
+                    self._write_report(report, stamp_ns)
+        for writer in self._odometry:
+            writer.flush()
 
 
 class _OdometryWriter:

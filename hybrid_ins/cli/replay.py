@@ -46,6 +46,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_parameters(parser, "parameter file, the same as the node's")
     options.add_topics(parser)
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="write smoothed states: each knows the measurements after it, too",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
     parser.add_argument(
         "--plot",
@@ -65,8 +70,8 @@ def _run(args: argparse.Namespace) -> int:
         kernels.prepare(partial(log_message, "info"))
         return batch.run(
             batch.find_jobs(args.input, args.output),
-            partial(_replay_one, values, topics, args.overwrite),
-            {"values": values, "topics": topics},
+            partial(_replay_one, values, topics, args.smooth, args.overwrite),
+            {"values": values, "topics": topics, "smooth": args.smooth},
             redo=args.overwrite,
             workers=args.jobs,
             cluster=args.dask,
@@ -74,7 +79,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         style.check(args.plot)
     [source] = args.input
-    replayed = replay_bag(source, args.output, values, topics, overwrite=args.overwrite)
+    replayed = replay_bag(
+        source, args.output, values, topics, overwrite=args.overwrite, smooth=args.smooth
+    )
     print(replayed.estimator.summary())
     if args.plot is not None:
         plot_bag(args.output, args.plot)
@@ -82,7 +89,9 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _replay_one(values: Values, topics: InputTopics, overwrite: bool, job: batch.Job) -> batch.Row:
+def _replay_one(
+    values: Values, topics: InputTopics, smooth: bool, overwrite: bool, job: batch.Job
+) -> batch.Row:
     """Replay one bag of many; its output appears under its name once it is complete."""
     assert job.record is not None
     target = job.record.with_suffix(".mcap")
@@ -97,6 +106,7 @@ def _replay_one(values: Values, topics: InputTopics, overwrite: bool, job: batch
             values,
             topics,
             overwrite=True,
+            smooth=smooth,
             log=lambda level, text: levels.append(level),
         )
     except BaseException:

@@ -62,7 +62,7 @@ class ClockSearch(MultipleModelBank):
             make_filter,
             replace(settings, clock_std=OFFSET_STD),
         )
-        self._heading_open = len(states) > 1
+        self.heading_open = len(states) > 1
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._lag_ns = MAX_OFFSET_NS + STEP_NS

@@ -79,7 +79,7 @@ class RunRecord:
         self._gather()
         self.stretches[-1].blocks.append(samples)
 
-    def follow(self, running: InsFilter, offset: float, heading_found: bool) -> None:
+    def follow(self, running: InsFilter, offset: float = 0.0, heading_found: bool = False) -> None:
         """Take the filter that runs from now on, unless it is the last one; see `Stretch`."""
         self._gather()
         stretch = self.stretches[-1]
@@ -88,6 +88,11 @@ class RunRecord:
         if not stretch.filters:
             stretch.running_ns, stretch.heading_found = running.t_ns, heading_found
         stretch.filters.append((running, offset))
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return sum(len(stretch.samples) for stretch in self.finish())
 
     def finish(self) -> list[Stretch]:
         """Return the stretches in which a filter ran."""

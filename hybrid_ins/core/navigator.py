@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
 from hybrid_ins.core.events import Change, CovarianceInflation
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_monitor import ImuMonitor, error_std_after
 from hybrid_ins.core.ins_filter import InsFilter
@@ -65,6 +66,8 @@ class Navigator:
         Longest pause between IMU samples that dead reckoning bridges [s].
     zero_updates : bool
         Use standing as a measurement.
+    record : RunRecord, optional
+        Filled for a smoother; the filters' settings must ask for records, too.
 
     Attributes
     ----------
@@ -87,6 +90,7 @@ class Navigator:
         parts: FilterParts,
         max_gap: float,
         zero_updates: bool = True,
+        record: RunRecord | None = None,
     ) -> None:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
@@ -95,6 +99,7 @@ class Navigator:
         self._alignment_settings = alignment
         self._parts = parts
         self._zero_updates = zero_updates
+        self._record = record
         self._measurements = MeasurementCheck()
         self._events: deque[Event] = deque()
         self.reset()
@@ -135,7 +140,11 @@ class Navigator:
         self.phase = phase
         self.filter: InsFilter | None = phase.filter  # beside the phase: read at every sample
         self.stamps.steady_ns = self.stamps.max_gap_ns
+        if isinstance(phase, Aligning) and self._record is not None:
+            self._record.begin()
         if phase.filter is not None:
+            if self._record is not None:
+                self._record.follow(phase.filter)
             self.stamps.steady_ns = min(phase.filter.long_step_ns, self.stamps.max_gap_ns)
 
     def _forget_given_heading(self) -> None:
@@ -181,6 +190,8 @@ class Navigator:
             self._on_odd_step(t_ns)
         stamps.last_ns = t_ns
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
+        if self._record is not None:
+            self._record.sample(t_ns, fx, fy, fz, wx, wy, wz)
         if self.filter is not None:
             self.filter.predict(t_ns, fx, fy, fz, wx, wy, wz)
             if self.filter.verdicts:
@@ -198,6 +209,8 @@ class Navigator:
         """
         assert self.filter is not None
         self.ring.extend(samples)
+        if self._record is not None:
+            self._record.block(samples)
         self.stamps.last_ns = int(samples["t_ns"][-1])
         self.filter.predict_block(samples, rows)
         self._collect_verdicts(self.filter)
@@ -300,6 +313,8 @@ class Navigator:
             clock = winner.clock
             self._events.append(ClockOffsetFound(decision.offset, clock.residual, clock.sigma))
         self._collect_verdicts(winner)
+        if self._record is not None:
+            self._record.follow(winner, decision.offset, bank.heading_open)
         self._enter(Running(winner))
 
     # Measurements, and what they show.

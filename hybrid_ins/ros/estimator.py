@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.events import NoiseChange
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
@@ -48,6 +49,8 @@ class Estimator:
         Checked parameters, see `parameters.check_all`.
     log : callable
         Called with a level (info, warn, error) and a line for the user.
+    record : RunRecord, optional
+        Filled for a smoother.
 
     Attributes
     ----------
@@ -61,13 +64,22 @@ class Estimator:
         Offset of the fixes' clock.
     """
 
-    def __init__(self, values: Mapping[str, Any], log: Callable[[str, str], None]) -> None:
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        log: Callable[[str, str], None],
+        record: RunRecord | None = None,
+    ) -> None:
         self.values = dict(values)
         self.inputs = InputLog(log)
-        self._parts = FilterFactory(values)
+        self._parts = FilterFactory(values, record is not None)
         self._placement = SensorPlacement(values, self.inputs)
         self.navigator = Navigator(
-            self._parts.alignment(), self._parts, values["imu.max_gap"], values["imu.zero_updates"]
+            self._parts.alignment(),
+            self._parts,
+            values["imu.max_gap"],
+            values["imu.zero_updates"],
+            record,
         )
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self._odometry = OdometrySource()
@@ -100,6 +112,16 @@ class Estimator:
         self._reporter.report_datum(t_ns, lla)
 
     # What the owner asks.
+
+    @property
+    def map_frame(self) -> MapFrame | None:
+        """The map, once there is a datum."""
+        return self._odometry.map
+
+    @property
+    def arm_b(self) -> Array:
+        """IMU relative to the base frame's origin [m], b, shape (3,)."""
+        return self._placement.arm_b
 
     @property
     def aligned(self) -> bool:

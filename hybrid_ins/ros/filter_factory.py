@@ -34,11 +34,15 @@ class FilterFactory:
     ----------
     values : mapping
         Checked parameters. Parts that are made after `change` follow the changed values.
+    keep_record : bool
+        The filters keep a record for a smoother.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], keep_record: bool = False) -> None:
         self._values = dict(values)
-        self.settings = FilterSettings(values["covariance_interval"], values["gnss.max_delay"])
+        self.settings = FilterSettings(
+            values["covariance_interval"], values["gnss.max_delay"], keep_record=keep_record
+        )
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters from now on."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import Event, FaultFound, GapBridged, Restarted
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL
@@ -115,7 +114,9 @@ class Reporter:
             self._announced = self.ever_aligned = True
             sigma = math.degrees(math.sqrt(running.nav[COVARIANCE][DIAGONAL][8]))
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
-        self._reports += _state_reports(t_ns, running, arm_b, self._base_frame)
+        self._reports += state_reports(
+            t_ns, running.nav, running.noise.levels(), arm_b, self._base_frame
+        )
 
     def is_diagnostics_due(self, t_ns: int) -> bool:
         """Return whether to send diagnostics at a stamp [ns]."""
@@ -127,13 +128,28 @@ class Reporter:
         self._reports.append(Report("/diagnostics", Diagnostics(t_ns, statuses)))
 
 
-def _state_reports(t_ns: int, running: InsFilter, arm_b: Array, frame: str) -> list[Report]:
+def state_reports(t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str) -> list[Report]:
+    """
+    Return the reports on a state.
+
+    Parameters
+    ----------
+    t_ns : int
+        Stamp [ns].
+    nav : ndarray, shape (N_NAV,) or longer
+        Flat state of the IMU.
+    levels : ndarray, shape (6,)
+        Per-sample variances in force, b.
+    arm_b : ndarray, shape (3,)
+        IMU relative to the base frame's origin [m], b.
+    frame : str
+        The base frame's name.
+    """
     fix, biases = np.empty(output.N_FIX), np.empty(output.N_BIAS)
-    output.fix_values(running.nav, arm_b, fix)
-    output.bias_values(running.nav, biases)
+    output.fix_values(nav, arm_b, fix)
+    output.bias_values(nav, biases)
     latitude, longitude, height = fix[:3].tolist()
     position = Position(t_ns, frame, latitude, longitude, height, fix[3:], KNOWN)
-    levels = running.noise.levels()
     return [
         Report("gnss/filtered", position),
         Report("imu/bias", ImuBiases(t_ns, frame, biases[:3], biases[3:6], biases[6:])),

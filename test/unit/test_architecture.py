@@ -15,7 +15,9 @@ CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
 OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
 LIBRARIES = 3
 FLOORS = {
-    **dict.fromkeys(("core", "errors", "output_file", "progress", "resources", "yaml_reader"), 0),
+    **dict.fromkeys(
+        ("core", "errors", "output_file", "progress", "resources", "row_file", "yaml_reader"), 0
+    ),
     **dict.fromkeys(("parameter", "parameter_list", "parameters", "parameter_file"), 1),
     **dict.fromkeys(("kernel_cache", "noise_regressor"), 1),
     "ros": 2,

@@ -18,6 +18,7 @@ from hybrid_ins.bags.flight_bag import GnssRecord, stamps
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import clock_offset_ns
 from hybrid_ins.core.navigator_events import Event
@@ -36,6 +37,7 @@ from hybrid_ins.resources import share_path
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.smoothed import smoothed_run
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 from hybrid_ins.simulation.sensors import RTK_STD
 
@@ -146,13 +148,17 @@ class Recorded(Estimator):
     """Keeps the verdicts on fixes, and the noise levels in force."""
 
     def __init__(
-        self, values: Mapping[str, Any], first_ns: int, told: Callable[[int], Array] | None
+        self,
+        values: Mapping[str, Any],
+        first_ns: int,
+        told: Callable[[int], Array] | None,
+        record: RunRecord | None = None,
     ) -> None:
         self.first_ns = first_ns
         self.rows: list[tuple[int, str, bool, str, float, float, float, float]] = []
         self.levels_t: list[float] = []  # s, and the levels in force then
         self.levels: list[Array] = []
-        super().__init__(values, lambda level, text: None)
+        super().__init__(values, lambda level, text: None, record)
         if told is not None:
             self._noise.reader = _Told(values, self._placement.mount, self.inputs.log, told)
 
@@ -187,6 +193,7 @@ class Flown:
 
     result: Result
     estimator: Recorded
+    smoothed: Result | None = None
 
 
 def fly(
@@ -200,6 +207,7 @@ def fly(
     force: Array | None = None,
     rate: Array | None = None,
     told: Callable[[int], Array] | None = None,
+    smooth: bool = False,
 ) -> Flown:
     """
     Run the node's estimator over a flight and judge it on epochs that it was not given.
@@ -219,6 +227,8 @@ def fly(
         Readings in place of the flight's.
     told : callable, optional
         Gives the levels (6,) at a stamp [ns] in place of the regressor.
+    smooth : bool
+        Smooth the run, too.
     """
     values = dict(values)
     if heading is not None:
@@ -229,7 +239,8 @@ def fly(
                 "alignment.yaw_std": max(0.1, abs(heading)),
             }
         )
-    estimator = Recorded(values, int(flight.stamp_ns[0]), told)
+    record = RunRecord() if smooth else None
+    estimator = Recorded(values, int(flight.stamp_ns[0]), told, record)
     force = flight.force if force is None else force
     rate = flight.rate if rate is None else rate
     due = aid.stamp_ns + round(offset * 1e9)
@@ -260,17 +271,27 @@ def fly(
             flight.stamp_ns[start:], force[start:], rate[start:]
         )
     ]
-    track, _ = trajectory_from_odometry(
-        np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])
-    )
-    result = evaluate(
-        replace(track, datum_lla=aid.lla[0]),
-        flight.truth,
-        fix_stamp_ns=aid.stamp_ns,
-        verdicts=Verdicts.of(estimator.rows),
-        scoring=Scoring(skip=skip),
-    )
-    return Flown(result, estimator)
+
+    def judge(stamps: Sequence[Stamps], odometry: Sequence[Array]) -> Result:
+        track, _ = trajectory_from_odometry(np.concatenate(stamps), np.concatenate(odometry))
+        return evaluate(
+            replace(track, datum_lla=aid.lla[0]),
+            flight.truth,
+            fix_stamp_ns=aid.stamp_ns,
+            verdicts=Verdicts.of(estimator.rows),
+            scoring=Scoring(skip=skip),
+        )
+
+    result = judge([t for t, _ in done], [v for _, v in done])
+    if record is None:
+        return Flown(result, estimator)
+    # Judged on the same epochs: the time before the filter ran, which it has too, does not count.
+    first_ns = int(done[0][0][0])
+    blocks = [block for block, _ in smoothed_run(estimator, record, lambda length: {})]
+    stamps = np.concatenate([block.t_ns for block in blocks])
+    odometry = np.concatenate([block.in_map for block in blocks])
+    kept = stamps >= first_ns
+    return Flown(result, estimator, judge([stamps[kept]], [odometry[kept]]))
 
 
 def as_recording(flight: Flight, aid: Fixes) -> Recording:

@@ -1,0 +1,67 @@
+"""What a smoother says of a run, as odometry and reports: the estimator's, with hindsight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.hindsight import smoother_of
+from hybrid_ins.core.smoother import Store
+from hybrid_ins.core.state import PSD
+from hybrid_ins.ros.estimator import REPORT_NS, Estimator
+from hybrid_ins.ros.odometry import OdometrySource
+from hybrid_ins.ros.reporter import state_reports
+from hybrid_ins.ros.reports import OdometryBlock, Report
+
+Array = NDArray[np.float64]
+
+
+def smoothed_run(
+    estimator: Estimator,
+    record: RunRecord,
+    make_store: Callable[[int], Store],
+    progress: Callable[[int], None] = lambda n: None,
+) -> Iterator[tuple[OdometryBlock, list[tuple[int, Report]]]]:
+    """
+    Yield the smoothed run in order: odometry, and reports of the same samples with their stamps.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        After the forward run.
+    record : RunRecord
+        That it filled.
+    make_store, progress
+        See `hindsight.smoother_of`; ``progress`` is called for each sample three times.
+    """
+    source, report_ns = OdometrySource(), 0
+    source.map = estimator.map_frame
+    frame = estimator.values["base_frame"]
+    for stretch in record.finish():
+        process = stretch.filters[-1][0].noise.process
+        source.restart()
+        for t_ns, rows in smoother_of(stretch, make_store, progress).smooth():
+            for part in _parts(rows):
+                levels = process.q(rows[part.start, PSD][:6])
+                block = source.make_block(t_ns[part], rows[part], estimator.arm_b, levels[3:])
+                if block is None:
+                    continue
+                reports: list[tuple[int, Report]] = []
+                for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
+                    if stamp >= report_ns:
+                        report_ns = stamp + REPORT_NS
+                        made = state_reports(stamp, row, levels, estimator.arm_b, frame)
+                        reports += [(stamp, report) for report in made]
+                yield block, reports
+
+
+def _parts(rows: Array) -> Iterator[slice]:
+    """Yield stretches of flat states (N, N_NAV) with the same noise."""
+    changes = (np.diff(rows[:, PSD], axis=0) != 0.0).any(axis=1)
+    bounds = [0, *(np.flatnonzero(changes) + 1).tolist(), len(rows)]
+    for start, stop in pairwise(bounds):
+        yield slice(start, stop)
