@@ -9,6 +9,7 @@ import numpy as np
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
@@ -68,7 +69,9 @@ def stamped_early(run: Run, by: float) -> Run:
     return replace(run, fixes=tuple(f for f in fixes if f.t_ns > first))
 
 
-def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimator:
+def through_estimator(
+    run: Run, late: float = 0.0, record: RunRecord | None = None, **values: object
+) -> Estimator:
     """Give a run to the node's estimator, each fix ``late`` [s] after its stamp."""
     estimator = Estimator(
         parameters.check_all(
@@ -80,6 +83,7 @@ def through_estimator(run: Run, late: float = 0.0, **values: object) -> Estimato
             }
         ),
         lambda level, text: None,
+        record,
     )
     fix = new_message("sensor_msgs/msg/NavSatFix")
     fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()

@@ -1,0 +1,113 @@
+"""Recordings smoothed by ``ins_replay --smooth``: the whole road from bag to bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.runs import through_estimator
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.cli import simulate
+from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.evaluation.evaluate import evaluate_run
+from hybrid_ins.evaluation.result import Result, Scoring
+from hybrid_ins.evaluation.run_reader import read_run
+from hybrid_ins.replay import replay_bag
+from hybrid_ins.ros.smoothed import smoothed_run
+from hybrid_ins.row_file import RowFile
+from tools.paper.montecarlo import Run, Scenario, draw
+
+TOPICS = {"imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity"}
+
+
+def simulated(path: Path, *options: str) -> Path:
+    assert (
+        simulate.main([str(path), "--imu-rate", "200", "--duration", "60", "--seed", "5", *options])
+        == 0
+    )
+    return path
+
+
+def replayed(source: Path, target: Path, smooth: bool, **changes: object) -> tuple[Path, float]:
+    """Return the bag and when its odometry begins, after the first sample [s]."""
+    values = parameters.check_all({**parameters.defaults(), **changes})
+    replay_bag(source, target, values, TOPICS, smooth=smooth, log=lambda level, text: None)
+    with BagReader(source) as bag, BagReader(target) as out:
+        first_ns = int(bag.imu().stamp_ns[0])
+        _, log_ns, _ = next(iter(out.raw("/odometry")))
+    return target, (log_ns - first_ns) * 1e-9
+
+
+def judged(bag: Path, skip: float) -> Result:
+    return evaluate_run(read_run(bag), Scoring(skip=skip))
+
+
+def test_smoothed_outage_is_a_fraction_of_the_filtered_one(tmp_path: Path) -> None:
+    # GIVEN a flight with an outage of 10 s, whose heading is not known at the start
+    source = simulated(tmp_path / "flight.mcap", "--gnss-rate", "1", "--outage", "35", "10")
+    # WHEN it is filtered, and smoothed
+    filtered, begins = replayed(source, tmp_path / "filtered.mcap", smooth=False)
+    smoothed, smoothed_begins = replayed(source, tmp_path / "smoothed.mcap", smooth=True)
+    # THEN the gap at the start is filled
+    assert begins > 1.0
+    assert smoothed_begins < 0.1
+    # AND the errors are smaller, within the outage most of all
+    before, after = judged(filtered, 20.0), judged(smoothed, 20.0)
+    assert after.prmse < 0.6 * before.prmse
+    # AND the covariance is as honest as the filter's
+    assert after.nees_position is not None
+    assert 0.3 < after.nees_position.per_dof < 3.0
+
+
+def test_smoothing_is_repeatable(tmp_path: Path) -> None:
+    source = simulated(tmp_path / "flight.mcap", "--duration", "20")
+    one, _ = replayed(source, tmp_path / "one.mcap", smooth=True)
+    two, _ = replayed(source, tmp_path / "two.mcap", smooth=True)
+    assert one.read_bytes() == two.read_bytes()
+
+
+def smoothed(run: Run, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps and odometry (N, 85) of a run whose fixes come ``late`` [s]."""
+    record = RunRecord()
+    estimator = through_estimator(run, late, record, **{"gnss.max_delay": 1.0})
+    blocks = [block for block, _ in smoothed_run(estimator, record, RowFile)]
+    return (
+        np.concatenate([block.t_ns for block in blocks]),
+        np.concatenate([block.in_map for block in blocks]),
+    )
+
+
+def test_late_fixes_are_smoothed_as_those_in_time() -> None:
+    # GIVEN a run, WHEN its fixes come in time, and 0.4 s after their stamps
+    run = draw(Scenario("late", rate=100.0, duration=30.0), 1)
+    (stamps, in_time), (late_stamps, late) = smoothed(run), smoothed(run, late=0.4)
+    # THEN the last 20 s differ by less than half a deviation: the filter started one fix later
+    assert np.array_equal(stamps, late_stamps)
+    assert np.abs(in_time[1000:, :3] - late[1000:, :3]).max() < 0.02
+
+
+def test_stretches_between_restarts_are_smoothed_each_by_itself() -> None:
+    # GIVEN a run without IMU samples for 5 s
+    run = draw(Scenario("gap", rate=100.0, duration=60.0), 2)
+    stamps = run.samples["t_ns"]
+    kept = (stamps < stamps[2500]) | (stamps > stamps[3000])
+    # WHEN it is smoothed
+    t_ns, _ = smoothed(replace(run, samples=run.samples[kept]))
+    # THEN there is a state at nearly each sample, and none in the gap
+    assert np.isin(t_ns, stamps[kept]).all()
+    assert np.mean(np.isin(stamps[kept], t_ns)) > 0.98
+    assert np.all(np.diff(t_ns) > 0)
+
+
+def test_rows_of_a_file_are_those_that_were_kept() -> None:
+    rows = RowFile(3)
+    rows[1] = np.array([1.0, 2.0, 3.0])
+    rows[0] = np.array([4.0, 5.0, 6.0])
+    assert rows[1].tolist() == [1.0, 2.0, 3.0]
+    assert rows[0].tolist() == [4.0, 5.0, 6.0]
+    with pytest.raises(IndexError):
+        rows[2]
