@@ -12,7 +12,6 @@ NAME = MANIFEST.findtext("name")
 
 # What the live node needs; test/system/test_packaging.py runs its estimator with nothing else.
 NODE = [
-    "mcap>=1.1",
     "numba>=0.58",
     "numpy>=1.26",
     "onnxruntime>=1.17",
@@ -21,6 +20,7 @@ NODE = [
 
 # What the other programs need besides: bags, simulation, calibration and evaluation.
 OFFLINE = [
+    "mcap>=1.1",
     "rosbags>=0.11",
     "scipy>=1.11",
     "tqdm>=4.60",

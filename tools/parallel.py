@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from itertools import starmap
@@ -32,8 +31,6 @@ def run_parallel(
     if jobs == 1:
         yield from starmap(function, arguments)
         return
-    # Each process has a processor to itself: their linear algebra must not compete for them.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, spawn, initializer=progress.hide) as pool:
         futures = [pool.submit(function, *words) for words in arguments]

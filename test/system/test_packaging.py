@@ -219,3 +219,38 @@ def test_node_without_ros_says_what_to_install() -> None:
     assert result.returncode == 1
     assert result.stderr.startswith("ins_node: error: ROS 2 is not here")
     assert "Traceback" not in result.stderr
+
+
+ALONE = """
+import sys
+for name in ("dask", "distributed", "matplotlib", "mcap", "rosbags", "scipy", "tqdm"):
+    sys.modules[name] = None
+import math
+from sensor_msgs.msg import NavSatFix
+import hybrid_ins.ros.node
+from hybrid_ins import parameters
+from hybrid_ins.ros.cdr import ImuFields
+from hybrid_ins.ros.conversions import set_stamp
+from hybrid_ins.ros.estimator import Estimator
+
+given = {"alignment.heading_source": "parameter"}
+estimator = Estimator(parameters.check_all(given), lambda level, text: None)
+fix = NavSatFix(latitude=32.1, longitude=34.8)
+fix.status.status = 0
+for k in range(1, 1500):
+    noise = 0.02 * math.sin(k * k)
+    estimator.handle_imu(ImuFields(k * 10_000_000, (noise, -noise, 9.8), (noise, noise, -noise)))
+    estimator.run_periodic()
+    if k % 20 == 0:
+        set_stamp(fix.header.stamp, k * 10_000_000)
+        estimator.handle_fix(fix)
+assert estimator.aligned and estimator.fixes_fused > 10
+print([s for s in estimator.diagnostics(15 * 10**9) if s.name.endswith("process noise")])
+"""
+
+
+def test_the_node_needs_nothing_of_the_offline_programs() -> None:
+    """GIVEN their libraries hidden WHEN the estimator runs THEN it fuses, and learns the noise."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
+
+    assert "learned" in run(sys.executable, "-c", ALONE)

@@ -1,1 +1,1 @@
-"""Benchmarks: `run` measures, the other modules are its parts."""
+"""How fast the package is, and its peers beside it."""

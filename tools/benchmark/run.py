@@ -21,8 +21,6 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
-
 from hybrid_ins import kernels
 from tools.benchmark import kernel, node, replay
 from tools.benchmark.table import Section, machine, markdown, plain

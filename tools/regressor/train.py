@@ -13,17 +13,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+try:
+    import onnx
+    import torch
+    from torch import Tensor, nn
+except ImportError as missing:
+    print(f"tools.regressor.train: error: {missing}: run tools/setup.sh train", file=sys.stderr)
+    raise SystemExit(2) from None
 import numpy as np
-import onnx
-import torch
-from torch import Tensor, nn
 from tqdm import tqdm
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
-from tools.regressor import model_card, noise_data
-from tools.regressor import networks as networks
+from tools.regressor import model_card, networks, noise_data
 
 Loss = Callable[[Sequence[Tensor]], Tensor]
 
@@ -311,14 +314,14 @@ def _command(args: argparse.Namespace) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="train_regressor",
+        prog="python -m tools.regressor.train",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="""\
 examples:
   python -m tools.regressor.train --model plateau
   python -m tools.regressor.train --model plateau --name my_robot --background flight1.mcap drive2/
-needs: pip install torch onnx onnxruntime scipy tqdm""",
+needs: tools/setup.sh train""",
     )
     parser.add_argument("--model", choices=tuple(TEXTS), required=True)
     parser.add_argument("--name", help="name of the files (default: as --model)")

@@ -1,0 +1,125 @@
+"""Training: the network of the paper, the graph that is written, the same file every time."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="training needs torch: run tools/test.sh all")
+pytest.importorskip("onnx", reason="training needs onnx: run tools/test.sh all")
+
+import onnx
+import torch
+
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.errors import InputError
+from hybrid_ins.noise_regressor.models import Regressor
+from tools.regressor import networks
+from tools.regressor import train as training
+
+
+def white(variance: float) -> np.ndarray:
+    return np.random.default_rng(0).normal(0.0, np.sqrt(variance), (6, 200))
+
+
+def test_paper_network_is_what_the_paper_describes():
+    network = networks.PaperNet()
+    shapes = [tuple(layer.weight.shape) for layer in network.convolutions]
+    assert shapes == [(5, 1, 20), (3, 5, 10), (3, 3, 5)]
+    assert [layer.out_features for layer in network.layers] == [100, 80, 50, 20, 1]
+    # Layer normalisation over (channel, length): each window's feature map has mean 0, variance 1.
+    feature = torch.randn(4, 5, 181)
+    expected = torch.nn.functional.layer_norm(feature, (5, 181), eps=network.EPSILON)
+    mean = feature.mean(dim=(1, 2), keepdim=True)
+    variance = (feature - mean).square().mean(dim=(1, 2), keepdim=True)
+    assert torch.allclose(
+        (feature - mean) / (variance + network.EPSILON).sqrt(), expected, atol=1e-5
+    )
+
+
+def test_bands_have_unit_gain_and_no_response_to_a_constant():
+    projections, averages = networks.plateau_analysis(200)
+    assert np.abs(projections.sum(axis=1)).max() < 1e-5
+    assert np.linalg.norm(projections, axis=1) == pytest.approx(1.0, abs=1e-5)
+    assert averages.sum(axis=1) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["PaperNet", "PlateauNet"])
+def test_onnx_graph_is_the_torch_module(tmp_path, name):
+    torch.manual_seed(0)
+    network = getattr(networks, name)()
+    metadata = {
+        "format": "1",
+        "name": "x",
+        "window": "200",
+        "rate_min": "100",
+        "rate_max": "1000",
+        "centred": "0",
+    }
+    export = networks.onnx_paper if name == "PaperNet" else (networks.onnx_plateau)
+    with torch.no_grad():
+        for layer in network.modules():
+            if isinstance(layer, torch.nn.Linear):
+                layer.bias.add_(0.1)
+    model = export(network, {f"hybrid_ins.{key}": value for key, value in metadata.items()})
+    onnx.save(model, tmp_path / "x.onnx")
+    window = (white(0.3) + np.linspace(0, 5, 200)).astype(np.float32)
+    window[2, 50:90] = window[2, 50]
+    with torch.no_grad():
+        expected = network(torch.from_numpy(window)).numpy()
+    found = Regressor.load(tmp_path / "x.onnx").estimate(window, 100.0)
+    assert found == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.parametrize("model", ["plateau", "paper"])
+def test_training_is_deterministic_and_resumes(tmp_path, model, monkeypatch):
+    """GIVEN a run cut after one epoch WHEN resumed THEN the file is that of an uncut run."""
+    options = ["--model", model, "--quick", "--epochs", "3"]
+    assert training.main([*options, "--out", str(tmp_path / "one")]) == 0
+
+    keep = torch.save
+
+    def keep_and_stop(*arguments):
+        keep(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", keep_and_stop)
+    assert training.main([*options, "--out", str(tmp_path / "two")]) == 130
+    monkeypatch.setattr(torch, "save", keep)
+    assert training.main([*options, "--out", str(tmp_path / "two"), "--resume"]) == 0
+    one, two = (tmp_path / folder / f"{model}.onnx" for folder in ("one", "two"))
+    assert one.read_bytes() == two.read_bytes()
+    card = (tmp_path / "one" / f"{model}.md").read_text()
+    for word in (
+        "q RMSE",
+        "trajectory: agile",
+        "q = 1e-06",
+        "tone of 100 sigma",
+        "30 % duplicates",
+        "low-pass at fs/4",
+        "bias of 1000",
+        "median",
+        str(options[1]),
+    ):
+        assert word in card
+    assert str(tmp_path) not in card
+
+
+def test_backgrounds_are_windows_of_the_recordings(tmp_path):
+
+    with BagWriter(tmp_path / "flight.mcap") as bag:
+        for index in range(450):
+            message = new_message("sensor_msgs/msg/Imu")
+            message.linear_acceleration.x = float(np.sin(0.1 * index))
+            message.angular_velocity.z = 0.01 * index
+            bag.write("/imu/data", message, index * 10_000_000)
+    rows = training.background_windows([str(tmp_path / "flight.mcap")], "/imu/data", 200)
+    assert rows.shape == (2 * 3, 200)  # two channels move, three half-overlapping windows
+    assert rows[0] == pytest.approx(np.sin(0.1 * np.arange(200)), abs=1e-6)
+    with pytest.raises(InputError, match="no window"):
+        training.background_windows([str(tmp_path / "flight.mcap")], "/imu/data", 1000)
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path):
+    torch.save({"run": {"seed": 7}}, tmp_path / "plateau.checkpoint.pt")
+    options = ["--model", "plateau", "--quick", "--resume", "--out", str(tmp_path)]
+    assert training.main(options) == 2
