@@ -4,14 +4,16 @@ Noise regressors behind one interface: a trained ONNX model, or the spectral est
 A regressor has a `name`, a `window` (samples it needs), a `rate_range` [Hz] and
 ``estimate(window, rate_hz)``, which takes readings (C, N), one channel a row, oldest first, in
 m/s^2 and rad/s, and returns per-sample noise variances (C,) in those units squared. It neither
-judges its input (`hybrid_ins.noise_regressor.window` does) nor bounds its output (the estimator
+checks its input (`hybrid_ins.noise_regressor.window` does) nor bounds its output (the estimator
 does).
 
-onnxruntime is imported here and nowhere else, and only when a model is loaded.
+onnxruntime is imported here and nowhere else, only when a model is loaded, and with its telemetry
+switched off.
 """
 
 from __future__ import annotations
 
+import os
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
@@ -105,6 +107,8 @@ class Regressor:
         """
         path = Path(path)
         content = read_regular_file(path, LARGEST_MODEL_BYTES, "a model, an .onnx file")
+        # Otherwise the runtime keeps a database in the user's cache and calls its maker's server.
+        os.environ["ORT_DISABLE_TELEMETRY"] = "1"
         try:
             import onnxruntime
         except ImportError as error:

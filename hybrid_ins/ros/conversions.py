@@ -27,6 +27,7 @@ from hybrid_ins.core.rotations import (
     quat_from_rpy,
     rpy_from_quat,
 )
+from hybrid_ins.resources import shortened
 from hybrid_ins.ros.cdr import ImuFields
 
 Array = NDArray[np.float64]
@@ -243,10 +244,19 @@ def fill_transform(
     q.x, q.y, q.z, q.w = np.asarray(quat_xyzw, float).tolist()
 
 
-def initial_yaw(message: Message) -> tuple[float, float] | Refused:
+def initial_yaw(message: Message, map_frame: str) -> tuple[float, float] | Refused:
     """
     Heading [rad from north] and its uncertainty of a PoseWithCovarianceStamped in the map frame.
+
+    An empty frame_id is taken for the map's.
     """
+    frame = message.header.frame_id
+    if frame not in ("", map_frame):
+        return Refused(
+            "initialpose: other frame",
+            f"the pose is in frame '{shortened(frame)}', not '{map_frame}': set RViz's fixed frame "
+            "to the map",
+        )
     q = message.pose.pose.orientation
     quat = np.array([q.x, q.y, q.z, q.w], float)
     norm = float(np.linalg.norm(quat))

@@ -21,11 +21,13 @@ from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
+from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, diagnostics, wording
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
 from hybrid_ins.ros.filter_factory import FilterFactory
+from hybrid_ins.ros.flood_guard import MOST, FloodGuard
 from hybrid_ins.ros.imu_input import NO_READING, ImuInput
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.noise_input import NoiseInput
@@ -85,6 +87,7 @@ class Estimator:
         self._odometry = OdometrySource()
         self._imu = ImuInput(values, self.navigator, self._placement, self._odometry, self.inputs)
         self._reporter = Reporter(values, self.navigator, self.inputs)
+        self._flood = FloodGuard()
         self._noise = NoiseInput(self.navigator, log)
         self._noise.configure(values, self._placement.mount)
         self._restart_schedule()
@@ -178,6 +181,8 @@ class Estimator:
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters without losing the state."""
         self.values.update(changes)
+        for name, value in changes.items():
+            self.inputs.log("info", f"parameter {name} is {shortened(str(value))} from now on")
         self._parts.change(changes)
         self.clock.change(changes)
         self._convert_gnss()
@@ -192,6 +197,10 @@ class Estimator:
 
     def reset(self) -> None:
         """Discard the state and align anew; the map stays where it is."""
+        self.inputs.log("info", "reset: aligning anew")
+        self._discard_state()
+
+    def _discard_state(self) -> None:
         self.navigator.reset()
         self._restart()
 
@@ -205,10 +214,15 @@ class Estimator:
 
     def handle_initial_pose(self, message: Message) -> None:
         """Use a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
-        yaw = conversions.initial_yaw(message)
+        yaw = conversions.initial_yaw(message, self.values["map_frame"])
         if isinstance(yaw, Refused):
             self.inputs.count_and_warn("initialpose", yaw)
             return
+        heading, std = map(math.degrees, yaw)
+        self.inputs.log(
+            "info",
+            f"initialpose: heading {heading % 360.0:.1f}° ± {std:.1f}° from north: aligning anew",
+        )
         self.navigator.realign()
         self.navigator.set_yaw(self.navigator.last_ns, *yaw)
         self._restart()
@@ -227,7 +241,7 @@ class Estimator:
         self._convert_gnss()
         self._noise.configure(self.values, self._placement.mount)
         if self.navigator.ring.count:
-            self.reset()
+            self._discard_state()
 
     # IMU.
 
@@ -316,9 +330,17 @@ class Estimator:
         return received_ns if self.values["use_receive_time"] else None
 
     def _measure(self, topic: str, measurement: Measurement | Refused) -> None:
-        if isinstance(measurement, Refused):
-            self.inputs.count_and_warn(topic, measurement)
-            return
+        if not isinstance(measurement, Refused):
+            if self._flood.admits(topic, self.navigator.last_ns):
+                self._fuse(measurement)
+                return
+            measurement = Refused(
+                "gnss: too many messages",
+                f"more than {MOST} in a second: are there several publishers?",
+            )
+        self.inputs.count_and_warn(topic, measurement)
+
+    def _fuse(self, measurement: Measurement) -> None:
         self.navigator.measure(measurement)
         self._handle_events()
         self.clock.run_periodic()

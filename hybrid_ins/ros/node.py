@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -22,15 +21,11 @@ except ModuleNotFoundError as error:
         "ins_node: error: ROS 2 is not installed: source /opt/ros/jazzy/setup.bash, or install its "
         'wheels: pip install "hybrid_ins[ros]"'
     ) from None
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
-    AccelWithCovarianceStamped,
     PoseWithCovarianceStamped,
     TransformStamped,
     TwistWithCovarianceStamped,
-    Vector3Stamped,
 )
-from nav_msgs.msg import Odometry as OdometryMessage
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -60,24 +55,16 @@ except ImportError:  # the wheels of ROS have none
 from hybrid_ins import kernels, parameters
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, node_parameters
-from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder
+from hybrid_ins.ros.callback_guard import CallbackGuard
+from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.message_types import OUTPUTS, Message, fill_transforms, to_message
+from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
+from hybrid_ins.ros.node_messages import MESSAGES, new_message
+from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
-from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
 from hybrid_ins.ros.warm_up import warm_up
 
-MESSAGES = {
-    "nav_msgs/msg/Odometry": OdometryMessage,
-    "sensor_msgs/msg/NavSatFix": NavSatFix,
-    "geometry_msgs/msg/TwistWithCovarianceStamped": TwistWithCovarianceStamped,
-    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped,
-    "geometry_msgs/msg/AccelWithCovarianceStamped": AccelWithCovarianceStamped,
-    "diagnostic_msgs/msg/DiagnosticStatus": DiagnosticStatus,
-    "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
-    "diagnostic_msgs/msg/KeyValue": KeyValue,
-}
 IMU_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
 )
@@ -100,7 +87,6 @@ FIXED_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-CROWD = 8  # waiting messages of which more than one goes out with a sample
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
 
@@ -118,27 +104,22 @@ class InsNode(Node):
         self._warn_of_unknown_parameters()
         values: dict[str, Any] = dict(parameters.check_all(given))
         self._decoder = ImuDecoder()
-        self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
-        self._odom_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
         self._estimator = Estimator(values, self._log)
-        self._waiting: deque[Report] = deque()  # to be published
+        self.guard = CallbackGuard(self._estimator.inputs)
         self._by_receipt = bool(values["use_receive_time"])
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
         self._crowded: set[str] = set()
         self._last_imu = time.monotonic()
-        self._odometry_due = RateLimiter(values["odometry_rate"])
 
-        self._subscribed: dict[str, Callable[[Any], None]] = {}
-        self._publishers_by_topic = {
-            topic: self.create_publisher(
+        self._topics = OutputTopics(values, new_message)
+        for topic, type_name in OUTPUTS.items():
+            self._topics.publishers[topic] = self.create_publisher(
                 MESSAGES[type_name],
                 topic,
                 LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
-                event_callbacks=PublisherEventCallbacks(matched=self._find_subscribers),
+                event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
-            for topic, type_name in OUTPUTS.items()
-        }
         self._transforms: Any = None
         if TFMessage is None:
             if values["publish_tf"]:
@@ -151,32 +132,39 @@ class InsNode(Node):
                 self._publish_transforms = self.create_publisher(
                     TFMessage, "/tf", OUTPUT_QOS
                 ).publish
-            self.create_subscription(
+            self._subscribe(
                 TFMessage, "/tf_static", self._estimator.handle_static_transforms, FIXED_QOS
             )
-        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, raw=True)
+        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, self._decode_imu)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
         self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
         self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(1.0, self._on_second, clock=rclpy.clock.Clock())
+        self.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._use_parameters)
-        self._find_subscribers()
+        self.add_post_set_parameters_callback(self.guard.wrap(self._use_parameters))
+        self._topics.find_subscribers()
         self._publish_reports()
 
     def prepare(self) -> None:
         """Load and run everything once, so that the first message is handled as fast as any."""
         kernels.prepare(self.get_logger().info)
-        warm_up(_new_message)
+        warm_up(new_message)
         # What exists now stays: the collector need not traverse it again and again.
         gc.collect()
         gc.freeze()
         self.get_logger().info("ready: waiting for " + self._estimator.waiting_for)
 
     def _subscribe(
-        self, kind: Any, topic: str, callback: Any, qos: QoSProfile, raw: bool = False
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        decode: Callable[[bytes], Any] | None = None,
     ) -> None:
+        decode = decode or (lambda data: deserialize_message(data, kind))
+
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
             self.get_logger().error(
@@ -187,29 +175,32 @@ class InsNode(Node):
         self.create_subscription(
             kind,
             topic,
-            callback,
+            self.guard.decoding(topic, decode, callback),
             qos,
-            raw=raw,
+            raw=True,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
     # Input.
 
-    def _on_imu(self, data: bytes) -> None:
-        estimator = self._estimator
+    def _decode_imu(self, data: bytes) -> ImuFields:
         try:
-            imu = self._decoder.decode(data)
-        except ValueError:
-            imu = conversions.imu_fields(deserialize_message(data, Imu))
+            return self._decoder.decode(data)
+        except ValueError:  # another byte order
+            return conversions.imu_fields(deserialize_message(data, Imu))
+
+    def _on_imu(self, imu: ImuFields) -> None:
+        estimator = self._estimator
         self._last_imu = time.monotonic()
         odometry = estimator.handle_imu(imu, self._received_ns())
         if odometry is not None:
-            self._publish_odometry(odometry)
+            self._topics.publish_odometry(odometry)
+            if self._transforms is not None and self._transforms_due.is_due(odometry.t_ns):
+                fill_transforms(self._transforms.transforms, odometry, estimator.values)
+                self._publish_transforms(self._transforms)
         estimator.run_periodic()
-        self._waiting.extend(estimator.pop_reports())
-        if self._waiting:
-            self._publish_waiting(1 + len(self._waiting) // CROWD)
+        self._topics.publish_some(estimator.pop_reports())
 
     def _received_ns(self) -> int | None:
         return self.get_clock().now().nanoseconds if self._by_receipt else None
@@ -227,13 +218,17 @@ class InsNode(Node):
         self._publish_reports()
 
     def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
-        self._estimator.reset()
-        response.success, response.message = True, "aligning anew"
+        response.success, response.message = False, "internal error: see the log"
+        try:
+            self._estimator.reset()
+            response.success, response.message = True, "aligning anew"
+        except Exception as error:  # see `CallbackGuard`
+            self.guard.on_error(error)
         return response
 
     def _on_second(self) -> None:
         """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
-        self._find_subscribers()
+        self._topics.find_subscribers()
         for name in ("imu/data", "gnss/fix", "gnss/velocity"):
             topic = self.resolve_topic_name(name)
             if topic not in self._crowded and self.count_publishers(topic) > 1:
@@ -252,7 +247,7 @@ class InsNode(Node):
             return
         now = self.get_clock().now().nanoseconds
         topic = self.resolve_topic_name("imu/data")
-        self._publish_diagnostics(
+        self._topics.publish_diagnostics(
             now,
             [
                 *self._estimator.diagnostics(now),
@@ -266,47 +261,8 @@ class InsNode(Node):
             ],
         )
 
-    # Output.
-
-    def _publish_odometry(self, odometry: Odometry) -> None:
-        """Publish odometry and transforms where they are due."""
-        t_ns = odometry.t_ns
-        if self._odometry_due.is_due(t_ns):
-            publish = self._subscribed.get("odometry")
-            if publish is not None:
-                publish(self._map_encoder.encode_values(t_ns, odometry.in_map))
-            publish = self._subscribed.get("odometry/local")
-            if publish is not None:
-                publish(self._odom_encoder.encode_values(t_ns, odometry.in_odom))
-        if self._transforms is not None and self._transforms_due.is_due(t_ns):
-            fill_transforms(self._transforms.transforms, odometry, self._estimator.values)
-            self._publish_transforms(self._transforms)
-
     def _publish_reports(self) -> None:
-        """Publish everything that waits."""
-        self._waiting.extend(self._estimator.pop_reports())
-        self._publish_waiting(len(self._waiting))
-
-    def _publish_waiting(self, most: int) -> None:
-        """Publish what waits, but no more than ``most`` reports that have subscribers."""
-        while self._waiting and most:
-            report = self._waiting.popleft()
-            publish = self._subscribed.get(report.topic)
-            if publish is not None:
-                publish(to_message(report, _new_message))
-                most -= 1
-
-    def _find_subscribers(self, _event: object = None) -> None:
-        """Find the topics worth publishing on: those with subscribers; datum is latched."""
-        self._subscribed = {
-            topic: publisher.publish
-            for topic, publisher in self._publishers_by_topic.items()
-            if topic == "datum" or publisher.get_subscription_count()
-        }
-
-    def _publish_diagnostics(self, t_ns: int, statuses: list[Status]) -> None:
-        report = Report("/diagnostics", Diagnostics(t_ns, statuses))
-        self._publishers_by_topic["/diagnostics"].publish(to_message(report, _new_message))
+        self._topics.publish_all(self._estimator.pop_reports())
 
     def _log(self, level: str, text: str) -> None:
         # One line for each level: rclpy ties a severity to the line it is logged from.
@@ -345,7 +301,7 @@ class InsNode(Node):
         checked = self._checked(changes)
         if checked:
             self._estimator.change(checked)
-            self._odometry_due.change(self._estimator.values["odometry_rate"])
+            self._topics.set_odometry_rate(self._estimator.values["odometry_rate"])
 
     def publish_end(self) -> None:
         """Publish what is left and a last diagnostics message."""
@@ -353,12 +309,7 @@ class InsNode(Node):
         now = self.get_clock().now().nanoseconds
         first, *others = self._estimator.diagnostics(now)
         first = first._replace(text=f"shut down; {first.text}")
-        self._publish_diagnostics(now, [first, *others])
-
-
-def _new_message(type_name: str) -> Message:
-    """Return an empty message of one of the types in ``MESSAGES``."""
-    return MESSAGES[type_name]()
+        self._topics.publish_diagnostics(now, [first, *others])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -381,8 +332,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         executor = EventsExecutor()
         executor.add_node(node)
         while rclpy.ok() and not asked_to_stop.done():
-            # The executor's endless spin() ignores signals.
-            executor.spin_until_future_complete(asked_to_stop, 0.2)
+            try:
+                # The executor's endless spin() ignores signals.
+                executor.spin_until_future_complete(asked_to_stop, 0.2)
+            except ExternalShutdownException:
+                break
+            except Exception as error:  # what no callback caught
+                node.guard.on_error(error)
+                time.sleep(0.01)  # it may come again at once
     except ExternalShutdownException:
         pass
     except (InputError, ParameterException) as error:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.resources import shortened
 from hybrid_ins.ros.conversions import FLIP, Message, Refused, mount_matrix
 from hybrid_ins.ros.input_log import InputLog
-from hybrid_ins.ros.static_transforms import StaticTransforms
+from hybrid_ins.ros.static_transforms import LONGEST_NAME, MOST_FRAMES, StaticTransforms
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,8 @@ class SensorPlacement:
                 topic,
                 Refused(
                     f"{topic}: frame_id changes",
-                    f"frame_id changes from '{known}' to '{frame}': two publishers on one topic?",
+                    f"frame_id changes from '{shortened(known)}' to '{shortened(frame)}': two "
+                    "publishers on one topic?",
                 ),
             )
         if (
@@ -81,16 +83,24 @@ class SensorPlacement:
             and not self._is_given[topic]
             and self._transforms.find(self._base, frame) is None
         ):
-            self._inputs.log(
-                "info",
-                f"{topic}: no transform from '{self._base}' to '{frame}' (neither "
+            self._inputs.inform(
+                f"{topic}: no transform",
+                f"{topic}: no transform from '{self._base}' to '{shortened(frame)}' (neither "
                 f"{PARAMETERS[topic][0]} nor /tf_static): assuming that they coincide",
             )
         return self._place_again()
 
     def add_transforms(self, message: Message) -> bool:
         """Use a tf2_msgs/TFMessage of /tf_static; True where it moves a sensor."""
-        self._transforms.add(message)
+        if self._transforms.add(message):
+            self._inputs.count_and_warn(
+                "/tf_static",
+                Refused(
+                    "tf_static: too many frames",
+                    f"more than {MOST_FRAMES} frames, or names of more than {LONGEST_NAME} "
+                    "characters: left out",
+                ),
+            )
         return self._place_again()
 
     def _place_again(self) -> bool:
@@ -98,8 +108,8 @@ class SensorPlacement:
         self._place()
         if all(map(np.array_equal, before, (self.mount, self.arm_b, self.lever_b))):
             return False
-        self._inputs.log(
-            "info", f"/tf_static gives the positions of IMU and antenna in '{self._base}'"
+        self._inputs.inform(
+            "sensors moved", f"/tf_static gives the positions of IMU and antenna in '{self._base}'"
         )
         return True
 

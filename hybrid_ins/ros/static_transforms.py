@@ -1,5 +1,5 @@
 """
-Where sensors sit, as ``/tf_static`` tells it: a tree of fixed transforms.
+The tree of fixed transforms of ``/tf_static``.
 
 Reads the messages by attribute, so that it works on live messages and on those of a bag, with tf2
 installed or not.
@@ -19,16 +19,23 @@ Array = NDArray[np.float64]
 Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,) [m] of a child in its parent
 
 LONGEST_CHAIN = 64
+MOST_FRAMES = 1000  # of a vehicle
+LONGEST_NAME = 256
 
 
 class StaticTransforms:
-    """The fixed frames heard of so far."""
+    """The fixed frames received so far: at most ``MOST_FRAMES``."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}
 
-    def add(self, message: Any) -> None:
-        """Take a tf2_msgs/TFMessage; transforms that are none are left out."""
+    def add(self, message: Any) -> int:
+        """
+        Add a tf2_msgs/TFMessage; transforms that are not finite are left out.
+
+        Returns how many are left out because there are too many frames, or their names too long.
+        """
+        refused = 0
         for transform in message.transforms:
             q, p = transform.transform.rotation, transform.transform.translation
             quat = np.array([q.x, q.y, q.z, q.w], float)
@@ -37,7 +44,14 @@ class StaticTransforms:
             if math.isfinite(norm) and norm > 0.5 and np.all(np.isfinite(place)):
                 child = transform.child_frame_id.lstrip("/")
                 parent = transform.header.frame_id.lstrip("/")
+                is_new = child not in self._parents
+                if max(len(child), len(parent)) > LONGEST_NAME or (
+                    is_new and len(self._parents) >= MOST_FRAMES
+                ):
+                    refused += 1
+                    continue
                 self._parents[child] = parent, (matrix_from_quat(quat / norm), place)
+        return refused
 
     def find(self, base: str, frame: str) -> Pose | None:
         """Return the pose of ``frame`` in ``base``; None where no chain connects them."""

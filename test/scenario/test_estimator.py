@@ -57,6 +57,49 @@ def test_a_pose_without_rotation_changes_nothing() -> None:
     assert drive.estimator.counts["initialpose: no orientation"] == 1
 
 
+def test_a_pose_in_another_frame_is_refused_with_the_remedy() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 5.0)
+    pose = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose.header.frame_id, pose.pose.pose.orientation.w = "odom" * 1000, 1.0
+
+    drive.estimator.handle_initial_pose(pose)
+
+    assert drive.estimator.aligned
+    assert drive.estimator.counts["initialpose: other frame"] == 1
+    [line] = drive.warnings()
+    assert "not 'map'" in line and len(line) < 300
+
+
+def test_what_a_user_changes_leaves_a_line() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 5.0)
+    pose = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose.pose.pose.orientation.w, pose.pose.covariance[35] = 1.0, math.radians(3.0) ** 2
+    drive.log.clear()
+
+    drive.estimator.change({"gnss.patience": 1.5})
+    drive.estimator.handle_initial_pose(pose)
+    drive.estimator.reset()
+
+    assert drive.log == [
+        ("info", "parameter gnss.patience is 1.5 from now on"),
+        ("info", "initialpose: heading 90.0° ± 3.0° from north: aligning anew"),
+        ("info", "reset: aligning anew"),
+    ]
+
+
+def test_a_flood_of_fixes_is_cut_and_told() -> None:
+    drive = Drive()
+    drive.play(0.0, 2.0, with_fixes=False)
+
+    for k in range(600):
+        drive.fix(k % len(drive.fix_t))
+
+    assert drive.estimator.counts["gnss: too many messages"] == 500
+    assert any("more than 100 in a second" in line for line in drive.warnings())
+
+
 def test_changes_while_it_runs_keep_the_state() -> None:
     drive = Drive(**GIVEN)
     drive.play(0.0, 20.0)

@@ -7,10 +7,8 @@ import os
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -127,25 +125,6 @@ def test_live_odometry_is_that_of_the_replay(
         assert np.linalg.norm(away) < 0.01
         assert np.linalg.norm(rotvec_from_quat(turn)) < math.radians(0.1)
         assert np.allclose(a.pose.covariance, b.pose.covariance, rtol=0.05, atol=1e-6)
-
-
-def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
-    """So that the samples between them need not wait for all."""
-    from hybrid_ins.ros.node import InsNode
-    from hybrid_ins.ros.reports import Report, Vector
-
-    published: list[Any] = []
-    topics = ("q/accelerometer", "q/gyroscope", "q/accelerometer")
-    waiting = deque(
-        Report(topic, Vector(k, "base_link", np.zeros(3))) for k, topic in enumerate(topics)
-    )
-    node: Any = SimpleNamespace(_waiting=waiting, _subscribed={"q/accelerometer": published.append})
-
-    InsNode._publish_waiting(node, 1)
-    assert [m.header.stamp.nanosec for m in published] == [0]
-    InsNode._publish_waiting(node, 2)
-    assert [m.header.stamp.nanosec for m in published] == [0, 2]
-    assert not waiting
 
 
 def test_every_topic_is_published_with_its_frames(recorded: tuple[Path, str, int]) -> None:
@@ -310,6 +289,50 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
         < 0.01
     )
     assert processes.stop(node) == 0
+
+
+def test_no_bytes_on_any_topic_end_the_node(
+    processes: Processes, folder: Path, client: Client
+) -> None:
+    """GIVEN bytes that are no message WHEN they come on every input THEN they are counted."""
+    from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import Imu, NavSatFix
+    from std_srvs.srv import Trigger
+
+    log = folder / "bytes.log"
+    node = start_node(processes, log)
+    topics = {
+        "/imu/data": Imu,
+        "/gnss/fix": NavSatFix,
+        "/gnss/velocity": TwistWithCovarianceStamped,
+        "/initialpose": PoseWithCovarianceStamped,
+    }
+    publishers = {topic: client.node.create_publisher(k, topic, 500) for topic, k in topics.items()}
+    client.spin_until(lambda: all(p.get_subscription_count() for p in publishers.values()))
+    rng = np.random.default_rng(0)
+    for topic, kind in topics.items():
+        sound = serialize_message(kind())
+        broken = [b"\0\1\0\0", sound[: len(sound) // 2], sound[:4] + b"\xff" * 40]
+        flipped = np.frombuffer(sound, np.uint8).copy()
+        for _ in range(30):
+            flipped[rng.integers(4, len(flipped), 4)] = rng.integers(0, 256, 4)
+            broken += [flipped.tobytes(), b"\0\1\0\0" + rng.bytes(int(rng.integers(1, 400)))]
+        for data in broken:
+            publishers[topic].publish(data)
+            client.executor.spin_once(0.002)
+
+    def counted() -> dict[str, str]:
+        return {v.key: v.value for d in client.diagnostics for s in d.status for v in s.values}
+
+    names = [f"{topic.strip('/')}: not decodable" for topic in topics]
+    client.spin_until(lambda: set(names) <= counted().keys())
+
+    assert client.call(Trigger, "/ins_node/reset", Trigger.Request()).success
+    assert "internal error" not in counted()
+    assert "a message of 4 bytes is not of the topic's type" in log.read_text()
+    assert processes.stop(node) == 0
+    assert "Traceback" not in log.read_text()
 
 
 def test_publisher_whose_qos_does_not_fit_is_told(

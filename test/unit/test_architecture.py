@@ -12,7 +12,6 @@ from tools.structure import is_below
 
 MODULES = structure.read_modules()
 CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
-OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
 LIBRARIES = 3
 FLOORS = {
     **dict.fromkeys(
@@ -37,7 +36,6 @@ LONG_FILES = {
     "hybrid_ins.core.navigator",
     "hybrid_ins.core.smoother",
     "hybrid_ins.parameter_list",
-    "hybrid_ins.ros.node",
 }
 LONG_CLASSES = {
     "hybrid_ins.core.ins_filter.InsFilter",

@@ -1,5 +1,6 @@
 """Noise regressors: loading refuses what is wrong in one line; estimates keep their symmetries."""
 
+import os
 import subprocess
 import sys
 
@@ -48,6 +49,30 @@ def test_models_declare_what_they_need(plateau, paper):
         assert model.name == name
         assert model.window == 200
         assert model.rate_range == (100.0, 1000.0)
+
+
+def test_the_runtime_sends_nothing_and_keeps_nothing(tmp_path):
+    """GIVEN a new home WHEN a model is loaded and asked THEN no file appears there."""
+    pytest.importorskip("onnxruntime", reason="models run in onnxruntime")
+    code = (
+        "import sys, numpy, hybrid_ins.noise_regressor.models as m;"
+        "print(m.Regressor.load(sys.argv[1]).estimate(numpy.ones((6, 200)), 200.0).shape)"
+    )
+    kept = {"PATH", "PYTHONPATH", "LD_LIBRARY_PATH"}
+    environment = {name: value for name, value in os.environ.items() if name in kept}
+
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(PLATEAU)],
+        env=environment | {"HOME": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "numba")},
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.stdout.split() == ["(6,)"]
+    left = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert not [path for path in left if "numba" not in path.parts]
 
 
 def patched(tmp_path, *changes):

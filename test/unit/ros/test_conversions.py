@@ -190,4 +190,4 @@ def test_a_pose_without_orientation_is_refused(quat) -> None:
     message = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
     q = message.pose.pose.orientation
     q.x, q.y, q.z, q.w = quat
-    assert isinstance(initial_yaw(message), Refused)
+    assert isinstance(initial_yaw(message, "map"), Refused)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.ros.static_transforms import StaticTransforms
+from hybrid_ins.ros.static_transforms import LONGEST_NAME, MOST_FRAMES, StaticTransforms
 
 
 def transform(parent, child, xyz=(0.0, 0.0, 0.0), quat=(0.0, 0.0, 0.0, 1.0)):
@@ -76,4 +76,18 @@ def test_a_circle_ends() -> None:
 def test_a_later_transform_takes_the_place_of_an_earlier_one() -> None:
     known = tree(transform("base_link", "imu", (1.0, 0.0, 0.0)))
     known.add(Namespace(transforms=[transform("base_link", "imu", (2.0, 0.0, 0.0))]))
+    assert known.find("base_link", "imu")[1] == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_the_tree_does_not_grow_without_bound() -> None:
+    known = tree(transform("base_link", "imu", (1.0, 0.0, 0.0)))
+
+    refused = sum(
+        known.add(Namespace(transforms=[transform("base_link", f"frame_{k}")]))
+        for k in range(MOST_FRAMES + 50)
+    )
+    long_name = known.add(Namespace(transforms=[transform("imu", "x" * (LONGEST_NAME + 1))]))
+    known.add(Namespace(transforms=[transform("base_link", "imu", (2.0, 0.0, 0.0))]))
+
+    assert (refused, long_name) == (51, 1)
     assert known.find("base_link", "imu")[1] == pytest.approx([2.0, 0.0, 0.0])

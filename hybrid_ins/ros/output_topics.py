@@ -1,0 +1,100 @@
+"""
+Publishing of odometry and reports: only where somebody listens, and not in bursts.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from hybrid_ins.ros.cdr import OdometryEncoder
+from hybrid_ins.ros.message_types import NewMessage, to_message
+from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
+
+CROWD = 8  # waiting reports of which more than one goes out with a sample
+
+
+class Publisher(Protocol):
+    """A publisher of rclpy."""
+
+    def publish(self, message: Any) -> None:
+        """Publish a message object, or its bytes."""
+
+    def get_subscription_count(self) -> int:
+        """Return how many subscribers there are."""
+
+
+class OutputTopics:
+    """
+    The node's publishers.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    new_message : callable
+        See `to_message`.
+
+    Attributes
+    ----------
+    publishers : dict
+        By topic, to be filled before the first `find_subscribers`.
+    """
+
+    def __init__(self, values: Mapping[str, Any], new_message: NewMessage) -> None:
+        self.publishers: dict[str, Publisher] = {}
+        self._new_message = new_message
+        self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
+        self._odom_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
+        self._odometry_due = RateLimiter(values["odometry_rate"])
+        self._waiting: deque[Report] = deque()
+        self._subscribed: dict[str, Callable[[Any], None]] = {}
+
+    def set_odometry_rate(self, rate: float) -> None:
+        """Publish odometry at another rate [Hz]; 0: with every IMU sample."""
+        self._odometry_due.change(rate)
+
+    def find_subscribers(self, _event: object = None) -> None:
+        """Find the topics worth publishing on: those with subscribers; datum is latched."""
+        self._subscribed = {
+            topic: publisher.publish
+            for topic, publisher in self.publishers.items()
+            if topic == "datum" or publisher.get_subscription_count()
+        }
+
+    def publish_odometry(self, odometry: Odometry) -> None:
+        """Publish odometry where it is due."""
+        if not self._odometry_due.is_due(odometry.t_ns):
+            return
+        publish = self._subscribed.get("odometry")
+        if publish is not None:
+            publish(self._map_encoder.encode_values(odometry.t_ns, odometry.in_map))
+        publish = self._subscribed.get("odometry/local")
+        if publish is not None:
+            publish(self._odom_encoder.encode_values(odometry.t_ns, odometry.in_odom))
+
+    def publish_some(self, reports: Sequence[Report]) -> None:
+        """Publish one of the reports that wait, or a few: IMU samples are not to wait for all."""
+        self._waiting.extend(reports)
+        if self._waiting:
+            self._publish_waiting(1 + len(self._waiting) // CROWD)
+
+    def publish_all(self, reports: Sequence[Report]) -> None:
+        """Publish all reports that wait."""
+        self._waiting.extend(reports)
+        self._publish_waiting(len(self._waiting))
+
+    def _publish_waiting(self, most: int) -> None:
+        while self._waiting and most:
+            report = self._waiting.popleft()
+            publish = self._subscribed.get(report.topic)
+            if publish is not None:
+                publish(to_message(report, self._new_message))
+                most -= 1
+
+    def publish_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
+        """Publish diagnostics at once, whether anybody listens or not."""
+        report = Report("/diagnostics", Diagnostics(t_ns, statuses))
+        self.publishers["/diagnostics"].publish(to_message(report, self._new_message))

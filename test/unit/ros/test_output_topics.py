@@ -1,0 +1,74 @@
+"""Reports and odometry go out where somebody listens, and reports not in bursts."""
+
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.ros.output_topics import CROWD, OutputTopics
+from hybrid_ins.ros.reports import Odometry, Report, Status, Vector
+
+
+class Listened:
+    """A publisher with subscribers, or without."""
+
+    def __init__(self, subscribers: int) -> None:
+        self.subscribers = subscribers
+        self.messages: list[Any] = []
+
+    def publish(self, message: Any) -> None:
+        self.messages.append(message)
+
+    def get_subscription_count(self) -> int:
+        return self.subscribers
+
+
+def make(**subscribers: int) -> tuple[OutputTopics, dict[str, Listened]]:
+    topics = OutputTopics(parameters.defaults(), new_message)
+    publishers = {name.replace("__", "/"): Listened(n) for name, n in subscribers.items()}
+    topics.publishers.update(publishers)
+    topics.find_subscribers()
+    return topics, publishers
+
+
+def vectors(count: int, topic: str = "q/accelerometer") -> list[Report]:
+    return [Report(topic, Vector(k, "base_link", np.zeros(3))) for k in range(count)]
+
+
+def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:
+    topics, publishers = make(q__accelerometer=1, q__gyroscope=0)
+    published = publishers["q/accelerometer"].messages
+
+    topics.publish_some(vectors(2) + vectors(2, "q/gyroscope") + vectors(1))
+    assert [m.header.stamp.nanosec for m in published] == [0]
+    topics.publish_some(())
+    topics.publish_some(())
+    assert [m.header.stamp.nanosec for m in published] == [0, 1, 0]
+    topics.publish_all(vectors(3))
+    assert len(published) == 6
+    assert not publishers["q/gyroscope"].messages
+
+
+def test_a_crowd_goes_out_faster() -> None:
+    topics, publishers = make(q__accelerometer=1)
+    topics.publish_some(vectors(3 * CROWD))
+    assert len(publishers["q/accelerometer"].messages) == 4
+
+
+def test_odometry_keeps_its_rate() -> None:
+    topics, publishers = make(odometry=1, odometry__local=0)
+    topics.set_odometry_rate(50.0)
+    for k in range(100):
+        topics.publish_odometry(Odometry(10**9 + k * 10**7, np.zeros(85), np.zeros(85)))
+
+    assert len(publishers["odometry"].messages) == 50
+    assert not publishers["odometry/local"].messages
+
+
+def test_the_datum_and_diagnostics_on_demand_need_no_listener() -> None:
+    topics, publishers = make(datum=0, **{"/diagnostics": 0})
+    topics.publish_diagnostics(1, [Status(0, "hybrid_ins: filter", "shut down", [])])
+
+    assert [s.message for s in publishers["/diagnostics"].messages[0].status] == ["shut down"]
+    assert "datum" in topics._subscribed
