@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.linalg import log_determinant
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import GNSS, Measurement
 
 Array = NDArray[np.float64]
 
@@ -134,10 +134,10 @@ class Gate:
         patience_ns = self._patience_ns
         if nis <= threshold:
             marginal = nis > MARGINAL * threshold and t_ns - consistent_ns > patience_ns // 3
-            if not (marginal and measurement.aiding):
+            if not (marginal and measurement.sensor == GNSS):
                 self._rejections = others
                 return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
-        elif not measurement.aiding or (
+        elif measurement.sensor != GNSS or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
             jump = last.jump if last else _is_jump(kind, z, R, interval)

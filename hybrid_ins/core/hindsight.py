@@ -28,6 +28,7 @@ from hybrid_ins.core.events import ClockShift, CovarianceInflation
 from hybrid_ins.core.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.forward_record import Stretch
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.noise_multiple_model import MEMORY
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.smoother import N_ADJOINT, Smoother, Start, Store, Update
@@ -126,13 +127,13 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
         return None
     plain = verdict.accepted and not verdict.inflated
     measurement = verdict.measurement
-    if measurement.aiding:
+    if measurement.sensor == GNSS:
         measurement = replace(measurement, t_ns=measurement.t_ns + moved_ns)  # type: ignore[type-var]
     return Update(
         measurement.t_ns,
         psd,
         measurement,
-        step.r_scale if measurement.aiding else 1.0,
+        step.r_scale if measurement.sensor == GNSS else 1.0,
         math.inf if plain else verdict.threshold,
         verdict.inflated,
     )
@@ -149,20 +150,20 @@ def _raise(steps: Sequence[_Step], start: FilterStart) -> Array:
         if not step.decided.state_moved:
             continue
         since = step.decided.event.t_ns - MEMORY_NS
-        after = next((s.r_scale for s in steps[k + 1 :] if _aiding(s)), step.r_scale)
+        after = next((s.r_scale for s in steps[k + 1 :] if _is_gnss(s)), step.r_scale)
         for earlier in steps[:k]:
             if earlier.decided.event.t_ns >= since:
                 earlier.levels = np.maximum(earlier.levels, step.levels)
-                if _aiding(earlier):
+                if _is_gnss(earlier):
                     earlier.r_scale = max(earlier.r_scale, after)
         if start.t_ns >= since:
             levels = np.maximum(levels, step.levels)
     return levels
 
 
-def _aiding(step: _Step) -> bool:
+def _is_gnss(step: _Step) -> bool:
     verdict = step.decided.verdict
-    return verdict is not None and verdict.measurement.aiding
+    return verdict is not None and verdict.measurement.sensor == GNSS
 
 
 def _clock(steps: Sequence[_Step]) -> Array:
@@ -176,7 +177,7 @@ def _clock(steps: Sequence[_Step]) -> Array:
     later: tuple[int, float, float] | None = None  # stamp [ns], smoothed offset, variance before it
     for k in range(len(steps) - 1, -1, -1):
         step = steps[k]
-        if not _aiding(step):
+        if not _is_gnss(step):
             continue
         missing, variance = step.decided.clock_residual, step.decided.clock_variance
         offset, t_ns = step.applied + missing, step.decided.event.t_ns

@@ -33,7 +33,7 @@ from hybrid_ins.core.inflation import (
     inflate_to_innovation,
 )
 from hybrid_ins.core.kalman import inject, innovation
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -303,7 +303,7 @@ class InsFilter:
             self.verdicts.append(Verdict.rejected(measurement, "the state is lost"))
             return False
         z, H, R = measurement.linearise(self.nav)
-        if measurement.aiding:
+        if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
         S, nis = innovation(self.nav, z, H, R)
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
@@ -315,7 +315,7 @@ class InsFilter:
             if verdict.inflated:
                 inflate_to_innovation(self.nav, z, H, interval)
             dx, K = iterated_update.update(self.nav, z, H, R)
-        if not measurement.aiding:
+        if measurement.sensor != GNSS:
             return False
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns

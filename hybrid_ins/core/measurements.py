@@ -28,6 +28,8 @@ from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
+GNSS, IMU = "gnss", "imu"  # sensors
+
 STANDING_SPEED_STD = 0.03  # m/s, of a vehicle that stands: it rocks
 STANDING_RATE_STD = 3e-4  # rad/s
 
@@ -115,14 +117,15 @@ class Measurement(Protocol):
     ----------
     kind : str
         What it measures; measurements of one stamp are fused in the order of their kinds.
-    aiding : bool
-        It comes from a sensor of its own: worth learning from, and may prove the state wrong.
+    sensor : str
+        What measured it: `GNSS`, `IMU`, or the name of another sensor. Noise factors and clock
+        offset are learned from GNSS only, and only GNSS can prove the state wrong.
     t_ns : int
         When it was true, IMU clock [ns].
     """
 
     kind: ClassVar[str]
-    aiding: ClassVar[bool]
+    sensor: ClassVar[str]
 
     @property
     def t_ns(self) -> int:
@@ -145,7 +148,7 @@ class PositionFix:
     stamp_ns: int | None = None  # ns, receiver's clock; None: the IMU's
 
     kind: ClassVar[str] = "position"
-    aiding: ClassVar[bool] = True
+    sensor: ClassVar[str] = GNSS
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
@@ -164,7 +167,7 @@ class VelocityFix:
     stamp_ns: int | None = None  # ns, receiver's clock; None: the IMU's
 
     kind: ClassVar[str] = "velocity"
-    aiding: ClassVar[bool] = True
+    sensor: ClassVar[str] = GNSS
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
@@ -181,7 +184,7 @@ class Standstill:
     rate_std: Array  # (3,) rad/s, of that mean
 
     kind: ClassVar[str] = "standstill"
-    aiding: ClassVar[bool] = False
+    sensor: ClassVar[str] = IMU
 
     @classmethod
     def of(cls, samples: NDArray[np.void]) -> Standstill:

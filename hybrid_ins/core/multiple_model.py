@@ -28,7 +28,7 @@ from hybrid_ins.core import propagation
 from hybrid_ins.core.events import Change
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import COVARIANCE, EPS, QUAT, NavState, covariance, pack
@@ -119,11 +119,11 @@ class MultipleModelBank:
 
         Returns False when that is older than the hypotheses by one of the clocks.
         """
-        if measurement.aiding and measurement.t_ns <= self._first_ns:
+        if measurement.sensor == GNSS and measurement.t_ns <= self._first_ns:
             return False
         self._waiting[measurement.kind, measurement.t_ns] = measurement
         for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True):
-            t_ns = measurement.t_ns + (offset_ns if measurement.aiding else 0)
+            t_ns = measurement.t_ns + (offset_ns if measurement.sensor == GNSS else 0)
             hypothesis.submit(
                 replace(  # type: ignore[type-var]  # a record, see `measurements`
                     measurement, t_ns=t_ns
@@ -151,7 +151,7 @@ class MultipleModelBank:
         ):
             for verdict in hypothesis.verdicts:
                 measurement = verdict.measurement
-                t_ns = measurement.t_ns - (offset_ns if measurement.aiding else 0)
+                t_ns = measurement.t_ns - (offset_ns if measurement.sensor == GNSS else 0)
                 decided[measurement.kind, t_ns] = verdict
             hypothesis.verdicts.clear()
         weighed = []

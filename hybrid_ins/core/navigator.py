@@ -20,7 +20,7 @@ from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_monitor import ImuMonitor, error_std_after
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import Measurement, Standstill
+from hybrid_ins.core.measurements import GNSS, IMU, Measurement, Standstill
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator_events import (
     ClockOffsetFound,
@@ -386,9 +386,10 @@ class Navigator:
         while self._events:
             event = self._events.popleft()
             if isinstance(event, Verdict):
-                if not event.measurement.aiding:
+                if event.measurement.sensor == IMU:
                     continue
-                self._on_verdict(event)
+                if event.measurement.sensor == GNSS:
+                    self._on_verdict(event)
             events.append(event)
         return events
 

@@ -34,7 +34,7 @@ from hybrid_ins.core import gap, iterated_update
 from hybrid_ins.core.error_model import system_matrix
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.samples import SAMPLE_DTYPE, readings_of, steps_since
 from hybrid_ins.core.smoother_step import (
     correction_adjoint,
@@ -238,7 +238,7 @@ class Smoother:
                         self._spans[k] = (update.t_ns - corrected_ns) * 1e-9
                         inflate_to_innovation(nav, z, H, self._spans[k])
                     iterated_update.update(nav, z, H, R)
-                    if update.measurement.aiding:
+                    if update.measurement.sensor == GNSS:
                         corrected_ns = update.t_ns
             nav[PSD] = update.psd
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import Event, FaultFound, GapBridged, Restarted
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL
@@ -83,10 +84,12 @@ class Reporter:
             self._inputs.count_and_warn("imu/data", Refused(name, text))
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        counts = self._inputs.counts
+        counts, sensor = self._inputs.counts, verdict.measurement.sensor
         if not verdict.accepted:
-            counts[f"gnss: {verdict.reason}"] += 1
-        else:
+            counts[f"{sensor}: {verdict.reason}"] += 1
+        if sensor != GNSS:  # only fixes end dead reckoning
+            return
+        if verdict.accepted:
             self.fixes_fused += 1
             self.fused_ns = verdict.measurement.t_ns
             if verdict.inflated:
