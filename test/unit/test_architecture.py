@@ -12,6 +12,7 @@ from tools.structure import is_below
 
 MODULES = structure.read_modules()
 CORE = {name for name in MODULES if name.startswith("hybrid_ins.core")}
+OUTER = {"hybrid_ins.ros.node", "hybrid_ins.ros.player"}
 LIBRARIES = 3
 FLOORS = {
     **dict.fromkeys(
