@@ -9,6 +9,7 @@ from pathlib import Path
 from hybrid_ins.cli import options, program
 from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.convert import DEFAULT_MAP, Conversion, convert
+from hybrid_ins.dataset.convert_logs import convert_logs
 from hybrid_ins.resources import share_path
 from hybrid_ins.simulation.sensors import RTK_STD
 
@@ -21,7 +22,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     p = program.parser(
         "ins_convert",
-        """Convert a flight in CSV files to an MCAP bag on the node's topics.
+        """Convert logs, or a flight in CSV files, to an MCAP bag on the node's topics.
+
+Logs of a receiver and of an IMU are told apart by their content: RTKLIB solutions (.pos), NMEA
+(needs pynmeagps), UBX with NAV-PVT (needs pyubx2), PX4 logs (needs pyulog), and text tables of
+time, accelerations and angular rates (m/s2, g or mg; rad/s or deg/s; axes FLU), with or without
+a header. Fixes keep the receiver's own covariance, status and velocity. Where the two have clocks
+of their own the offset between them is found by the turns that both see.
 
 Made for the dataset "Quadrotor Dead Reckoning with Multiple Inertial Sensors" (Hurwitz & Klein);
 for others copy config/datasets/quadrotor.yaml, change it, and give it with --map.
@@ -36,9 +43,16 @@ for others copy config/datasets/quadrotor.yaml, change it, and give it with --ma
 
 IMU and reference have clocks of their own in this dataset, up to 0.7 s apart: see --time-offset.
 Rows that cannot be used are reported on stderr and left out.""",
-        "ins_convert Horizontal/path_4 flight --imu 2 --gnss-rate 1 --outage 15 10",
+        "ins_convert imu.csv solution.pos walk.mcap\n"
+        "  ins_convert Horizontal/path_4 flight --imu 2 --gnss-rate 1 --outage 15 10",
     )
-    p.add_argument("flight", metavar="FLIGHT_DIR", type=Path, help="directory of the CSV files")
+    p.add_argument(
+        "input",
+        metavar="IN",
+        nargs="+",
+        type=Path,
+        help="logs of an IMU and a receiver, or the directory of a flight's CSV files",
+    )
     p.add_argument("out", metavar="OUT", type=Path, help="bag: a directory, or a file *.mcap")
     p.add_argument("--imu", type=options.count, default=1, metavar="K", help="which IMU [1]")
     p.add_argument(
@@ -54,9 +68,9 @@ Rows that cannot be used are reported on stderr and left out.""",
     p.add_argument(
         "--time-offset",
         type=options.number,
-        default=0.0,
         metavar="S",
-        help="added to the reference's times to bring them to the IMU's clock [0: as published]",
+        help="added to the reference's times to bring them to the IMU's clock [0: as published]; "
+        "of logs, to the IMU's to bring them to the receiver's [found]",
     )
     p.add_argument("--map", type=Path, metavar="FILE", help="column map (YAML) of the dataset")
     p.add_argument("--overwrite", action="store_true", help="replace OUT where it exists")
@@ -64,16 +78,20 @@ Rows that cannot be used are reported on stderr and left out.""",
 
 
 def _run(args: argparse.Namespace) -> None:
+    if len(args.input) > 1 or args.input[0].is_file():
+        print(convert_logs(args.input, args.out, args.time_offset, overwrite=args.overwrite))
+        return
+    [flight] = args.input
     conversion = Conversion(
         imu=args.imu,
-        time_offset=args.time_offset,
+        time_offset=args.time_offset or 0.0,
         gnss_rate=args.gnss_rate,
         gnss_noise=args.gnss_noise,
         outages=options.outages(args.outage),
         seed=args.seed,
     )
     layout = load_map(args.map or share_path(DEFAULT_MAP))
-    print(convert(args.flight, args.out, layout, conversion, overwrite=args.overwrite))
+    print(convert(flight, args.out, layout, conversion, overwrite=args.overwrite))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,121 @@
+"""An IMU log and a GNSS log as a bag on the node's topics, with the receiver's own deviations."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import replace
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_ins import progress
+from hybrid_ins.bags.flight_bag import Entry, set_vector, stamp, stamps
+from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.dataset.logs.clock_match import clock_offset
+from hybrid_ins.dataset.logs.formats import read_logs
+from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import SWAP
+
+KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
+UNKNOWN_VARIANCE = 1e6
+EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
+
+
+def convert_logs(
+    paths: list[Path], out: Path, time_offset: float | None = None, *, overwrite: bool = False
+) -> str:
+    """
+    Write a bag of one or two logs, which are told apart by their content.
+
+    Parameters
+    ----------
+    paths : list of Path
+        An IMU's and a receiver's, or an autopilot's log with both.
+    out : Path
+        See `BagWriter`.
+    time_offset : float, optional
+        Added to the IMU's times to bring them to the receiver's clock [s]. Without it that is
+        found by correlation, unless both have one clock or overlap already.
+    overwrite : bool
+        See `BagWriter`.
+
+    Returns
+    -------
+    str
+        A line on what was written.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the two have no time in common.
+    """
+    imu, gnss = read_logs(paths)
+    told = ""
+    common = min(imu.t[-1], gnss.t[-1]) - max(imu.t[0], gnss.t[0])
+    if time_offset is not None:
+        imu = replace(imu, t=imu.t + time_offset)
+    elif imu.is_dated != gnss.is_dated or common <= 0.0:
+        found, r = clock_offset(imu, gnss)
+        imu = replace(imu, t=imu.t + found)
+        told = f"; clock offset by the turns in both, correlation {r:.2f} (refine: ins_calibrate)"
+    if min(imu.t[-1], gnss.t[-1]) <= max(imu.t[0], gnss.t[0]):
+        raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
+    if not gnss.is_dated:
+        imu, gnss = replace(imu, t=imu.t + EPOCH), replace(gnss, t=gnss.t + EPOCH)
+    streams = [_imu_entries(imu), _fix_entries(gnss), _velocity_entries(gnss)]
+    count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)
+    entries = heapq.merge(*streams, key=itemgetter(0, 1))
+    with BagWriter(out, overwrite=overwrite) as bag:
+        for log_ns, _, topic, message in progress.track(entries, "writing", total=count):
+            bag.write(topic, message, log_ns)
+    rate = 1.0 / float(np.median(np.diff(imu.t)))
+    return (
+        f"{out}: {imu.t[-1] - imu.t[0]:.1f} s; {len(imu.t)} samples of {imu.path.name} at "
+        f"{rate:.4g} Hz, {len(gnss.t)} fixes of {gnss.path.name}{told}"
+    )
+
+
+def _imu_entries(imu: ImuLog) -> Iterator[Entry]:
+    message = new_message(IMU)
+    message.orientation_covariance[0] = -1.0  # sensor_msgs/Imu: no orientation
+    for row, stamp_ns in enumerate(stamps(imu.t, 0.0).tolist()):
+        stamp(message, stamp_ns, "imu_link")
+        set_vector(message.linear_acceleration, imu.specific_force[row])
+        set_vector(message.angular_velocity, imu.angular_rate[row])
+        yield stamp_ns, 0, "/imu/data", message
+
+
+def _fix_entries(gnss: GnssLog) -> Iterator[Entry]:
+    message = new_message(FIX)
+    message.status.service = 1  # SERVICE_GPS
+    covariance_enu = SWAP @ gnss.covariance_n @ SWAP
+    for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
+        stamp(message, stamp_ns, "gnss_link")
+        message.status.status = int(gnss.status[row])
+        message.latitude, message.longitude = np.degrees(gnss.lla[row, :2]).tolist()
+        message.altitude = float(gnss.lla[row, 2])
+        known = bool(np.isfinite(covariance_enu[row]).all())
+        message.position_covariance_type = KNOWN if known else UNKNOWN
+        message.position_covariance = np.nan_to_num(covariance_enu[row]).ravel()
+        yield stamp_ns, 1, "/gnss/fix", message
+
+
+def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:
+    if gnss.velocity_n is None or gnss.velocity_covariance_n is None:
+        return
+    message = new_message(VELOCITY)
+    velocity_enu = gnss.velocity_n @ SWAP
+    covariance_enu = SWAP @ gnss.velocity_covariance_n @ SWAP
+    for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
+        if not np.isfinite(velocity_enu[row]).all() or not np.isfinite(covariance_enu[row]).all():
+            continue
+        stamp(message, stamp_ns, "gnss_link")
+        covariance = np.diag(np.full(6, UNKNOWN_VARIANCE))  # a receiver knows nothing of rotation
+        covariance[:3, :3] = covariance_enu[row]
+        message.twist.covariance = covariance.ravel()
+        set_vector(message.twist.twist.linear, velocity_enu[row])
+        yield stamp_ns, 2, "/gnss/velocity", message

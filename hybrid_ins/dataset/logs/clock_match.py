@@ -1,0 +1,100 @@
+"""
+The rough offset between the clocks of an IMU log and a GNSS log, by correlation.
+
+What both see is the turn about the vertical: the gyroscope's about the mean direction of the
+specific force, the receiver's as the change of its course. The offset with the highest correlation
+over the common moving time is taken; `ins_calibrate` refines it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.trajectory import Array
+
+GRID = 0.1  # s
+LEVEL_TIME = 2.0  # s, over which the direction of the specific force is averaged
+LEAST_SPEED = 0.7  # m/s, below which a course means nothing
+LEAST_OVERLAP = 20.0  # s of moving time
+LEAST_CORRELATION = 0.5
+NEAR = 3.0  # s around the best offset, in which no other one counts
+DISTINCT = 1.15  # times the next best correlation
+
+
+def clock_offset(imu: ImuLog, gnss: GnssLog) -> tuple[float, float]:
+    """
+    Return what has to be added to the IMU's times to be the receiver's [s], and the correlation.
+
+    Raises
+    ------
+    InputError
+        No offset stands out: too little motion, or too little of it turning.
+    """
+    turn_imu = _imu_turn_rate(imu)
+    turn_gnss, moving = _gnss_turn_rate(gnss)
+    if moving.sum() * GRID < LEAST_OVERLAP:
+        raise _failure(imu, gnss, f"the receiver moved for {moving.sum() * GRID:.0f} s only")
+    r, counts = _correlations(turn_imu, turn_gnss, moving)
+    r[counts * GRID < max(LEAST_OVERLAP, 0.3 * moving.sum() * GRID)] = -1.0
+    best = int(np.argmax(r))
+    far = np.abs(np.arange(len(r)) - best) * GRID > NEAR
+    others = float(r[far].max(initial=-1.0))
+    if not r[best] >= max(LEAST_CORRELATION, DISTINCT * others):
+        raise _failure(imu, gnss, f"best correlation {r[best]:.2f}, next {others:.2f}")
+    lag = best - (len(turn_imu) - 1)  # grid steps that the IMU's first sample lies behind
+    return float(gnss.t[0] + lag * GRID - imu.t[0]), float(r[best])
+
+
+def _failure(imu: ImuLog, gnss: GnssLog, why: str) -> InputError:
+    return InputError(
+        f"{imu.path} and {gnss.path}: no clock offset by the turns in both ({why}); give it with "
+        "--time-offset"
+    )
+
+
+def _imu_turn_rate(imu: ImuLog) -> Array:
+    """Return the turn rate about the vertical [rad/s], up positive, on the grid."""
+    t = np.arange(imu.t[0], imu.t[-1], GRID)
+    width = max(1, round(LEVEL_TIME / float(np.median(np.diff(imu.t)))))
+    kernel = np.ones(width) / width
+    up = np.column_stack([np.convolve(f, kernel, "same") for f in imu.specific_force.T])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    rate = np.einsum("ij,ij->i", imu.angular_rate, up)
+    total = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.t))))
+    return np.asarray(np.gradient(np.interp(t, imu.t, total), GRID))
+
+
+def _gnss_turn_rate(gnss: GnssLog) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the turn rate of the course [rad/s], up positive, on the grid; and where it moves."""
+    velocity = gnss.velocity_n
+    if velocity is None or not np.isfinite(velocity[:, :2]).any():
+        metres = (gnss.lla - gnss.lla[0]) * curvature_scale(gnss.lla[0])
+        velocity = np.gradient(metres, gnss.t, axis=0)
+    known = np.isfinite(velocity[:, :2]).all(axis=1)
+    at, velocity = gnss.t[known], velocity[known]
+    t = np.arange(gnss.t[0], gnss.t[-1], GRID)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+    moving = np.asarray(np.interp(t, at, speed) > LEAST_SPEED)
+    rate = -np.gradient(np.interp(t, at, course), GRID)
+    return np.where(moving, rate, 0.0), moving
+
+
+def _correlations(a: Array, b: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the correlation of a with the masked b for every lag, and how many values it is of."""
+    size = len(a) + len(b) - 1
+    one, m = np.ones(len(a)), mask.astype(float)
+
+    def sums(x: Array, y: Array) -> Array:
+        product = np.conj(np.fft.rfft(x, size)) * np.fft.rfft(y, size)
+        return np.roll(np.fft.irfft(product, size), len(a) - 1)
+
+    n = np.maximum(np.rint(sums(one, m)), 1.0)
+    mean_a, mean_b = sums(a, m) / n, sums(one, m * b) / n
+    var_a = np.maximum(sums(a * a, m) / n - mean_a**2, 1e-12)
+    var_b = np.maximum(sums(one, m * b * b) / n - mean_b**2, 1e-12)
+    return (sums(a, m * b) / n - mean_a * mean_b) / np.sqrt(var_a * var_b), n

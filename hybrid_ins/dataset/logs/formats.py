@@ -1,0 +1,59 @@
+"""The formats of logs, and which one a file has: told by its content, not by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+from hybrid_ins.dataset.logs import imu_text, nmea, rtklib, ubx, ulog
+from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.errors import InputError
+
+FORMATS: tuple[ModuleType, ...] = (ulog, rtklib, ubx, nmea, imu_text)
+"""Each has ``recognise(head)``, and ``read_imu(path)`` or ``read_gnss(path)`` or both."""
+HEAD = 1 << 16  # bytes
+
+
+def read_logs(paths: list[Path]) -> tuple[ImuLog, GnssLog]:
+    """
+    Read an IMU's samples and a receiver's fixes from one or two logs.
+
+    Raises
+    ------
+    InputError
+        A file has no known format, or they do not hold one of each.
+    """
+    imu: list[ImuLog] = []
+    gnss: list[GnssLog] = []
+    for path in paths:
+        module = format_of(path)
+        if hasattr(module, "read_imu"):
+            imu.append(module.read_imu(path))
+        if hasattr(module, "read_gnss"):
+            gnss.append(module.read_gnss(path))
+    if len(imu) != 1 or len(gnss) != 1:
+        raise InputError(
+            f"{', '.join(map(str, paths))}: {len(imu)} IMU logs and {len(gnss)} GNSS logs; give "
+            "one of each"
+        )
+    return imu[0], gnss[0]
+
+
+def format_of(path: Path) -> ModuleType:
+    """
+    Return the module that reads a file.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or none recognises it.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    with path.open("rb") as stream:
+        head = stream.read(HEAD)
+    for module in FORMATS:
+        if module.recognise(head):
+            return module
+    names = ", ".join(module.__name__.rpartition(".")[2] for module in FORMATS)
+    raise InputError(f"{path}: none of the known formats ({names})")

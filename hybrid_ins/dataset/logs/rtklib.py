@@ -1,0 +1,112 @@
+"""
+Solutions of RTKLIB, ``*.pos``.
+
+References
+----------
+RTKLIB manual 2.4.2, appendix B.1 (positioning solution file).
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    LEAP_SECONDS,
+    SBAS_FIX,
+    GnssLog,
+    utc_from_gps,
+)
+from hybrid_ins.errors import InputError
+
+STATUS = {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX}
+WEEK = 604_800  # s
+
+
+def recognise(head: bytes) -> bool:
+    """Tell whether a file begins as a solution does."""
+    lines = [line for line in head.split(b"\n") if line.startswith(b"%")]
+    return any(b"GPST" in line or b"UTC" in line for line in lines[-3:]) and any(
+        b"latitude" in line or b"x-ecef" in line for line in lines
+    )
+
+
+def read_gnss(path: Path) -> GnssLog:
+    """
+    Read a solution in degrees and metres or in ECEF, with calendar time or week and seconds.
+
+    Raises
+    ------
+    InputError
+        The header names no columns, or no row can be read.
+    """
+    names: list[str] = []
+    rows: list[tuple[float, list[float]]] = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith("%"):
+            if "latitude" in line or "x-ecef" in line:
+                names = [word.split("(")[0] for word in line.strip("% ").split()]
+            continue
+        words = line.replace(",", " ").split()
+        try:
+            rows.append((_time(words[0], words[1]), [float(word) for word in words[2:]]))
+        except (ValueError, IndexError):
+            continue  # a cut line
+    width = len(names) - 1
+    table = [(t, values) for t, values in rows if len(values) == width and width >= 10]
+    if not table:
+        raise InputError(f"{path}: no row has the columns that its header names")
+    t = np.array([t for t, _ in table])
+    if names[0] == "UTC":
+        t += LEAP_SECONDS
+    columns = dict(zip(names[1:], np.array([values for _, values in table]).T, strict=True))
+    if "x-ecef" in columns:
+        raise InputError(
+            f"{path}: holds ECEF coordinates; write the solution as latitude and longitude "
+            "(out-solformat = llh)"
+        )
+    velocity = None
+    if "vn" in columns:
+        velocity = np.column_stack((columns["vn"], columns["ve"], -columns["vu"]))
+    return GnssLog(
+        path,
+        utc_from_gps(t),
+        np.column_stack(
+            (*np.radians((columns["latitude"], columns["longitude"])), columns["height"])
+        ),
+        _covariance(columns, "sd{}"),
+        np.array([STATUS.get(int(q), FIX) for q in columns["Q"]], np.int8),
+        velocity,
+        _covariance(columns, "sdv{}") if "sdvn" in columns else None,
+    )
+
+
+def _covariance(columns: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """Return (M, 3, 3), NED: off the diagonal the file has square roots with the sign kept."""
+    P = np.zeros((len(columns["Q"]), 3, 3))
+    for (i, j), axes, sign in (
+        ((0, 0), "n", 1.0),
+        ((1, 1), "e", 1.0),
+        ((2, 2), "u", 1.0),
+        ((0, 1), "ne", 1.0),
+        ((1, 2), "eu", -1.0),
+        ((0, 2), "un", -1.0),
+    ):
+        value = columns.get(name.format(axes))
+        if value is not None:
+            P[:, i, j] = P[:, j, i] = sign * value * np.abs(value)
+    return P
+
+
+def _time(first: str, second: str) -> float:
+    """Return GPS time [s since 1980-01-06] of a date and a time, or of a week and seconds."""
+    if "/" not in first:
+        return int(first) * WEEK + float(second)
+    day = datetime.strptime(first, "%Y/%m/%d").replace(tzinfo=timezone.utc)
+    hours, minutes, seconds = second.split(":")
+    start = datetime(1980, 1, 6, tzinfo=timezone.utc)
+    return (day - start).total_seconds() + 3600 * int(hours) + 60 * int(minutes) + float(seconds)

@@ -1,0 +1,94 @@
+"""
+Logs of PX4, ``*.ulg``: sensor_combined and sensor_gps (or vehicle_gps_position). Needs `pyulog`.
+
+References
+----------
+PX4 user guide, "ULog file format"; message definitions SensorCombined and SensorGps.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, ImuLog, diagonal
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import FLIP
+
+GNSS_TOPICS = ("vehicle_gps_position", "sensor_gps")
+STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
+
+
+def recognise(head: bytes) -> bool:
+    """Tell whether a file begins as a ULog."""
+    return head.startswith(b"ULog\x01\x12\x35")
+
+
+def read_imu(path: Path) -> ImuLog:
+    """
+    Read ``sensor_combined``, by the autopilot's clock.
+
+    Raises
+    ------
+    InputError
+        `pyulog` is not installed, or the log lacks the topic.
+    """
+    data = _topic(path, ("sensor_combined",))
+    force, rate = (
+        np.column_stack([data[f"{name}[{axis}]"] for axis in range(3)]).astype(float) @ FLIP
+        for name in ("accelerometer_m_s2", "gyro_rad")
+    )
+    return ImuLog(path, data["timestamp"] * 1e-6, force, rate, False)
+
+
+def read_gnss(path: Path) -> GnssLog:
+    """
+    Read the receiver's fixes, by the autopilot's clock.
+
+    Raises
+    ------
+    InputError
+        `pyulog` is not installed, or the log lacks the topic.
+    """
+    data = _topic(path, GNSS_TOPICS)
+    good = np.isin(data["fix_type"], list(STATUS))
+    data = {name: values[good] for name, values in data.items()}
+    if "latitude_deg" in data:
+        degrees, height = ("latitude_deg", "longitude_deg"), data["altitude_ellipsoid_m"]
+        angles = [np.radians(data[name]) for name in degrees]
+    else:  # before PX4 1.15
+        angles = [np.radians(data[name] * 1e-7) for name in ("lat", "lon")]
+        height = data["alt_ellipsoid"] * 1e-3
+    lla = np.column_stack((*angles, height))
+    horizontal = data["eph"] / 2**0.5
+    speed = data["s_variance_m_s"].astype(float)  # a deviation, despite its name
+    sampled = np.any(data.get("timestamp_sample", 0))
+    stamps = data["timestamp_sample" if sampled else "timestamp"]
+    return GnssLog(
+        path,
+        stamps * 1e-6,
+        lla,
+        diagonal(np.column_stack((horizontal, horizontal, data["epv"]))),
+        np.array([STATUS[int(kind)] for kind in data["fix_type"]], np.int8),
+        np.column_stack([data[f"vel_{axis}_m_s"] for axis in "ned"]).astype(float),
+        diagonal(np.column_stack([speed] * 3)),
+        is_dated=False,
+    )
+
+
+def _topic(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise InputError(f"{path}: ULog files need pyulog: pip install pyulog") from None
+    try:
+        log = ULog(str(path), list(names))
+    except Exception as error:  # the library raises what the damage leads to
+        raise InputError(f"{path}: no readable ULog: {error}") from None
+    for name in names:
+        for dataset in log.data_list:
+            if dataset.name == name and dataset.multi_id == 0 and len(dataset.data["timestamp"]):
+                return dict(dataset.data)
+    raise InputError(f"{path}: holds no {' or '.join(names)}; enable its logging in PX4")
