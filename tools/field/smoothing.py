@@ -148,10 +148,10 @@ def draw_separation(path: Path, flown: Flown) -> None:
     assert P is not None and P_s is not None
     for i, (axis, name) in enumerate(zip(axes, ("east", "north", "up"), strict=False)):
         bound = 3.0 * np.sqrt(np.maximum(P[a, i, i] - P_s[b, i, i], 0.0))
-        axis.fill_between(t, -bound, bound, color=BLUE, alpha=0.2, linewidth=0, label="3 σ of it")
-        axis.plot(t, apart[:, i], color=BLUE, linewidth=1.0, label="smoothed minus filtered")
-        axis.set(ylabel=f"{name} [m]")
-    axes[0].legend(loc="best")
+        axis.fill_between(t, -bound, bound, color=BLUE, alpha=0.2, linewidth=0, label="± 3 σ")
+        axis.plot(t, apart[:, i], color=BLUE, linewidth=1.0, label="difference")
+        axis.set(xlabel="time [s]", ylabel=f"{name} [m]")
+    axes[0].legend(loc="lower left", fontsize=7)
     for errors, rows, colour, label in (
         (before, a, ORANGE, "filter"),
         (after, b, BLUE, "smoother"),
