@@ -278,7 +278,10 @@ def _body(args: argparse.Namespace) -> int:
     assert flown is not None
     (args.out / "figures").mkdir(parents=True, exist_ok=True)
     draw_separation(args.out / "figures" / "smoothing_separation.png", flown)
-    command = f"python -m tools.field.smoothing --data DIR --imus {args.imus} --seeds {args.seeds}"
+    command = (
+        f"python -m tools.field.smoothing --data DIR --imus {args.imus} --seeds {args.seeds} "
+        f"--simulations {args.simulations}"
+    )
     target = args.out / "smoothing.md"
     target.write_text(report(rows, simulated, command) + "\n", encoding="utf-8")
     print(target)
