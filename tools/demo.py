@@ -51,7 +51,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         description="Play a flight into ins_node over DDS, record what it publishes, and score\n"
         "it against the truth. Without --flight the flight is simulated: 60 s of a quadrotor\n"
         "with a 1 kHz MPU-9250 and a 5 Hz GNSS receiver. A recorded one is calibrated first.",
-        epilog="example:\n  tools/demo.sh --flight ../shared/data/quadrotor/Horizontal/path_4",
+        epilog="example:\n  tools/demo.sh --flight quadrotor/Horizontal/path_4",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(

@@ -141,6 +141,7 @@ class InsNode(Node):
         self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
+        self.add_pre_set_parameters_callback(node_parameters.read_texts)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self.guard.wrap(self._use_parameters))
         self._topics.find_subscribers()

@@ -9,6 +9,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
 from hybrid_ins import parameters
+from hybrid_ins.errors import InputError
 from hybrid_ins.parameter import Parameter
 
 LARGEST_BOUND = 1e300  # beyond it a range is none
@@ -36,6 +37,28 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 def plain(value: Any) -> Any:
     """Return a parameter's value as rclpy's arrays and numbers are in YAML."""
     return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+
+
+def read_texts(changes: list[Any]) -> list[Any]:
+    """
+    Return changed parameters with the numbers that ``ros2 param`` sends as texts.
+
+    It sends 1e-6, and lists such as [0.1, 0, 0], as texts. What is not valid stays as it is, for
+    the check to refuse.
+    """
+    return [_read_text(change) for change in changes]
+
+
+def _read_text(change: Any) -> Any:
+    parameter, value = parameters.PARAMETERS.get(change.name), plain(change.value)
+    if parameter is None or isinstance(parameter.default, str):
+        return change
+    if not isinstance(value, str) and not (isinstance(value, list) and str in map(type, value)):
+        return change
+    try:
+        return type(change)(change.name, value=parameter.check(value))
+    except InputError:
+        return change
 
 
 def help_text() -> str:

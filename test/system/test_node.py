@@ -215,6 +215,23 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
 
     assert client.set("noise.mode", "constant").successful
     assert client.set("gnss.patience", 5.0).successful
+    assert client.set("noise.q_accelerometer", "1e-6").successful  # as ros2 param sends it
+    assert client.set("noise.background_gyroscope", "[0.1, 0, 1e-08]").successful
+    from rcl_interfaces.srv import GetParameters
+
+    names = ["noise.q_accelerometer", "noise.background_gyroscope"]
+    values = client.call(
+        GetParameters, "/ins_node/get_parameters", GetParameters.Request(names=names)
+    ).values
+    assert values[0].double_value == 1e-6
+    assert list(values[1].double_array_value) == [0.1, 0.0, 1e-8]
+    assert not client.set("noise.q_accelerometer", "much").successful
+    assert not client.set("odometry_rate", 5e-324).successful
+    os.mkfifo(folder / "pipe.onnx")
+    assert client.set("noise.mode", "learned").successful
+    for model in (folder / "pipe.onnx", "m" * 300, "x" * 300 + ".onnx"):
+        client.set("noise.model", str(model))
+    assert "not a regular file" in log.read_text()
     refused = client.set("gnss.patience", -1.0)
     assert not refused.successful
     assert "gnss.patience" in refused.reason

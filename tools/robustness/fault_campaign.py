@@ -479,7 +479,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "fault_campaign",
         __doc__ or "",
         "python -m tools.robustness.fault_campaign --live --flight "
-        "../shared/data/quadrotor/Horizontal/path_4",
+        "quadrotor/Horizontal/path_4",
     )
     parser.add_argument(
         "--flight",
