@@ -221,7 +221,8 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
         ),
         Figure(
             "Heading from motion, from twelve initial headings, recorded and simulated",
-            "{:.0f} runs: within 5° after 20 s of motion in {:.1f} %; no wrong one was accepted",
+            "{:.0f} runs: within 5° after 20 s of motion in {:.1f} %; in the others its σ "
+            "shows the error",
             _table(ROBUSTNESS, ("all", 0), ("all", 1)),
             "[robustness](robustness.md#heading-from-motion)",
             in_readme=True,
