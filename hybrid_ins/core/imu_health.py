@@ -61,8 +61,8 @@ class ImuFault:
     ----------
     kind : FaultKind
     value : float
-        What shows it, rounded as it is told: the mean specific force [m/s²] of the faults of
-        gravity, the reading [m/s² or rad/s] of the others; 0 for a frozen sensor.
+        The value that shows it, rounded for the user: the mean specific force [m/s²] for faults
+        of gravity, the reading [m/s² or rad/s] for the others; 0 for a frozen sensor.
     axis : int
         Of a saturated sensor: 0 to 2 for x, y, z of b.
     """

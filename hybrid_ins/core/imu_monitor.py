@@ -46,11 +46,11 @@ class ImuMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: a filter is to start anew."""
+        """Restart, as the filter did."""
         self.fault: ImuFault | None = None
         self.falling = self.standing = False
         self._next_ns = 0
-        self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without more ado
+        self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity
 
     def is_due(self, t_ns: int) -> bool:

@@ -54,7 +54,7 @@ RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading
 
 class Navigator:
     """
-    Aligns, then filters; restarts after a gap or when told to.
+    Aligns, then filters; restarts after a gap or on request.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ class Navigator:
     # Phases.
 
     def reset(self) -> None:
-        """Discard everything, and align anew."""
+        """Discard everything, and align again."""
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self._discard_samples()
 
     def realign(self) -> None:
-        """Give up the state, but not the samples, and align anew."""
+        """Give up the state, but not the samples, and align again."""
         self.monitor.reset()
         self._attempt_ns = 0
         self._resets: deque[int] = deque(maxlen=RESETS)
@@ -122,7 +122,7 @@ class Navigator:
         self._enter(Aligning(alignment))
 
     def give_up(self, cause: RestartCause) -> None:
-        """Give up the state because of what was found out about it, and align anew."""
+        """Give up the state for a cause, and align again."""
         fault = self.monitor.fault if cause is RestartCause.IMU_UNUSABLE else None
         self._events.append(Restarted(cause, fault=fault))
         self.realign()
@@ -216,7 +216,7 @@ class Navigator:
         self._collect_verdicts(self.filter)
 
     def _on_odd_step(self, t_ns: int) -> None:
-        """Bridge a gap before a sample, or begin anew with a new time base."""
+        """Bridge a gap before a sample, or restart with a new time base."""
         if self.stamps.last_ns == 0:
             return
         step_ns = t_ns - self.stamps.last_ns
@@ -399,7 +399,7 @@ class Navigator:
         return bool(self._events)
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        """Start anew when the covariance had to be reset repeatedly: the heading is wrong."""
+        """Restart after repeated covariance resets: the heading is wrong."""
         self.monitor.on_verdict(verdict)
         if not verdict.inflated or self.filter is None:
             return

@@ -32,7 +32,7 @@ class GapBridged:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The state was given up, and alignment begins anew."""
+    """The state was given up, and alignment restarted."""
 
     cause: RestartCause
     seconds: float = 0.0  # by which the stamps went back or were missing

@@ -42,7 +42,7 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
     model : str
         A path, the name of a model that comes with the package, or ``spectral``.
     log : callable
-        Told why a model cannot be used.
+        Called with the reason why a model cannot be used.
     """
     if model == "spectral":
         return SpectralRegressor()
@@ -50,7 +50,7 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
         path = model if model.endswith(".onnx") else share_path(f"models/{model}.onnx")
         return Regressor.load(path)
     except InputError as error:
-        log("warn", f"noise.model: {error}; the spectral estimator takes its place")
+        log("warn", f"noise.model: {error}; the spectral estimator is used instead")
         return SpectralRegressor()
 
 
@@ -110,7 +110,7 @@ class NoiseReader:
         self._lookahead = t_ns, rounded(readings)
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
-        """Return the levels at ``t_ns`` [ns], or an estimate that says None."""
+        """Return the levels at ``t_ns`` [ns], or an estimate without them."""
         q, self.fault = self._estimate(ring)
         if self.fault:
             self.refusals[self.fault] += 1

@@ -1,7 +1,7 @@
 """
-Whether a noise estimate may be made from a window of IMU samples.
+Checks of a window of IMU samples before noise levels are estimated from it.
 
-Pure checks on what the estimator's ring buffer holds; a named fault, or none.
+The result is a named fault, or none.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hybrid_ins.core.compilation import kernel
 Array = NDArray[np.float64]
 
 LONGEST_GAP = 3.5
-"""Largest step between stamps, in median steps: jitter of host stamps passes, a lost stretch no."""
+"""Largest step between stamps, in median steps: tolerates jitter, not lost samples."""
 LONGEST_REPEAT = 10
 LARGEST_REPEATED_SHARE = 0.4
 LONGEST_AT_LIMIT = 5
@@ -180,7 +180,7 @@ def quantisation_step(readings: Array) -> Array:
     Return the resolution (C,) that shows in readings (N, C), 0 where none does.
 
     A channel is quantised where at least a quarter of its values recur and all lie on one grid.
-    Quantisation noise then has the variance ``step**2 / 12``, below which no estimate is honest.
+    Quantisation noise then has the variance ``step**2 / 12``, below which no estimate can be right.
     """
     return _resolution(np.sort(readings, axis=0))  # type: ignore[no-any-return]
 

@@ -114,7 +114,7 @@ class StampedEncoder:
     """
     Serialises messages that consist of a header and doubles by patching one prepared message.
 
-    Fill `values` in place, then take `message(stamp_ns)`. The bytes equal those of the typed path,
+    Fill `values` in place, then call `message(stamp_ns)`. The bytes equal those of the typed path,
     with zeros in the gaps before aligned fields.
 
     Parameters
@@ -127,7 +127,7 @@ class StampedEncoder:
     Attributes
     ----------
     values : ndarray, shape (count,)
-        The doubles, a window into the prepared message.
+        The doubles, a view of the prepared message.
 
     """
 
@@ -180,7 +180,7 @@ class OdometryEncoder(StampedEncoder):
     """
     Serialises nav_msgs/Odometry.
 
-    Fill the windows and take `message(stamp_ns)`, or give everything to `encode`.
+    Fill the views and call `message(stamp_ns)`, or pass everything to `encode`.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """
 The clock offset that is added to the stamps of fixes: given, estimated while running, or searched.
 
-What a filter's innovations say of it is in `hybrid_ins.core.clock_offset`; what a search over many
-offsets says is in `hybrid_ins.core.multiple_model`. Here is what is made of both.
+`hybrid_ins.core.clock_offset` estimates it from a filter's innovations, and
+`hybrid_ins.core.clock_search` finds it among many hypotheses. This module applies both.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class ClockCorrection:
             self._navigator.open_clock(self._estimate)
 
     def restart(self) -> None:
-        """Note that the filter starts anew."""
+        """Restart, as the filter did."""
         self._next_ns = self._searched_ns = 0
 
     def on_found(self, found: ClockOffsetFound) -> None:

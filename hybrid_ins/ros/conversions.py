@@ -127,7 +127,7 @@ class GnssInput:
         )
 
     def position(self, message: Message, received_ns: int | None = None) -> PositionFix | Refused:
-        """Convert a sensor_msgs/NavSatFix; ``received_ns`` takes its stamp's place if given."""
+        """Convert a sensor_msgs/NavSatFix; ``received_ns`` replaces its stamp if given."""
         t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return Refused("gnss: zero stamp", "header.stamp is zero: the driver must set it")
@@ -211,7 +211,7 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     """
     Return a covariance (3, 3) fit for use.
 
-    The symmetric part counts. ``default`` where it says nothing (not finite, not positive
+    The symmetric part counts. ``default`` where it is unknown (not finite, not positive
     definite: a zero or a negative variance means unknown, not perfect); otherwise no axis below
     ``std_min``, its correlations kept.
     """
@@ -315,7 +315,7 @@ class MapFrame:
 
 
 def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:
-    """Fill a NavSatFix that says where the map's origin is."""
+    """Fill a NavSatFix with the origin of the map."""
     message = new("sensor_msgs/msg/NavSatFix")
     set_stamp(message.header.stamp, t_ns)
     message.header.frame_id = frame_id

@@ -205,7 +205,7 @@ class Estimator:
         self._restart()
 
     def _restart(self) -> None:
-        """Begin reporting anew, after the navigator restarted."""
+        """Restart everything that reports, as the navigator did."""
         self._odometry.restart()
         self._reporter.restart()
         self.clock.restart()
@@ -264,7 +264,7 @@ class Estimator:
         return self._imu.use(t_ns, imu.specific_force, imu.angular_rate)
 
     def handle_missing_reading(self) -> None:
-        """Count an Imu message whose covariances say that it carries no reading."""
+        """Count an Imu message without a reading, by its covariances."""
         self.inputs.count_and_warn("imu/data", NO_READING)
 
     def handle_imu_block(

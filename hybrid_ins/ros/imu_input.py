@@ -47,7 +47,7 @@ class ImuInput:
     odometry : OdometrySource
         Makes odometry of the navigator's filter.
     inputs : InputLog
-        Told of what is refused.
+        Counts what is refused.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class ImuInput:
     def end_of_stretch(
         self, t_ns: NDArray[np.int64], force: Array, rate: Array, start: int, until_ns: int
     ) -> int:
-        """Return the row behind those that `use_stretch` may take, see `end_of_stretch`."""
+        """Return the end of the rows for `use_stretch`, see `end_of_stretch`."""
         running = self._navigator.filter
         if running is None or self._odometry.map is None:
             return start

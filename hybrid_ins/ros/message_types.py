@@ -42,7 +42,7 @@ OUTPUTS = {
 
 def to_message(report: Report, new: NewMessage) -> Message:
     """
-    Return the message that a report says.
+    Return the message of a report.
 
     Parameters
     ----------

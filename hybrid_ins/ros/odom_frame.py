@@ -4,7 +4,7 @@ The odometry that never jumps: the same motion in ``odom``, without the correcti
 Position is the integral of the corrected velocity, yaw that of the corrected turn about the
 vertical; roll and pitch are the filter's own. So a correction changes where the motion goes from
 here, but not where it has been, and a step is never longer than speed times time. ``odom`` differs
-from the map by a translation and a turn about the vertical, which is what map→odom says.
+from the map by a translation and a turn about the vertical, which is the transform map→odom.
 
 References
 ----------
@@ -50,10 +50,10 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     state : ndarray, shape (N_LOCAL,)
         See `start`; overwritten.
     dt : float
-        Time since the last sample [s]; 0 where the filter has started anew: the pose stays, and
+        Time since the last sample [s]; 0 where the filter has restarted: the pose stays, and
         motion goes on from it.
     odometry : ndarray, shape (85,)
-        What `output.odometry_values` says of this sample.
+        Values of `output.odometry_values` for this sample.
     out : ndarray, shape (85,)
         Written: the same in odom. The pose's covariance is that of the way since the start.
     """

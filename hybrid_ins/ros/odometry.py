@@ -33,7 +33,7 @@ class OdometrySource:
         self._last_ns = 0  # of the last sample in odom; 0: the filter has just started
 
     def restart(self) -> None:
-        """Note that the filter starts anew: ``odom`` keeps its pose until then."""
+        """Restart, as the filter did: ``odom`` keeps its pose."""
         self._last_ns = 0
 
     def make(self, t_ns: int, nav: Array, arm_b: Array, rate_variance: Array) -> Odometry | None:

@@ -1,5 +1,5 @@
 """
-What a flat state says to the world outside: the base frame in an ENU map, axes FLU, degrees.
+From the flat state to the numbers of messages: the base frame in an ENU map, FLU axes, degrees.
 
 These are the numbers of the messages that are published, in the messages' own order, compiled:
 they are computed at the IMU's rate.
@@ -36,7 +36,7 @@ N_BIAS = 42
 @kernel(fastmath={"contract"})
 def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ignore[no-untyped-def]
     """
-    Write what an Odometry message says of a flat state.
+    Write the numbers of an Odometry message for a flat state.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def odometry_block(rows, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
 @kernel(fastmath={"contract"})
 def fix_values(nav, arm_b, out):  # type: ignore[no-untyped-def]
     """
-    Write what a NavSatFix message says of a flat state.
+    Write the numbers of a NavSatFix message for a flat state.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def fix_values(nav, arm_b, out):  # type: ignore[no-untyped-def]
 @kernel(fastmath={"contract"})
 def bias_values(nav, out):  # type: ignore[no-untyped-def]
     """
-    Write what an AccelWithCovariance message says of a flat state's biases.
+    Write the numbers of an AccelWithCovariance message for a flat state's biases.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 """
-Publishing of odometry and reports: only where somebody listens, and not in bursts.
+Publishing of odometry and reports: only on topics with subscribers, and not in bursts.
 """
 
 from __future__ import annotations
@@ -95,6 +95,6 @@ class OutputTopics:
                 most -= 1
 
     def publish_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
-        """Publish diagnostics at once, whether anybody listens or not."""
+        """Publish diagnostics at once, with or without subscribers."""
         report = Report("/diagnostics", Diagnostics(t_ns, statuses))
         self.publishers["/diagnostics"].publish(to_message(report, self._new_message))

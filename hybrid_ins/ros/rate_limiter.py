@@ -1,4 +1,4 @@
-"""When something that is told less often than samples come is due: by their stamps, not a clock."""
+"""Rate limiter driven by message stamps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RateLimiter:
         self._period_ns = int(1e9 / rate) if rate else 0
 
     def is_due(self, t_ns: int) -> bool:
-        """Take a stamp [ns] and tell whether it is the first of its period."""
+        """Return whether a stamp [ns] is the first of its period."""
         period_ns = self._period_ns
         if not period_ns:
             return True
