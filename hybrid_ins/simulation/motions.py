@@ -49,9 +49,9 @@ def static(
     pitch: float = 0.0,
 ) -> Motion:
     """Stand still with the given attitude [rad]."""
-    times = _grid(duration)
+    times = time_grid(duration)
     rpy = np.broadcast_to([roll, pitch, heading], (times.size, 3))
-    return _interpolate(times, np.zeros((times.size, 3)), rpy, start_lla)
+    return motion_through(times, np.zeros((times.size, 3)), rpy, start_lla)
 
 
 def quadrotor_flight(
@@ -89,7 +89,7 @@ def quadrotor_flight(
         side = float(rng.choice([-1.0, 1.0]))
     speed, radius, height, sway = factors * [7.0, 10.0, 15.0, 0.3]
 
-    t = _grid(duration)
+    t = time_grid(duration)
     moving = np.where(t >= rest + 1.5, 1.0, 0.0)  # the climb spreads its onset over three seconds
     flying = np.where(t >= rest + 6.5, 1.0, 0.0)
     # Two circles joined by crossing tangents: twice the radius, then three quarters of a circle.
@@ -101,17 +101,17 @@ def quadrotor_flight(
         [in_lap < leg, in_lap < leg + turn, in_lap < 2.0 * leg + turn], [0.0, rate, 0.0], -rate
     )
     swing = 2.0 * np.pi * (t - rest)
-    climb = _smooth((moving - flying) * height / 5.0, 3.0)
-    climb += _smooth(0.7 * flying * np.sin(swing / 11.0 + phase), 3.0)
-    ground_speed = _smooth(flying * speed * (1.0 + 0.1 * np.sin(swing / 17.0 + phase)), 3.0)
-    course = heading + _integrate(_smooth(course_rate, 1.2))
-    yaw = course + _smooth(flying * sway * np.sin(swing / 14.0 + phase), 3.0)
-    velocity_n = _velocity(ground_speed, course, climb)
+    climb = smoothed((moving - flying) * height / 5.0, 3.0)
+    climb += smoothed(0.7 * flying * np.sin(swing / 11.0 + phase), 3.0)
+    ground_speed = smoothed(flying * speed * (1.0 + 0.1 * np.sin(swing / 17.0 + phase)), 3.0)
+    course = heading + integral(smoothed(course_rate, 1.2))
+    yaw = course + smoothed(flying * sway * np.sin(swing / 14.0 + phase), 3.0)
+    velocity_n = velocity_of(ground_speed, course, climb)
 
     def attitude(velocity_n: Array, acceleration_n: Array) -> Array:
-        return _thrust_attitude(velocity_n, acceleration_n, yaw, _gravity(start_lla))
+        return _thrust_attitude(velocity_n, acceleration_n, yaw, gravity_at(start_lla))
 
-    return _interpolate(t, velocity_n, attitude, start_lla)
+    return motion_through(t, velocity_n, attitude, start_lla)
 
 
 def car_drive(
@@ -128,7 +128,7 @@ def car_drive(
     The nose points along the velocity (pitch included) and the road is level across.
     Arguments as for `quadrotor_flight`; without a seed the town is always the same.
     """
-    t = _grid(duration)
+    t = time_grid(duration)
     speed, course_rate = np.zeros_like(t), np.zeros_like(t)
     rng = np.random.default_rng(0 if seed is None else seed)
     first = begin = rest + 3.5  # the speed spreads its steps over seven seconds
@@ -144,12 +144,12 @@ def car_drive(
         span = (t >= begin) & (t < begin + length)
         speed[span], course_rate[span] = pace, angle / length
         begin += length
-    speed = _smooth(speed, 7.0)
-    slope = 0.03 * np.sin(2.0 * np.pi * _integrate(speed) / 500.0)
-    course = heading + _integrate(_smooth(course_rate, 2.0))
-    velocity_n = _velocity(speed, course, speed * np.tan(slope))
+    speed = smoothed(speed, 7.0)
+    slope = 0.03 * np.sin(2.0 * np.pi * integral(speed) / 500.0)
+    course = heading + integral(smoothed(course_rate, 2.0))
+    velocity_n = velocity_of(speed, course, speed * np.tan(slope))
     rpy = np.stack((np.zeros_like(t), slope, course), axis=-1)
-    return _interpolate(t, velocity_n, rpy, start_lla)
+    return motion_through(t, velocity_n, rpy, start_lla)
 
 
 def aircraft_flight(
@@ -165,22 +165,22 @@ def aircraft_flight(
     The nose points along the velocity, and the bank keeps the side force at zero.
     Arguments as for `quadrotor_flight`; without a seed the flight is always the same.
     """
-    t = _grid(duration)
+    t = time_grid(duration)
     rng = np.random.default_rng(0 if seed is None else seed)
-    speed = 60.0 + _smooth(_steps(t, rng, 15.0, 6.0), 10.0)
-    climb = _smooth(_steps(t, rng, 20.0, 2.5), 10.0)
-    course_rate = _smooth(_steps(t, rng, 12.0, 0.06), 4.0)
-    course = heading + _integrate(course_rate)
+    speed = 60.0 + smoothed(_steps(t, rng, 15.0, 6.0), 10.0)
+    climb = smoothed(_steps(t, rng, 20.0, 2.5), 10.0)
+    course_rate = smoothed(_steps(t, rng, 12.0, 0.06), 4.0)
+    course = heading + integral(course_rate)
     slope = np.arctan2(climb, speed)
 
     def attitude(_: Array, acceleration_n: Array) -> Array:
         # Roll turns the body's y axis out of the specific force.
-        north, east, down = (acceleration_n - [0.0, 0.0, _gravity(start_lla)]).T
-        forward, right = _along_and_across(north, east, course)
+        north, east, down = (acceleration_n - [0.0, 0.0, gravity_at(start_lla)]).T
+        forward, right = along_and_across(north, east, course)
         bank = np.arctan2(right, -forward * np.sin(slope) - down * np.cos(slope))
         return np.stack((bank, slope, course), axis=-1)
 
-    return _interpolate(t, _velocity(speed, course, climb), attitude, start_lla)
+    return motion_through(t, velocity_of(speed, course, climb), attitude, start_lla)
 
 
 def random_motion(
@@ -208,26 +208,27 @@ def random_motion(
     period : float
         Length of the steps [s]; accelerations are about ``speed_std / period``.
     """
-    t = _grid(duration)
+    t = time_grid(duration)
     rng = np.random.default_rng(0 if seed is None else seed)
     moving = np.where(t >= rest + 0.5 * period, 1.0, 0.0)
     steps = [
         moving * _steps(t, rng, period, std)
         for std in (speed_std, speed_std, 0.4 * speed_std, tilt_std, tilt_std)
     ]
-    north, east, down, roll, pitch = (_smooth(step, period) for step in steps)
+    north, east, down, roll, pitch = (smoothed(step, period) for step in steps)
     turn_rate = moving * _steps(t, rng, period, 5.0 * tilt_std / period)
-    yaw = heading + _integrate(_smooth(turn_rate, period))
+    yaw = heading + integral(smoothed(turn_rate, period))
     rpy = np.stack((roll, pitch, yaw), axis=-1)
-    return _interpolate(t, np.stack((north, east, down), axis=-1), rpy, start_lla)
+    return motion_through(t, np.stack((north, east, down), axis=-1), rpy, start_lla)
 
 
-def _grid(duration: float) -> Array:
+def time_grid(duration: float) -> Array:
+    """Return the knots of the splines [s], shape (N,)."""
     count = max(int(np.ceil(duration / GRID_STEP)), 12)
     return np.linspace(0.0, duration, count + 1)
 
 
-def _smooth(values: Array, width: float) -> Array:
+def smoothed(values: Array, width: float) -> Array:
     """Spread every step over `width` seconds, half of them before it (Hann window)."""
     taps = np.hanning(2 * round(0.5 * width / GRID_STEP) + 3)
     padded = np.pad(values, taps.size // 2, mode="edge")
@@ -235,7 +236,8 @@ def _smooth(values: Array, width: float) -> Array:
     return smooth
 
 
-def _integrate(rate: Array) -> Array:
+def integral(rate: Array) -> Array:
+    """Return the integral from the first knot on, by the trapezoidal rule."""
     steps = 0.5 * (rate[1:] + rate[:-1]) * GRID_STEP
     return np.concatenate(([0.0], np.cumsum(steps)))
 
@@ -247,11 +249,13 @@ def _steps(times: Array, rng: np.random.Generator, period: float, std: float) ->
     return values
 
 
-def _velocity(speed: Array, course: Array, climb: Array) -> Array:
+def velocity_of(speed: Array, course: Array, climb: Array) -> Array:
+    """Return the NED velocity (N, 3) of a horizontal speed, a course and a climb."""
     return np.stack((speed * np.cos(course), speed * np.sin(course), -climb), axis=-1)
 
 
-def _gravity(lla: ArrayLike) -> float:
+def gravity_at(lla: ArrayLike) -> float:
+    """Return the normal gravity down [m/s²] at a place (3,)."""
     lat, _, height = np.asarray(lla, float)
     return float(earth.normal_gravity(lat, height)[1])
 
@@ -259,19 +263,20 @@ def _gravity(lla: ArrayLike) -> float:
 def _thrust_attitude(velocity_n: Array, acceleration_n: Array, yaw: Array, gravity: float) -> Array:
     thrust_n = acceleration_n + QUADROTOR_DRAG * velocity_n * [1.0, 1.0, 0.0]
     thrust_n[:, 2] -= gravity
-    forward, right = _along_and_across(thrust_n[:, 0], thrust_n[:, 1], yaw)
+    forward, right = along_and_across(thrust_n[:, 0], thrust_n[:, 1], yaw)
     roll = np.arcsin(right / np.linalg.norm(thrust_n, axis=-1))
     pitch = np.arctan2(-forward, -thrust_n[:, 2])
     return np.stack((roll, pitch, yaw), axis=-1)
 
 
-def _along_and_across(north: Array, east: Array, yaw: Array) -> tuple[Array, Array]:
+def along_and_across(north: Array, east: Array, yaw: Array) -> tuple[Array, Array]:
+    """Return the components along a heading [rad] and to its right."""
     along = np.cos(yaw) * north + np.sin(yaw) * east
     across = np.cos(yaw) * east - np.sin(yaw) * north
     return along, across
 
 
-def _interpolate(
+def motion_through(
     times: Array,
     velocity_n: Array,
     rpy: Array | Callable[[Array, Array], Array],

@@ -236,10 +236,10 @@ def corrupt(truth: Truth, errors: ImuErrors, rng: np.random.Generator) -> ImuDat
         errors.gyroscope_bias, errors.gyroscope_bias_walk, count, dt, walk_rng
     )
     decay = np.exp(-dt / errors.coloured_time)
-    specific_force += accelerometer_bias + _gauss_markov(
+    specific_force += accelerometer_bias + gauss_markov(
         errors.accelerometer_coloured_std, decay, count, coloured_rng
     )
-    angular_rate += gyroscope_bias + _gauss_markov(
+    angular_rate += gyroscope_bias + gauss_markov(
         errors.gyroscope_coloured_std, decay, count, coloured_rng
     )
     for tone in errors.tones:
@@ -343,7 +343,8 @@ def _random_walk(
     return np.cumsum(steps, axis=0)
 
 
-def _gauss_markov(std: ArrayLike, decay: float, count: int, rng: np.random.Generator) -> Array:
+def gauss_markov(std: ArrayLike, decay: float, count: int, rng: np.random.Generator) -> Array:
+    """Return a first-order Gauss-Markov process (N, 3), in its steady state from the start."""
     drive = np.asarray(std, float) * rng.standard_normal((count, 3))
     drive[1:] *= np.sqrt(1.0 - decay**2)  # the first value is drawn from the steady state
     coloured: Array = lfilter([1.0], [1.0, -decay], drive, axis=0)

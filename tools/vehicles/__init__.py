@@ -1,0 +1,1 @@
+"""The node's estimator on vehicles other than the field experiment's quadrotor."""

@@ -1,0 +1,67 @@
+"""
+Table of vehicles, real and simulated: accuracy, consistency, share of fixes used, silent errors.
+
+Real sets are read from a folder with one sub-folder per set; every second fix, or all but one a
+second, is withheld and scored. Odd seeds of the simulated vehicles are for tuning, even ones judge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from hybrid_ins import parameter_file, parameters
+from hybrid_ins.simulation.vehicles import VEHICLES, record
+from tools.vehicles.drives import AGE, Drive, from_simulation, load
+from tools.vehicles.judge import score
+
+FEEDS = ("half", "1 Hz")
+HEADER = (
+    "| drive | aligned [s] | fixes used | RMSE, up [m] | NEES/2 | NIS/m | worst [m] "
+    "| silently wrong [s] | heading [°] | offset [s] |\n" + "|---" * 10 + "|"
+)
+
+
+def drives(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> Iterator[Drive]:
+    """Generate the drives whose name contains one of ``names``; all where there is none."""
+
+    def wanted(name: str) -> bool:
+        return not names or any(part in name for part in names)
+
+    for name, vehicle in VEHICLES.items():
+        for seed in seeds:
+            if wanted(name):
+                yield from_simulation(record(vehicle, seed))
+    for name in AGE if data is not None else ():
+        for feed in ("all",) if name == "car_circles" else FEEDS:
+            if data is not None and wanted(f"{name}, {feed}") and (data / name).is_dir():
+                yield load(data / name, feed)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="parts of the drives' names")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4], metavar="N")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
+    parser.add_argument("--params-file", type=Path, metavar="FILE")
+    args = parser.parse_args(argv)
+    values = parameters.defaults()
+    if args.params_file is not None:
+        values = parameter_file.load(args.params_file)
+    print(HEADER)
+    for drive in drives(args.names, args.seeds, args.data):
+        s = score(drive, values)
+        print(
+            f"| {drive.name} | {s.aligned:.0f} | {100.0 * s.used:.1f} % | {s.rmse:.3f}, "
+            f"{s.rmse_up:.3f} | {s.nees:.2f} | {s.nis:.2f} | {s.worst:.2f} | {s.silent:.0f} "
+            f"| {s.heading:.1f} | {s.offset:+.3f} |",
+            flush=True,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

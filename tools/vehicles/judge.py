@@ -1,0 +1,183 @@
+"""The node's own estimator over a drive, and what came of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.navigator_events import Event
+from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.conversions import SWAP
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.trajectory import Array
+from tools.vehicles.drives import Drive
+
+SETTLED = 30.0  # s after the start of the motion, from which errors count
+FAR, LASTING = 2.0, 5.0  # times three sigma, s: silently wrong
+
+
+@dataclass(frozen=True)
+class Score:
+    """Figures of one run; positions in metres, times in seconds."""
+
+    aligned: float  # s after the start of the motion; NaN: never
+    heading_at_start: float  # deg, error when aligned
+    used: float  # share of the fixes since the alignment that were fused
+    rmse: float  # horizontal, at the truth's epochs
+    rmse_up: float
+    nees: float  # horizontal position, over 2
+    nis: float  # mean over the dimension
+    covered: float  # share of the truth's epochs with an estimate
+    silent: float  # s, silently wrong in position or heading
+    worst: float  # m, horizontal
+    resets: int
+    offset: float  # s, in force at the end
+    heading: float  # deg, rms error of the heading where known
+
+
+class Judged(Estimator):
+    """Keeps what it says of the fixes."""
+
+    def __init__(self, values: Mapping[str, Any], log: Any = lambda level, text: None) -> None:
+        self.rows: list[tuple[bool, float, int, bool]] = []
+        super().__init__(values, log)
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, Verdict) and event.reason not in ("aligning", "repeated stamp"):
+            self.rows.append((event.accepted, event.nis, len(event.sigma), event.inflated))
+        super()._on_event(event)
+
+
+def run(
+    drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text: None
+) -> tuple[Judged, NDArray[np.int64], Array]:
+    """Return the estimator in its last state, stamps [ns] and odometry (N, 85)."""
+    estimator = Judged(values, log)
+    fix = new_message("sensor_msgs/msg/NavSatFix")
+    velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
+    done: list[tuple[NDArray[np.int64], Array]] = []
+    start = 0
+
+    def advance(stop: int) -> None:
+        nonlocal start
+        if stop > start:
+            part = slice(start, stop)
+            done.extend(
+                (block.t_ns, block.in_map)
+                for block in estimator.handle_imu_block(
+                    drive.imu_ns[part], drive.force[part], drive.rate[part]
+                )
+            )
+            start = stop
+
+    for k in range(len(drive.fix_ns)):
+        advance(int(np.searchsorted(drive.imu_ns, drive.arrival_ns[k], side="right")))
+        conversions.set_stamp(fix.header.stamp, int(drive.fix_ns[k]))
+        fix.latitude, fix.longitude = np.degrees(drive.fix_lla[k, :2]).tolist()
+        fix.altitude = float(drive.fix_lla[k, 2])
+        known = bool(np.all(np.isfinite(drive.fix_std[k])))
+        fix.position_covariance_type = 2 if known else 0
+        fix.position_covariance = np.diag(np.nan_to_num(drive.fix_std[k]) ** 2).ravel()
+        estimator.handle_fix(fix)
+        if drive.velocity_enu is not None and np.all(np.isfinite(drive.velocity_enu[k])):
+            conversions.set_stamp(velocity.header.stamp, int(drive.fix_ns[k]))
+            linear = velocity.twist.twist.linear
+            linear.x, linear.y, linear.z = drive.velocity_enu[k].tolist()
+            covariance = np.zeros((6, 6))
+            covariance[:3, :3] = np.diag(np.nan_to_num(drive.velocity_std[k]) ** 2)
+            velocity.twist.covariance = covariance.ravel()
+            estimator.handle_velocity(velocity)
+        estimator.pop_reports()
+    advance(len(drive.imu_ns))
+    if not done:
+        return estimator, np.empty(0, np.int64), np.empty((0, 85))
+    return estimator, np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])
+
+
+def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text: None) -> Score:
+    """Run and judge."""
+    estimator, t_ns, rows = run(drive, values, log)
+    nan = math.nan
+    if len(t_ns) < 2:
+        return Score(nan, nan, 0.0, nan, nan, nan, nan, 0.0, 0.0, nan, 0, 0.0, nan)
+    aligned = (int(t_ns[0]) - drive.motion_ns) * 1e-9
+    truth = LocalFrame(drive.fix_lla[0]).position(drive.truth_lla) @ SWAP
+    wanted = (drive.truth_ns >= t_ns[0]) & (drive.truth_ns <= t_ns[-1])
+    counts = drive.truth_ns >= drive.motion_ns + round(SETTLED * 1e9)
+    at = np.clip(np.searchsorted(t_ns, drive.truth_ns), 1, len(t_ns) - 1)
+    gap = (t_ns[at] - t_ns[at - 1]) * 1e-9
+    share = (drive.truth_ns - t_ns[at - 1]) / np.maximum(t_ns[at] - t_ns[at - 1], 1)
+    wanted &= gap < 0.6
+    place = rows[at - 1, :3] + share[:, None] * (rows[at, :3] - rows[at - 1, :3])
+    error = place - truth
+    P = rows[at, 7:43].reshape(-1, 6, 6)[:, :2, :2]
+    horizontal = np.linalg.norm(error[:, :2], axis=1)
+    nees = np.einsum("ki,ki->k", error[:, :2], np.linalg.solve(P, error[:, :2, None])[..., 0])
+    used = wanted & counts
+    sigma = np.sqrt(np.maximum(np.trace(P, axis1=1, axis2=2), 1e-12))
+    allowance = 0.0 if drive.absolute else 1.5
+    wrong = wanted & (horizontal > 3.0 * FAR * sigma + allowance)
+    silent = _lasting(drive.truth_ns, wrong)
+    heading, at_start = nan, nan
+    if len(drive.truth_yaw):
+        seen = (drive.truth_yaw_ns >= t_ns[0]) & (drive.truth_yaw_ns <= t_ns[-1])
+        k = np.clip(np.searchsorted(t_ns, drive.truth_yaw_ns[seen]), 0, len(t_ns) - 1)
+        if len(k):
+            C = matrix_from_quat(rows[k, 3:7])
+            yaw = 0.5 * np.pi - np.arctan2(C[:, 1, 0], C[:, 0, 0])
+            off = np.abs((yaw - drive.truth_yaw[seen] + np.pi) % (2.0 * np.pi) - np.pi)
+            std = np.sqrt(rows[k, 7 + 35])
+            moving = drive.truth_yaw_ns[seen] >= drive.motion_ns + round(SETTLED * 1e9)
+            at_start = math.degrees(float(off[0]))
+            if np.any(moving):
+                heading = math.degrees(float(np.sqrt(np.mean(off[moving] ** 2))))
+            margin = 0.0 if drive.absolute else math.radians(10.0)
+            silent = max(
+                silent,
+                _lasting(drive.truth_yaw_ns[seen], off > 3.0 * FAR * std + margin),
+            )
+    verdicts = estimator.rows
+    nis = [row[1] / row[2] for row in verdicts if row[2] and math.isfinite(row[1])]
+    return Score(
+        aligned,
+        at_start,
+        float(np.mean([row[0] for row in verdicts])) if verdicts else nan,
+        _rms(horizontal[used]),
+        _rms(error[used, 2]),
+        float(np.mean(nees[used])) / 2.0 if np.any(used) else nan,
+        float(np.mean(nis)) if nis else nan,
+        float(np.sum(used)) / max(1, int(np.sum(counts))),
+        silent,
+        float(horizontal[used].max(initial=0.0)),
+        sum(row[3] for row in verdicts),
+        estimator.clock.offset,
+        heading,
+    )
+
+
+def _lasting(t_ns: NDArray[np.int64], wrong: NDArray[np.bool_]) -> float:
+    """Return how long something is wrong in all, in stretches of at least ``LASTING`` [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], wrong, [False])).astype(np.int8)))
+    total = 0.0
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        span = (t_ns[end - 1] - t_ns[begin]) * 1e-9
+        total += span if span >= LASTING else 0.0
+    return total
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
+def as_row(found: Score) -> dict[str, float]:
+    """Return a score as plain numbers."""
+    return asdict(found)
