@@ -212,7 +212,8 @@ _GNSS = (
     Parameter(
         "gnss.gate_probability",
         0.9999,
-        "Probability that a valid fix passes the chi-square gate",
+        "Probability that the innovation of a valid fix is small enough to agree with the state; "
+        "others are weighted down, and prove the state wrong after gnss.patience",
         low=0.5,
         high=1.0 - 1e-12,
         runtime=True,

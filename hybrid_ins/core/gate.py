@@ -1,26 +1,37 @@
 """
-Chi-square gate on the innovation, with recovery after sustained rejection.
+Robust weighting of innovations, with covariance inflation after sustained disagreement.
+
+A GNSS measurement with a large innovation is fused with a larger R, as if its errors had
+Student's t distribution, [2]_. No threshold separates used from unused, so that a covariance that
+is a little too small costs some weight, never a run of valid fixes. Rejected is only what no error
+of an INS explains: a jump.
 
 References
 ----------
 .. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
        Navigation*, 2001, section 5.4.
+.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", Journal of the American Statistical Association 84, 1989.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core import chi_square
 from hybrid_ins.core.linalg import log_determinant
 from hybrid_ins.core.measurements import GNSS, Measurement
 
 Array = NDArray[np.float64]
 
 MARGINAL = 0.5  # of the threshold: a NIS above it, after consistent rejections, is no agreement
+TAIL_DOF = 6.0  # degrees of freedom of the t distribution, [2]_
+TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outliers
+ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
 MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
 
 
@@ -42,7 +53,7 @@ class Verdict:
     nis : float
         Normalised innovation squared; NaN where it was not computed.
     threshold : float
-        Largest NIS that is accepted.
+        Largest NIS of a measurement that agrees with the state.
     sigma : ndarray, shape (m,)
         Standard deviations used for the measurement, NED [m or m/s].
     log_det : float
@@ -52,6 +63,8 @@ class Verdict:
     jump : bool
         It is rejected, in a run of rejections that began with a jump: no error of an INS grows
         that fast.
+    weight : float
+        At most 1; R is divided by it.
     """
 
     measurement: Measurement
@@ -64,6 +77,7 @@ class Verdict:
     log_det: float = 0.0
     inflated: bool = False
     jump: bool = False
+    weight: float = 1.0
 
     @classmethod
     def rejected(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
@@ -73,7 +87,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class _Rejections:
-    """A run of measurements rejected one after the other."""
+    """A run of measurements above the threshold, one after the other."""
 
     first_ns: int
     consistent_ns: int  # since when they are consistent with each other
@@ -83,18 +97,19 @@ class _Rejections:
 
 class Gate:
     """
-    Chi-square test of the innovation, with a limit on the duration of rejections.
+    Weight of a measurement by its innovation, with a limit on the duration of disagreement.
 
-    Measurements that are rejected without interruption for ``patience`` seconds, and are consistent
-    with each other, are assumed right and the state wrong: for the next one the covariance is
-    inflated (`Verdict.inflated`). Inconsistent ones have to wait three times as long. Where the
-    covariance has grown meanwhile until such a measurement is just below the threshold, the state
-    is as wrong, and the covariance is inflated as well.
+    GNSS measurements are weighted; jumps among them, and other measurements above the threshold,
+    are rejected. Measurements that are above the threshold without interruption for ``patience``
+    seconds, and are consistent with each other, are assumed right and the state wrong: for the
+    next one the covariance is inflated (`Verdict.inflated`). Inconsistent ones have to wait three
+    times as long. Where the covariance has grown meanwhile until such a measurement is just below
+    the threshold, the state is as wrong, and the covariance is inflated as well.
 
     Parameters
     ----------
     thresholds : mapping of int to float
-        Largest NIS that is accepted, by the number of components.
+        Largest NIS of a measurement that agrees with the state, by the number of components.
     patience : float
         [s].
     """
@@ -105,7 +120,7 @@ class Gate:
         self._rejections: dict[str, _Rejections] = {}
 
     def threshold(self, components: int) -> float:
-        """Return the largest NIS of a measurement with so many components that is fused."""
+        """Return the largest NIS of a measurement that agrees, by its number of components."""
         return self._thresholds[components]
 
     def judge(
@@ -123,48 +138,49 @@ class Gate:
 
         ``interval`` is the time since the last correction [s].
         """
-        threshold = self._thresholds[len(R)]
-        sigma = np.sqrt(R.diagonal())
-        log_det = log_determinant(S)
-        kind, t_ns = measurement.kind, measurement.t_ns
+        kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
+        plain = Verdict(
+            measurement,
+            True,
+            "",
+            age,
+            nis,
+            self._thresholds[len(R)],
+            np.sqrt(R.diagonal()),
+            log_determinant(S),
+            weight=weight(nis, len(R)) if is_gnss else 1.0,
+        )
         last = self._rejections.get(kind)
         others = {k: run for k, run in self._rejections.items() if k != kind}
         first_ns = last.first_ns if last else t_ns
         consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
         patience_ns = self._patience_ns
-        if nis <= threshold:
-            marginal = nis > MARGINAL * threshold and t_ns - consistent_ns > patience_ns // 3
-            if not (marginal and measurement.sensor == GNSS):
+        if nis <= plain.threshold:
+            marginal = nis > MARGINAL * plain.threshold and t_ns - consistent_ns > patience_ns // 3
+            if not (marginal and is_gnss):
                 self._rejections = others
-                return Verdict(measurement, True, "", age, nis, threshold, sigma, log_det)
-        elif measurement.sensor != GNSS or (
+                return plain
+        elif not is_gnss or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            jump = last.jump if last else _is_jump(kind, z, R, interval)
+            jump = _is_jump(kind, z, R, interval) or (last is not None and last.jump)
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
-            return Verdict(
-                measurement,
-                False,
-                "innovation beyond the gate",
-                age,
-                nis,
-                threshold,
-                sigma,
-                log_det,
-                jump=jump,
-            )
+            if is_gnss and not jump:
+                return replace(plain, reason="large innovation")
+            return replace(plain, accepted=False, reason="innovation beyond the gate", jump=jump)
         self._rejections = others
-        return Verdict(
-            measurement,
-            True,
-            f"rejected for {(t_ns - first_ns) * 1e-9:.1f} s: covariance inflated, then accepted",
-            age,
-            nis,
-            threshold,
-            sigma,
-            log_det,
-            inflated=True,
-        )
+        seconds = (t_ns - first_ns) * 1e-9
+        reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
+        return replace(plain, reason=reason, inflated=True, weight=1.0)
+
+
+def weight(nis: float, m: int) -> float:
+    """
+    Return the weight of a GNSS measurement with ``m`` components by its NIS, [2]_.
+
+    It is 1 for 95 % of ordinary measurements, so that their fusion stays optimal.
+    """
+    return float(min(1.0, (TAIL_DOF + ORDINARY[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT)
 
 
 def _is_jump(kind: str, z: Array, R: Array, interval: float) -> bool:

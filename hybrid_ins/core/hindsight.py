@@ -133,7 +133,7 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
         measurement.t_ns,
         psd,
         measurement,
-        step.r_scale if measurement.sensor == GNSS else 1.0,
+        step.r_scale / verdict.weight if measurement.sensor == GNSS else 1.0,
         math.inf if plain else verdict.threshold,
         verdict.inflated,
     )

@@ -314,7 +314,7 @@ class InsFilter:
         if verdict.accepted:
             if verdict.inflated:
                 inflate_to_innovation(self.nav, z, H, interval)
-            dx, K = iterated_update.update(self.nav, z, H, R)
+            dx, K = iterated_update.update(self.nav, z, H, R / verdict.weight)
         if measurement.sensor != GNSS:
             return False
         if verdict.accepted:

@@ -43,6 +43,8 @@ def verdict_status(verdict: Verdict) -> Status:
     text = (verdict.reason or "fused") if verdict.accepted else f"refused: {verdict.reason}"
     if not verdict.accepted and math.isfinite(verdict.nis):
         text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
+    elif verdict.weight < 1.0:
+        text += f", weight {verdict.weight:.2g} (NIS {verdict.nis:.1f})"
     return status(
         "gnss",
         0 if verdict.accepted and not verdict.inflated else 1,
@@ -55,6 +57,7 @@ def verdict_status(verdict: Verdict) -> Status:
             "nis": verdict.nis,
             "dof": len(verdict.sigma),
             "threshold": verdict.threshold,
+            "weight": verdict.weight,
             "sigma_e": sigma.get("sigma_e", math.nan),
             "sigma_n": sigma.get("sigma_n", math.nan),
             "sigma_u": sigma.get("sigma_u", math.nan),

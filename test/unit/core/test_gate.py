@@ -1,15 +1,16 @@
-"""Which fixes are believed, and how belief returns."""
+"""How fixes are weighted, which are rejected, and how the state returns to them."""
 
 import copy
 
 import numpy as np
 import pytest
 
-from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.gate import Gate, Verdict, weight
 from hybrid_ins.core.measurements import PositionFix, Standstill
 
 R = np.eye(3)
 S = 2.0 * np.eye(3)
+INTERVAL = 0.5  # s: 10 m is more than an INS drifts by
 RNG = np.random.default_rng(0)
 
 
@@ -20,7 +21,7 @@ def fix(t: float) -> PositionFix:
 def judge(gate: Gate, t: float, z: float | np.ndarray) -> Verdict:
     innovation = np.broadcast_to(np.asarray(z, float), 3)
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    return gate.judge(fix(t), innovation, R, S, nis, 0.0)
+    return gate.judge(fix(t), innovation, R, S, nis, 0.0, INTERVAL)
 
 
 @pytest.fixture
@@ -42,6 +43,30 @@ def test_one_outlier_is_refused_with_a_reason(gate: Gate) -> None:
 
     assert not verdict.accepted and "gate" in verdict.reason
     assert judge(gate, 2.0, 0.1).accepted
+
+
+def test_large_innovation_that_an_ins_can_make_is_weighted_not_rejected(gate: Gate) -> None:
+    verdict = judge(gate, 1.0, 5.0)
+
+    assert verdict.nis > verdict.threshold
+    assert verdict.accepted and verdict.reason and 0.1 < verdict.weight < 0.5
+
+
+def test_weight_is_one_for_ordinary_innovations_and_falls_without_a_step() -> None:
+    nis = np.linspace(0.0, 1000.0, 100_001)
+    weights = np.array([weight(float(v), 3) for v in nis])
+
+    assert np.all(weights[nis < 7.8] == 1.0)
+    assert np.all(np.diff(weights) <= 0.0)
+    assert np.abs(np.diff(weights)).max() < 2e-3
+    # The pull of a measurement, its weight times its size, falls for large ones.
+    assert weights[-1] * np.sqrt(nis[-1]) < 0.1 * np.sqrt(7.8)
+
+
+def test_jump_within_a_run_of_large_innovations_is_rejected(gate: Gate) -> None:
+    judge(gate, 1.0, 5.0)
+
+    assert not judge(gate, 1.5, 50.0).accepted
 
 
 def test_fixes_that_agree_win_after_the_patience(gate: Gate) -> None:
@@ -75,10 +100,10 @@ def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
     assert judge(gate, 6.5, 50.0).inflated
 
 
-def test_fix_that_barely_fits_after_refusals_that_agree_opens_the_state(gate: Gate) -> None:
+def test_fix_that_barely_fits_after_rejections_that_agree_opens_the_state(gate: Gate) -> None:
     """The covariance has grown until the tail of its distribution reached them: that is no fit."""
     for t in np.arange(0.0, 2.0, 0.2):
-        assert not judge(gate, t, 5.0).accepted
+        assert judge(gate, t, 5.0).weight < 1.0
     twin = copy.copy(gate)
 
     barely = judge(gate, 2.0, 3.0)

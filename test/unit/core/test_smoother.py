@@ -271,9 +271,7 @@ def test_gaps_and_interpolated_stamps_are_those_of_the_filter() -> None:
     kept[505:530] = False
     samples = flight.samples[kept]
     fused = [replace(f, t_ns=f.t_ns + 3_000_000) for f in flight.fixes]
-    smoother, _, _ = make(flight, [Update(f.t_ns, PSD_TRUE, f) for f in fused], samples)
-    # WHEN they are smoothed, and filtered
-    t_ns, rows = gather(smoother)
+    # WHEN they are filtered, and smoothed with the weights that they had there
     ring = ImuRing()
     process = ProcessNoise(PSD_TRUE[6:], 1.0 / RATE)
     noise = FilterNoise(ConstantNoise(process.q(PSD_TRUE[:6])), process)
@@ -284,6 +282,9 @@ def test_gaps_and_interpolated_stamps_are_those_of_the_filter() -> None:
     for fix in fused:
         running.submit(fix)
     running.predict_block(samples[1:])
+    weights = {v.measurement.t_ns: v.weight for v in running.verdicts}
+    updates = [Update(f.t_ns, PSD_TRUE, f, 1.0 / weights[f.t_ns]) for f in fused]
+    t_ns, rows = gather(make(flight, updates, samples)[0])
     # THEN there is a state for each sample, and the last one, which nothing follows, is the same
     assert np.array_equal(t_ns, samples["t_ns"])
     assert np.abs(difference(rows[-1], running.state.to_flat())).max() < 1e-9
