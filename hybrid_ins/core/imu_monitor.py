@@ -78,12 +78,17 @@ class ImuMonitor:
             self.fault = None
         return [fault for fault in (before, self.fault) if fault is not None]
 
-    def check_standing(self, t_ns: int, running: InsFilter) -> NDArray[np.void] | None:
-        """Set ``standing``; return the samples of a vehicle that stands."""
+    def check_standing(
+        self, t_ns: int, running: InsFilter, fixes_move: bool
+    ) -> NDArray[np.void] | None:
+        """Set ``standing``, unless the fixes move; return the samples of a vehicle that stands."""
         samples = self._samples
         span = t_ns - samples["t_ns"][0]
         self.standing = (
-            span > SHORTEST_STAND and is_standing(samples) and _zero_speed_is_plausible(running)
+            span > SHORTEST_STAND
+            and not fixes_move
+            and is_standing(samples)
+            and _zero_speed_is_plausible(running)
         )
         return samples if self.standing else None
 

@@ -20,7 +20,7 @@ from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_monitor import ImuMonitor, error_std_after
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import GNSS, IMU, Measurement, Standstill
+from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, Standstill
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator_events import (
     ClockOffsetFound,
@@ -41,6 +41,7 @@ from hybrid_ins.core.phases import (
 )
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
+from hybrid_ins.core.standstill import FixMotion
 from hybrid_ins.core.state import VELOCITY
 
 Array = NDArray[np.float64]
@@ -101,6 +102,7 @@ class Navigator:
         self._zero_updates = zero_updates
         self._record = record
         self._measurements = MeasurementCheck()
+        self._fix_motion = FixMotion()
         self._events: deque[Event] = deque()
         self.reset()
 
@@ -133,6 +135,7 @@ class Navigator:
         self.ring.clear()
         self.stamps.reset()
         self._measurements.reset()
+        self._fix_motion = FixMotion()
         self.realign()
 
     def _enter(self, phase: Phase) -> None:
@@ -329,6 +332,8 @@ class Navigator:
         elif reason:
             self._events.append(Verdict.rejected(measurement, reason))
         else:
+            if isinstance(measurement, PositionFix):
+                self._fix_motion.observe(measurement.t_ns, measurement.lla)
             self._measure(measurement)
 
     def _measure(self, measurement: Measurement) -> None:
@@ -372,7 +377,7 @@ class Navigator:
             return
         if self.filter is not None and fault_now is None and not monitor.falling:
             self._biases.append(Biases.of(self.filter.state, t_ns))
-        samples = monitor.check_standing(t_ns, running)
+        samples = monitor.check_standing(t_ns, running, self._fix_motion.speed > 0.0)
         if samples is not None and self._zero_updates:
             self._give(Standstill.of(samples))
 

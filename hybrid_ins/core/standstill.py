@@ -1,9 +1,10 @@
 """
-Detection of a standing vehicle from its IMU alone.
+Detection of a standing vehicle from its IMU, and of a moving one from its fixes.
 
 While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
 beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
-the second. A smooth cruise passes both: the caller must also check that zero speed is plausible.
+the second. A smooth cruise passes both: the caller must also check that zero speed is plausible to
+the filter, and that the fixes of the last seconds show no motion.
 
 References
 ----------
@@ -13,10 +14,13 @@ References
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.samples import readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
@@ -25,6 +29,10 @@ SLOW_FORCE_STD = 0.05  # m/s², of the means, beyond what the samples' noise exp
 SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
 MEANS = 8  # per window
+FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
+MIN_FIXES = 4
+MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
+SIGNIFICANT = 4.0  # standard deviations of the speed
 _STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
 _SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
@@ -59,3 +67,40 @@ def _spread(readings, size):  # type: ignore[no-untyped-def]
         for part in range(parts):
             slow[c] += (means[part, c] - mean) ** 2 / parts
     return np.sqrt(noise), np.sqrt(slow)
+
+
+class FixMotion:
+    """
+    Speed over ground by the last position fixes, from their own scatter, whatever they claim.
+
+    Attributes
+    ----------
+    speed : float
+        Horizontal [m/s]; 0 where it is not significant.
+    """
+
+    def __init__(self) -> None:
+        self.speed = 0.0
+        self._fixes: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=64)
+
+    def observe(self, t_ns: int, lla: NDArray[np.float64]) -> None:
+        """Use a position fix: stamp [ns], latitude and longitude [rad] and height [m], (3,)."""
+        fixes = self._fixes
+        if fixes and t_ns <= fixes[-1][0]:
+            return
+        fixes.append((t_ns, lla))
+        while t_ns - fixes[0][0] > FIX_SPAN_NS:
+            fixes.popleft()
+        self.speed = 0.0
+        if len(fixes) < MIN_FIXES:
+            return
+        t = np.array([(stamp - t_ns) * 1e-9 for stamp, _ in fixes])
+        places = np.array([place[:2] - lla[:2] for _, place in fixes]) * curvature_scale(lla)[:2]
+        t -= t.mean()
+        places -= places.mean(axis=0)
+        slope = t @ places / (t @ t)
+        residual = places - t[:, None] * slope
+        variance = float(np.sum(residual**2)) / (2 * len(t) - 4) / float(t @ t)
+        speed = float(np.hypot(*slope))
+        if speed > max(MIN_SPEED, SIGNIFICANT * float(np.sqrt(variance))):
+            self.speed = speed

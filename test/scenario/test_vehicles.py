@@ -1,0 +1,47 @@
+"""Vehicles that are no quadrotor: valid fixes are used, and show motion."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.core.standstill import FixMotion
+from hybrid_ins.simulation.vehicles import VEHICLES, record
+from tools.vehicles.drives import from_simulation
+from tools.vehicles.judge import Score, score
+
+PER_METRE = 1.0 / 6.378e6
+
+
+def drive(name: str, seed: int, **values: Any) -> Score:
+    run = from_simulation(record(VEHICLES[name], seed))
+    return score(run, {**parameters.defaults(), **values})
+
+
+def test_valid_fixes_of_a_car_are_used_at_every_turn() -> None:
+    """
+    GIVEN a car with RTK at 1 Hz, vibration, and streets that cross at right angles
+    WHEN it is navigated by the default parameters
+    THEN no fix is rejected, the covariance is never inflated, and position is accurate.
+    """
+    found = drive("car", 1)
+
+    assert found.used > 0.999
+    assert found.resets == 0
+    assert found.rmse < 0.085
+    assert found.nees < 2.0
+
+
+@pytest.mark.parametrize(("speed", "moves"), [(0.0, False), (0.1, False), (0.8, True)])
+def test_fixes_show_motion_by_their_scatter_not_their_claims(speed: float, moves: bool) -> None:
+    motion = FixMotion()
+    rng = np.random.default_rng(1)
+    for k in range(40):
+        error = rng.normal(0.0, 0.1, 2) * PER_METRE
+        place = np.array([0.0, 0.0]) + error + [speed * 0.2 * k * PER_METRE, 0.0]
+        motion.observe(200_000_000 * (k + 1), np.array([*place, 0.0]))
+
+    assert (motion.speed > 0.0) == moves
+    if moves:
+        assert motion.speed == pytest.approx(speed, rel=0.15)
