@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hybrid_ins.core import earth
+from hybrid_ins.ros.trajectory import Array
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -32,7 +33,6 @@ from hybrid_ins.simulation.motions import (
     velocity_of,
 )
 from hybrid_ins.simulation.sensors import (
-    Array,
     ImuData,
     ImuErrors,
     Tone,

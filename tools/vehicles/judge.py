@@ -93,6 +93,7 @@ def run(
             linear = velocity.twist.twist.linear
             linear.x, linear.y, linear.z = drive.velocity_enu[k].tolist()
             covariance = np.zeros((6, 6))
+            assert drive.velocity_std is not None
             covariance[:3, :3] = np.diag(np.nan_to_num(drive.velocity_std[k]) ** 2)
             velocity.twist.covariance = covariance.ravel()
             estimator.handle_velocity(velocity)
