@@ -11,8 +11,10 @@ import pytest
 from hybrid_ins import parameters
 from hybrid_ins.cli import simulate
 from tools.robustness import fault_campaign
-from tools.robustness.fault_campaign import Case, Output, Trace, judge
-from tools.robustness.faults import FAULTS, Fault, Flight
+from tools.robustness.disturbances import Flight
+from tools.robustness.fault_campaign import Case, judge
+from tools.robustness.fault_output import Output, Trace
+from tools.robustness.faults import FAULTS, Fault
 
 T = np.arange(0.0, 40.0, 0.1)
 FAULT = Fault("some", "something happens", lambda flight: None, ("restart|jump", "no panic"))

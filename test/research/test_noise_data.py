@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tools.regressor import noise_data, noise_trials
-from tools.regressor.noise_data import Mix
+from tools.regressor import noise_data, noise_randomised, noise_trials
+from tools.regressor.noise_randomised import Mix
 
 CALM = Mix(0, 0, 0, 0, 0, 0, 0, 0, 0)
 
@@ -60,7 +60,7 @@ def test_paper_set_noise_has_the_labelled_variance():
 def test_same_seed_same_data():
     for make in (
         lambda seed: noise_data.paper_set(seed, duration_s=8.0),
-        lambda seed: noise_data.randomised_set(seed, 500),
+        lambda seed: noise_randomised.randomised_set(seed, 500),
     ):
         one, same, other = make(3), make(3), make(4)
         assert np.array_equal(one.readings, same.readings)
@@ -89,20 +89,20 @@ def _low_end(noise: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", ["low-pass", "vibration", "blue", "ar"])
 def test_every_colour_of_noise_has_unit_plateau(shape):
     count, window = 4000, 200
-    grid = noise_data.shaping_grid(window)
+    grid = noise_randomised.shaping_grid(window)
     full = np.full(count, 1.0)
     spectrum = {
-        "low-pass": noise_data.low_pass_spectrum(grid, 0.25 * full, 2 * full),
-        "vibration": noise_data.vibration_spectrum(grid, 300 * full, 0.4 * full, 0.03 * full),
-        "blue": noise_data.blue_spectrum(grid, 100 * full, 0.3 * full, 3 * full),
-        "ar": noise_data.ar_spectrum(grid, 0.3 * full),
+        "low-pass": noise_randomised.low_pass_spectrum(grid, 0.25 * full, 2 * full),
+        "vibration": noise_randomised.vibration_spectrum(grid, 300 * full, 0.4 * full, 0.03 * full),
+        "blue": noise_randomised.blue_spectrum(grid, 100 * full, 0.3 * full, 3 * full),
+        "ar": noise_randomised.ar_spectrum(grid, 0.3 * full),
     }[shape]
-    noise = noise_data.shaped_noise(np.random.default_rng(1), spectrum, window)
+    noise = noise_randomised.shaped_noise(np.random.default_rng(1), spectrum, window)
     assert _low_end(noise).mean() == pytest.approx(1.0, abs=0.05)
 
 
 def test_calm_windows_are_white_with_their_label():
-    data = noise_data.randomised_set(seed=1, count=4000, mix=CALM)
+    data = noise_randomised.randomised_set(seed=1, count=4000, mix=CALM)
     assert data.variance.min() < 1e-7
     assert data.variance.max() > 1.0
     ratio = data.readings.astype(float).var(axis=1, ddof=1) / data.variance
@@ -112,7 +112,7 @@ def test_calm_windows_are_white_with_their_label():
 
 def test_switching_windows_are_labelled_with_the_level_at_their_end():
     mix = CALM.__class__(0, 0, 0, 0, 1.0, 0, 0, 0, 0)
-    data = noise_data.randomised_set(seed=1, count=20000, mix=mix)
+    data = noise_randomised.randomised_set(seed=1, count=20000, mix=mix)
     ratio = np.mean(data.readings[:, -3:].astype(float) ** 2, axis=1) / data.variance
     start = np.mean(data.readings[:, :3].astype(float) ** 2, axis=1) / data.variance
     assert np.median(ratio) == pytest.approx(0.79, abs=0.1)  # median of chi-square(3) / 3
@@ -122,13 +122,13 @@ def test_switching_windows_are_labelled_with_the_level_at_their_end():
 def test_repeated_samples():
     rng = np.random.default_rng(1)
     readings = rng.standard_normal((200, 400))
-    held = noise_data.repeat_samples(rng, readings, 0.3)
+    held = noise_randomised.repeat_samples(rng, readings, 0.3)
     assert np.mean(held[:, 1:] == held[:, :-1]) == pytest.approx(0.3, abs=0.01)
     assert np.isin(held, readings).all()
 
 
 def test_everything_at_once_is_finite_and_covers_bad_windows():
-    data = noise_data.randomised_set(seed=5, count=3000, mix=Mix(*([0.9] * 9)))
+    data = noise_randomised.randomised_set(seed=5, count=3000, mix=Mix(*([0.9] * 9)))
     assert np.isfinite(data.readings).all()
     assert (data.variance > 0).all()
 
@@ -139,7 +139,7 @@ def test_backgrounds_are_mixed_in_under_noise_well_above_their_own_plateau():
     rng = np.random.default_rng(2)
     tone = np.tile(np.sin(2 * np.pi * 20 * t), (50, 1))
     recorded = (tone + rng.normal(0.0, 1e-3, tone.shape)).astype(np.float32)
-    data = noise_data.randomised_set(
+    data = noise_randomised.randomised_set(
         seed=1, count=2000, mix=CALM, backgrounds=recorded, background_share=1.0
     )
     assert np.quantile(data.variance, 0.05) >= 1e-5

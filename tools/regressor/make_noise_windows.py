@@ -18,7 +18,7 @@ import numpy as np
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
-from tools.regressor import noise_data
+from tools.regressor import noise_data, noise_randomised
 from tools.regressor.noise_data import Windows
 
 SHARE = 0.8
@@ -33,7 +33,7 @@ def windows(args: argparse.Namespace) -> tuple[Windows, Windows]:
             raise InputError("--held-out and --variances are for --set paper")
         if args.count < 2:
             raise InputError(f"--count {args.count}: give at least 2")
-        data = noise_data.randomised_set(args.seed, args.count, args.window)
+        data = noise_randomised.randomised_set(args.seed, args.count, args.window)
         return noise_data.random_split(data, args.seed, SHARE)
     if args.window > round(args.duration * noise_data.PAPER_RATE_HZ):
         raise InputError(

@@ -26,7 +26,7 @@ from tqdm import tqdm
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
-from tools.regressor import model_card, networks, noise_data
+from tools.regressor import model_card, networks, noise_data, noise_randomised
 
 Loss = Callable[[Sequence[Tensor]], Tensor]
 
@@ -69,7 +69,7 @@ Input: one channel's raw window a row, float32 (channels, window) in any unit. O
 one sample in that unit squared. Subtract its mean in double precision before: float32 cannot hold
 small noise on it.
 
-Trained on synthetic windows only (`tools.regressor.noise_data.randomised_set`), never on the
+Trained on synthetic windows only (`tools.regressor.noise_randomised.randomised_set`), never on the
 paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
 repeated samples, clipping, quantisation.
 
@@ -123,7 +123,7 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
     repeats, target = torch.empty(total, 1), torch.empty(total)
     for index in tqdm(range(total // chunk), desc="windows", disable=not sys.stderr.isatty()):
         seed = args.seed * 1_000_003 + index
-        data = noise_data.randomised_set(seed, chunk, args.window, backgrounds=backgrounds)
+        data = noise_randomised.randomised_set(seed, chunk, args.window, backgrounds=backgrounds)
         rows = slice(index * chunk, (index + 1) * chunk)
         with torch.no_grad():
             energies[rows], repeats[rows], scale = network.energies(torch.from_numpy(data.readings))

@@ -18,7 +18,7 @@ from hybrid_ins.noise_regressor.window import (
     quantisation_step,
     sampling_rate,
 )
-from tools.regressor import noise_data, noise_trials
+from tools.regressor import noise_data, noise_randomised, noise_trials
 
 MODELS = ROOT / "models"
 PLATEAU = MODELS / "plateau.onnx"
@@ -253,13 +253,13 @@ def test_spectral_variance_ignores_slow_motion():
 
 
 def test_spectral_plateau_sees_the_low_end():
-    grid = noise_data.shaping_grid(200)
+    grid = noise_randomised.shaping_grid(200)
     one = np.ones(2000)
     for spectrum in (
-        noise_data.low_pass_spectrum(grid, 0.25 * one, 4 * one),
-        noise_data.blue_spectrum(grid, 100 * one, 0.35 * one, 4 * one),
+        noise_randomised.low_pass_spectrum(grid, 0.25 * one, 4 * one),
+        noise_randomised.blue_spectrum(grid, 100 * one, 0.35 * one, 4 * one),
     ):
-        noise = noise_data.shaped_noise(np.random.default_rng(3), spectrum, 200)
+        noise = noise_randomised.shaped_noise(np.random.default_rng(3), spectrum, 200)
         assert np.median(noise_spectral.plateau(noise)) == pytest.approx(1.0, abs=0.35)
         assert abs(np.log(np.median(noise_spectral.variance(noise)))) > 0.5
 

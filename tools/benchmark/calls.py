@@ -1,0 +1,171 @@
+"""The calls around the filter: GNSS update, rewind, regressor, and a sample through the node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.noise_regressor.reader import NoiseReader
+from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder, StampedEncoder
+from hybrid_ins.ros.conversions import set_stamp
+from hybrid_ins.ros.estimator import Estimator
+from tools.benchmark.contenders import (
+    FIX_RATE,
+    LEVER,
+    RATE,
+    reading,
+)
+from tools.benchmark.table import Section
+from tools.paper.montecarlo import Run, Scenario, draw
+
+
+def measure_calls(section: Section, run: Run, quick: bool) -> None:
+    """GNSS update, rewind, regressor, and all that the node computes for one sample."""
+    repetitions, calls = (2, 20) if quick else (15, 100)
+    section.add(
+        "GNSS update",
+        "µs",
+        _timed(_update_call(run), repetitions, calls),
+        note="gate, noise model and rewind point included",
+    )
+    for rate in (RATE, 1000.0):
+        section.add(
+            f"rewind of 0.5 s at {rate:.0f} Hz",
+            "µs",
+            _rewinds(rate, repetitions, 3 if quick else 10),
+        )
+    for name, call in _regressor_calls():
+        section.add(
+            f"regressor call, {name}",
+            "µs",
+            _timed(call, repetitions, calls),
+            note="six channels, window checked",
+        )
+    section.add(
+        "one sample through the node without DDS",
+        "µs",
+        _timed(_sample_call(), repetitions, 10 * calls),
+        note="bytes in, both odometries out as bytes",
+    )
+
+
+def _timed(call: Callable[[], object], repetitions: int, calls: int) -> list[float]:
+    """Return the mean time of a call [µs], once for each repetition."""
+    for _ in range(3):
+        call()
+    times = []
+    for _ in range(repetitions):
+        start = time.perf_counter()
+        for _ in range(calls):
+            call()
+        times.append((time.perf_counter() - start) / calls * 1e6)
+    return times
+
+
+def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
+    ring = ImuRing()
+    ring.extend(run.samples[:1])
+    ins = InsFilter(
+        run.start,
+        int(run.samples["t_ns"][0]),
+        np.array(reading(run, 0)),
+        FilterNoise(ConstantNoise(run.q[0]), ProcessNoise(run.bias_walk, 1.0 / rate)),
+        Gate({3: np.inf}, 3.0),
+        ring,
+        FilterSettings(),
+    )
+    return ins, ring
+
+
+def _update_call(run: Run) -> Callable[[], None]:
+    ins, ring = _filter(run, RATE)
+    ring.extend(run.samples[1:200])
+    ins.predict_block(run.samples[1:200])
+    fix = PositionFix(ins.t_ns, run.start.lla, run.fixes[0].covariance_n, LEVER)
+
+    def call() -> None:
+        ins.submit(fix)
+        ins.verdicts.clear()
+
+    return call
+
+
+def _rewinds(rate: float, repetitions: int, fixes: int) -> list[float]:
+    """Times [µs] of a fix that is half a second late, in a 5 Hz stream that all are."""
+    run = draw(Scenario("late", rate=rate, fix_rate=FIX_RATE, duration=fixes / FIX_RATE + 2.0), 2)
+    late_ns = 500_000_000
+    stamps = run.samples["t_ns"]
+    times = []
+    for _ in range(repetitions):
+        ins, ring = _filter(run, rate)
+        at, spent = 1, []
+        for fix in run.fixes:
+            stop = int(np.searchsorted(stamps, fix.t_ns + late_ns, side="right"))
+            if stop >= len(stamps):
+                break
+            if stop > at:
+                ring.extend(run.samples[at:stop])
+                ins.predict_block(run.samples[at:stop])
+                at = stop
+            start = time.perf_counter()
+            ins.submit(fix)
+            spent.append(time.perf_counter() - start)
+        times.append(float(np.median(spent)) * 1e6)
+    return times
+
+
+def _regressor_calls() -> Iterator[tuple[str, Callable[[], object]]]:
+    run = draw(Scenario("window", rate=RATE, duration=5.0), 3)
+    ring = ImuRing()
+    ring.extend(run.samples)
+    t_ns = int(run.samples["t_ns"][-1])
+    for model in ("paper", "plateau", "spectral"):
+        reader = NoiseReader(
+            {**parameters.defaults(), "noise.model": model}, np.eye(3), lambda level, text: None
+        )
+        yield reader.regressor.name, lambda reader=reader: reader.read(ring, t_ns)
+
+
+def _sample_call() -> Callable[[], None]:
+    values = {
+        **parameters.defaults(),
+        "alignment.heading_source": "parameter",
+        "noise.mode": "constant",
+    }
+    estimator = Estimator(values, lambda level, text: None)
+    decode = ImuDecoder().decode
+    imu = StampedEncoder(("imu_link",), 37)
+    outputs = [OdometryEncoder("map", "base_link"), OdometryEncoder("odom", "base_link")]
+    imu.values[27] = 9.8  # z of the specific force
+
+    fix = new_message("sensor_msgs/msg/NavSatFix")
+    fix.latitude, fix.longitude = 32.1, 34.8
+    clock = [0]
+
+    def call() -> None:
+        clock[0] += 1_000_000
+        odometry = estimator.handle_imu(decode(imu.message(clock[0])))
+        if odometry is not None:
+            for output, values in zip(outputs, odometry[1:], strict=True):
+                output.encode_values(odometry.t_ns, values)
+        estimator.run_periodic()
+        estimator.pop_reports()
+
+    while not estimator.aligned:
+        call()
+        if clock[0] % 200_000_000 == 0:
+            set_stamp(fix.header.stamp, clock[0])
+            estimator.handle_fix(fix)
+        if clock[0] > 10_000_000_000:
+            raise RuntimeError("the benchmark's estimator did not start")
+    return call
