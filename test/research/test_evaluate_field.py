@@ -9,10 +9,12 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib")
 pytest.importorskip("onnxruntime", reason="models run in onnxruntime")
 
 from tools.field import evaluate
-from tools.field.evaluate import BEST, OURS, TUNED, Group
+from tools.field.groups import Group
+from tools.field.methods import BEST, OURS, TUNED
+from tools.field.tasks import Row
 
 
-def rows() -> list[evaluate.Row]:
+def rows() -> list[Row]:
     made = []
     for flight, session, best in (("H1", "a", "q 1"), ("H2", "b", "q 2")):
         for method in ("q 1", "q 2", OURS):

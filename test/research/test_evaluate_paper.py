@@ -7,8 +7,8 @@ import pytest
 pytest.importorskip("matplotlib", reason="figures need matplotlib")
 pytest.importorskip("onnxruntime", reason="models run in onnxruntime")
 
-from tools.paper import evaluate
-from tools.paper.evaluate import Bar, at_least, at_most
+from tools.paper import evaluate, navigation, scenarios
+from tools.paper.report import Bar, at_least, at_most
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_every_method_has_its_row_in_every_scenario(report: tuple[Path, str]) ->
 
     assert len(navigation) >= 3
     for part in navigation:
-        for method in evaluate.METHODS:
+        for method in scenarios.METHODS:
             assert f"\n| {method.name} | " in part
     printed = [part for part in navigation if "\n| AQ1 literal | " in part]
     assert len(printed) == 2
@@ -56,11 +56,11 @@ def test_a_bar_is_met_within_its_limits_only() -> None:
 
 
 def test_seeds_of_development_and_evaluation_do_not_meet() -> None:
-    flown = {evaluate.FLIGHT_SEED + k for k in range(200)} | {
-        evaluate.ASIDE_SEED + k for k in range(200)
+    flown = {navigation.FLIGHT_SEED + k for k in range(200)} | {
+        navigation.ASIDE_SEED + k for k in range(200)
     }
 
-    assert not flown & set(range(evaluate.DEVELOPMENT_SEED + 200))
+    assert not flown & set(range(navigation.DEVELOPMENT_SEED + 200))
 
 
 @pytest.mark.parametrize("words", [["--runs", "1"], ["--runs", "-3"], ["--jobs", "many"]])

@@ -18,14 +18,8 @@ from tools.benchmark.careful_numpy import CarefulFilter
 from tools.paper.montecarlo import Run
 
 Array = NDArray[np.float64]
-
-
 NO_ROWS = np.empty((0, N_NAV))
-
-
 LEVER = np.zeros(3)
-
-
 RATE, FIX_RATE = 200.0, 5.0  # Hz
 
 

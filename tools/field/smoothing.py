@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins import parameters, progress
+from hybrid_ins import parameters
 from hybrid_ins.cli import options, program
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.noise import ProcessNoise
@@ -24,12 +24,12 @@ from hybrid_ins.core.state import DP, DV, EPS, LLA, QUAT, VELOCITY, covariance
 from hybrid_ins.evaluation.result import Errors, Result
 from hybrid_ins.evaluation.statistics import nees
 from hybrid_ins.plotting.style import BLUE, ORANGE
-from tools.field.evaluate import OUTAGE, Cache, calibrate_task
+from tools.field.cache import Cache, run_all
 from tools.field.flights import SESSIONS, Flown, fixes, fly, load
+from tools.field.tasks import OUTAGE, calibrate_task
 from tools.paper import montecarlo
-from tools.paper.evaluate import Bar, at_most, table
 from tools.paper.figures import _axes, _save
-from tools.parallel import run_parallel
+from tools.paper.report import Bar, at_most, table
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
@@ -259,7 +259,7 @@ def report(rows: Sequence[Row], simulated: Sequence[Row], command: str) -> str:
 def _body(args: argparse.Namespace) -> int:
     cache = Cache(args.work or args.out / ".field")
     sessions = [(numbers, imu) for numbers in SESSIONS.values() for imu in range(1, args.imus + 1)]
-    calibrations = _run(
+    calibrations = run_all(
         cache, args.jobs, "calibration", calibrate_task, [(args.data, *s) for s in sessions]
     )
     found = {(int(r["flight"][1:]), r["imu"]): r for r in calibrations}
@@ -269,8 +269,8 @@ def _body(args: argparse.Namespace) -> int:
         for key, row in found.items()
         for seed in range(args.seeds)
     ]
-    rows = _run(cache, args.jobs, "flights", flight_task, tasks)
-    simulated = _run(
+    rows = run_all(cache, args.jobs, "flights", flight_task, tasks)
+    simulated = run_all(
         cache, args.jobs, "simulations", simulation_task, [(k,) for k in range(args.simulations)]
     )
     key = next(key for key, row in found.items() if row["span"] > 35.0)
@@ -286,11 +286,6 @@ def _body(args: argparse.Namespace) -> int:
     target.write_text(report(rows, simulated, command) + "\n", encoding="utf-8")
     print(target)
     return 0
-
-
-def _run(cache: Cache, jobs: int, label: str, function: Any, arguments: Sequence[Any]) -> list[Row]:
-    parts = run_parallel(cache.run, [(function, words) for words in arguments], jobs)
-    return [row for part in progress.track(parts, label, len(arguments), "part") for row in part]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

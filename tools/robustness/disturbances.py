@@ -17,8 +17,6 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.ros.conversions import KNOWN, set_stamp, stamp_ns
 
 IMU, FIX, VELOCITY, POSE = "/imu/data", "/gnss/fix", "/gnss/velocity", "/initialpose"
-
-
 TYPES = {
     VELOCITY: "geometry_msgs/msg/TwistWithCovarianceStamped",
     POSE: "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -410,8 +408,6 @@ def insert_pose(quat_xyzw: tuple[float, float, float, float], yaw_std: float = 0
 
 
 NAN, INF = math.nan, math.inf
-
-
 INDEFINITE = [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 

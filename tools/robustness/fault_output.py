@@ -15,11 +15,7 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.ros.trajectory import trajectory_from_odometry
 
 INPUTS = ("/gnss/fix", "/gnss/velocity")  # that a replay may carry over
-
-
 ODOMETRY = struct.Struct("<4xiI")
-
-
 SHORT = 0.1  # s between two estimates that a truth epoch may lie between
 
 

@@ -41,8 +41,6 @@ ODD_WORDS = (
     ">",
     "%YAML 9.9",
 )
-
-
 Draw = np.random.Generator
 
 
