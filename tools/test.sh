@@ -9,11 +9,13 @@ set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 extras=(plot fleet lint test)
+patience=()
 folders=(test/unit test/scenario test/system)
 if [ "${1:-}" = all ]; then
     shift
     extras+=(train)
     folders+=(test/research)
+    patience=(-o timeout=900)
 fi
 bash tools/setup.sh "${extras[@]}"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
@@ -38,5 +40,5 @@ for word in "$@"; do
 done
 [ ${#named[@]} = 0 ] || folders=()
 python -m hybrid_ins.kernels >/dev/null # once, not in every process
-python -m pytest -n "$(nproc)" --dist worksteal "${folders[@]}" "$@" || status=$?
+python -m pytest -n "$(nproc)" --dist worksteal "${patience[@]}" "${folders[@]}" "$@" || status=$?
 exit $status

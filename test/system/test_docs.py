@@ -176,14 +176,6 @@ def test_what_is_written_from_the_declarations_is_current() -> None:
     assert generate_docs.main(["--check"]) == 0
 
 
-def test_the_tutorial_shows_what_is_printed(
-    flights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status = tutorial.main(["--check", str(flights)])
-
-    assert status == 0, capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("shown", "printed", "same"),
     [
