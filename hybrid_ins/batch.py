@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 from hybrid_ins import progress
 from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import write_text
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 METADATA = "metadata.yaml"
@@ -178,24 +179,25 @@ def table(outcomes: Iterable[Outcome]) -> str:
     """Return a line for each bag, numbers in columns."""
     outcomes = list(outcomes)
     columns = list(dict.fromkeys(column for outcome in outcomes for column in outcome.row))
-    rows = [["bag", *columns]]
-    for outcome in outcomes:
-        if outcome.failure:
-            rows.append([outcome.name, f"failed: {outcome.failure}"])
-        else:
-            rows.append([outcome.name, *(_cell(outcome.row.get(c)) for c in columns)])
-    widths = [
-        max(len(row[k]) for row in rows if len(row) == len(rows[0])) for k in range(len(rows[0]))
-    ]
-    widths[0] = max(len(row[0]) for row in rows)
+    rows = {outcome.name: [_cell(outcome.row.get(c)) for c in columns] for outcome in outcomes}
+    done = [columns, *(rows[outcome.name] for outcome in outcomes if not outcome.failure)]
+    widths = [max(map(len, cells)) for cells in zip(*done, strict=True)]
+    first = max(map(len, ["bag", *rows]))
+
+    def line(name: str, cells: Sequence[str]) -> str:
+        padded = (cell.rjust(width) for cell, width in zip(cells, widths, strict=True))
+        return "  ".join([name.ljust(first), *padded]).rstrip()
+
     return "\n".join(
-        "  ".join(
-            [
-                row[0].ljust(widths[0]),
-                *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=False)),
-            ]
-        ).rstrip()
-        for row in rows
+        [
+            line("bag", columns),
+            *(
+                f"{outcome.name.ljust(first)}  failed: {outcome.failure}"
+                if outcome.failure
+                else line(outcome.name, rows[outcome.name])
+                for outcome in outcomes
+            ),
+        ]
     )
 
 
@@ -218,9 +220,7 @@ def _attempt(
         row = work(job)
         if job.record is not None:
             job.record.parent.mkdir(parents=True, exist_ok=True)
-            unfinished = job.record.with_name(f".{job.record.name}")
-            unfinished.write_text(json.dumps({"fingerprint": mark, "row": row}, indent=1))
-            unfinished.replace(job.record)
+            write_text(job.record, json.dumps({"fingerprint": mark, "row": row}, indent=1))
     except InputError as error:
         return Outcome(job.name, {}, str(error))
     except OSError as error:
@@ -237,7 +237,7 @@ def _attempt(
 
 def _read_record(path: Path) -> dict[str, Any]:
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return record if isinstance(record, dict) and isinstance(record.get("row"), dict) else {}

@@ -26,7 +26,7 @@ def check_output(
     overwrite : bool
         Whether an existing output may be replaced.
     folder : bool
-        Whether the output may be a folder, such as a bag.
+        Whether the output may be a folder, such as a bag; folders above it need not exist then.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def check_output(
         raise InputError(f"{path}: is a folder: choose another name")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists: give --overwrite, or choose another name")
-    if not target.parent.is_dir():
+    if not folder and not target.parent.is_dir():
         raise InputError(f"{path}: no such folder")
 
 

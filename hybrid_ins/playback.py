@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hybrid_ins.bags.messages import absolute, is_standard
+from hybrid_ins.bags.messages import LATCHED, absolute, is_standard
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
@@ -91,6 +91,10 @@ def play(
 
     with ExitStack() as stack:
         bag = stack.enter_context(BagReader(source))
+        out = None
+        if recording is not None:
+            writer = BagWriter(recording.path, recording.overwrite, inputs=[source])
+            out = stack.enter_context(writer)
         topics = _topics_to_play(bag, selection.topics)
         first_ns = bag.start_ns + round(selection.start * 1e9)
         last_ns = bag.end_ns
@@ -102,10 +106,9 @@ def play(
 
         node = stack.enter_context(started_node(ros_args))
         timeline = Timeline(first_ns, selection.rate)
-        player = Player(node, topics, selection.remap, clock=selection.clock)
+        player = Player(node, topics, selection.remap, latched=LATCHED, clock=selection.clock)
         recorder = None
-        if recording is not None:
-            out = stack.enter_context(BagWriter(recording.path, overwrite=recording.overwrite))
+        if out is not None and recording is not None:
             recorder = stack.enter_context(Recorder(node, out.write_raw, is_standard, timeline))
             names = [absolute(topic) for topic in recording.topics]
             recorder.subscribe(names, selection.remap, selection.patience)

@@ -63,6 +63,7 @@ def replay_bag(
     topics: InputTopics,
     *,
     overwrite: bool = False,
+    keep_partial: bool = True,
     smooth: bool = False,
     log: Log | None = None,
 ) -> Replayed:
@@ -77,7 +78,7 @@ def replay_bag(
         Checked parameters.
     topics : InputTopics
         Where the input is.
-    overwrite : bool
+    overwrite, keep_partial : bool
         See `BagWriter`.
     smooth, log
         See `replay`.
@@ -85,18 +86,22 @@ def replay_bag(
     Raises
     ------
     InputError
-        A bag cannot be read or written, a topic is missing, or the filter never started.
+        A bag cannot be read or written, a topic is missing, or the filter never started: nothing
+        is written then.
 
     """
-    with BagReader(source) as bag, BagWriter(target, overwrite=overwrite) as out:
+    with (
+        BagReader(source) as bag,
+        BagWriter(target, overwrite, inputs=[source], keep_partial=keep_partial) as out,
+    ):
         estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
-        duration = (bag.end_ns - bag.start_ns) * 1e-9
-    if not estimator.ever_aligned:
-        raise InputError(
-            f"{source}: the filter never started: it waited for "
-            f"{estimator.waiting_for}; {target} holds no odometry"
-        )
-    return Replayed(estimator, duration)
+        if not estimator.ever_aligned:
+            out.discard()
+            raise InputError(
+                f"{source}: the filter never started: it waited for {estimator.waiting_for};"
+                f" {target} is not written"
+            )
+        return Replayed(estimator, (bag.end_ns - bag.start_ns) * 1e-9)
 
 
 def replay(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from heapq import merge
 from operator import itemgetter
@@ -21,7 +22,10 @@ from hybrid_ins.bags.mcap_reader import MAGIC, Channel, McapReader, Record
 from hybrid_ins.bags.messages import TYPES, absolute, is_standard
 from hybrid_ins.errors import InputError
 
-_METADATA = "metadata.yaml"
+SQLITE, ROS1 = b"SQLite format 3\0", b"#ROSBAG V"
+BEGINNINGS = (MAGIC, SQLITE, ROS1)  # of files that are bags
+
+METADATA = "metadata.yaml"
 _METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
 
 _log = logging.getLogger(__name__)
@@ -139,11 +143,11 @@ def open_recording(path: Path) -> Source:
         raise InputError(f"{path}: is empty (0 bytes): record it again")
     if head.startswith(MAGIC):
         return McapReader(path)
-    if head.startswith(b"SQLite format 3\0"):
+    if head.startswith(SQLITE):
         if path.suffix != ".db3":
             raise InputError(f"{path}: is an SQLite3 bag: rename it to {path.stem}.db3")
         return _RosbagsFile(path, Rosbag2Reader(path))
-    if head.startswith(b"#ROSBAG V"):
+    if head.startswith(ROS1):
         return _RosbagsFile(path, Ros1Reader(path))
     raise InputError(
         f"{path}: is not a bag: give a rosbag2 directory, an .mcap or .db3 file or a ROS 1 .bag"
@@ -151,7 +155,7 @@ def open_recording(path: Path) -> Source:
 
 
 def _open_directory(path: Path) -> Source:
-    metadata = path / _METADATA
+    metadata = path / METADATA
     names: list[str] = []
     trouble = "its metadata.yaml names no file"
     try:
@@ -164,8 +168,7 @@ def _open_directory(path: Path) -> Source:
     except (yaml.YAMLError, RecursionError, UnicodeError, LookupError, TypeError, AttributeError):
         trouble = "its metadata.yaml is damaged"
     if not names:
-        found = [*path.glob(f"{path.resolve().name}_*.*")]
-        names = sorted(file.name for file in found if file.suffix in (".mcap", ".db3"))
+        names = sorted(file.name for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
         if not names:
             raise InputError(f"{path}: is no rosbag2 directory ({trouble}): give a bag's directory")
         _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
@@ -174,6 +177,18 @@ def _open_directory(path: Path) -> Source:
         raise InputError(f"{path}: lacks {', '.join(missing)}: copy the whole bag")
     files = [path / name for name in names]
     return open_recording(files[0]) if len(files) == 1 else _Files(files)
+
+
+def is_only_a_bag(path: Path) -> bool:
+    """Return whether a directory holds the files of one rosbag2 recording, and nothing else."""
+    names = {METADATA}
+    with suppress(Exception):  # damaged or missing
+        names.update(_read_metadata(path / METADATA)["relative_file_paths"])
+    own = f"{path.resolve().name}_"
+    return all(
+        file.name in names or (file.name.startswith(own) and file.suffix in (".mcap", ".db3"))
+        for file in path.iterdir()
+    )
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:

@@ -7,9 +7,11 @@ a file that is sound after an interruption at any moment.
 
 from __future__ import annotations
 
+import fcntl
 import zlib
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from struct import Struct
 
@@ -32,7 +34,7 @@ class McapWriter:
     Writes one MCAP file with chunks, checksums and an index.
 
     What was given is on the disk after `flush` or `close`. Both may be repeated after they were
-    interrupted: they write the same bytes at the same place again.
+    interrupted: they write the same bytes at the same place again. The file is locked until then.
 
     Parameters
     ----------
@@ -54,10 +56,17 @@ class McapWriter:
         self._pending: list[tuple[int, Sequence[int], bytes]] = []  # channel, log times, records
         self._pending_size = 0
         self._file = path.open("xb", buffering=0)  # an interrupted write leaves nothing behind
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._end = 0
         header = MAGIC + _encoded(records.Header("ros2", library))
         self._put(header)
         self._end = len(header)
+
+    @property
+    def written(self) -> int:
+        """Number of messages so far, those that are pending included."""
+        return self.counts.total() + sum(len(log_ns) for _, log_ns, _ in self._pending)
 
     def add_channel(self, channel: Channel, definition: str, metadata: dict[str, str]) -> int:
         """
@@ -193,6 +202,10 @@ class McapWriter:
         start = self._end + len(data_end)
         crc = zlib.crc32(summary + _encoded(records.Footer(start, 0, 0))[:-4])
         self._put(data_end, summary, _encoded(records.Footer(start, 0, crc)), MAGIC)
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
         self._file.close()
 
     def _put(self, *parts: bytes) -> None:

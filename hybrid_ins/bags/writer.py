@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import shutil
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,19 +15,18 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from hybrid_ins.bags.formats import BEGINNINGS, METADATA, is_only_a_bag
 from hybrid_ins.bags.mcap_reader import Channel
 from hybrid_ins.bags.mcap_writer import McapWriter
-from hybrid_ins.bags.messages import TYPES, Message, absolute, is_standard
+from hybrid_ins.bags.messages import LATCHED, TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import check_output
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from typing_extensions import Self
 
-LATCHED = ("/datum", "/truth/datum", "/tf_static")  # topics whose last message late readers get
-
-_METADATA = "metadata.yaml"
 _FOREVER = {"sec": 9_223_372_036, "nsec": 854_775_807}  # as rosbag2 writes it
 
 _log = logging.getLogger(__name__)
@@ -33,9 +36,13 @@ class BagWriter:
     """
     A new rosbag2 recording in MCAP: a directory, or one file where the path ends in ``.mcap``.
 
-    As a context manager it is completed however the block ends. After an exception or Ctrl-C the
-    bag holds everything written so far, and a warning says that it ends early; without a message
-    written nothing is left. Killed outright it can still be read up to its last chunk.
+    It is written beside its place, under its name with ``.part`` added, and takes its place when it
+    is complete; what was there before is removed only then. A killed process leaves the part, which
+    can be read up to its last chunk; the next writer of that bag sets it aside.
+
+    As a context manager it is completed however the block ends: after an exception or Ctrl-C it
+    holds everything written so far, and a warning says that it ends early and where it is: in its
+    place if that is free, else beside it, as ``NAME.partial``. Without a message nothing is left.
 
     Parameters
     ----------
@@ -43,24 +50,41 @@ class BagWriter:
         The bag. Directories above it are made.
     overwrite
         Replace what is there, provided that it is a bag.
+    inputs
+        Files and bags that are read meanwhile.
+    keep_partial
+        Whether a bag that ends early is left, by this writer or an earlier one.
 
     Raises
     ------
     InputError
-        `path` exists and may not be overwritten.
+        `path` is an input, exists and may not be overwritten, or is being written already.
 
     """
 
-    def __init__(self, path: Path | str, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        overwrite: bool = False,
+        *,
+        inputs: Sequence[Path] = (),
+        keep_partial: bool = True,
+    ) -> None:
         self.path = Path(path)
-        self._is_file = self.path.suffix == ".mcap"
-        _make_way(self.path, overwrite)
-        if self._is_file:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            file = self.path
+        check_output(self.path, inputs, overwrite, folder=True)
+        _check_replaceable(self.path)
+        self._overwrite = overwrite
+        self._keep_partial = keep_partial
+        self._is_open = True
+        self._target = self.path.resolve()  # where a link points to
+        self._part = self._target.with_name(f"{self._target.name}.part")
+        self._set_aside_abandoned()
+        file = self._part
+        if self.path.suffix != ".mcap":
+            self._part.mkdir(parents=True)
+            file = self._part / f"{self._target.name}_0.mcap"
         else:
-            self.path.mkdir(parents=True)
-            file = self.path / f"{self.path.resolve().name}_0.mcap"
+            self._part.parent.mkdir(parents=True, exist_ok=True)
         self._writer = McapWriter(file, "hybrid_ins")
         self._numbers: dict[tuple[str, str], int] = {}
 
@@ -73,21 +97,76 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
         if kind is None:
-            return
-        count = self._writer.counts.total()
-        if not count:
-            shutil.rmtree(self.path) if not self._is_file else self.path.unlink()
-        else:
-            seconds = (self._writer.end_ns - self._writer.start_ns) / 1e9
-            _log.warning("%s: ends early, after %d messages (%.1f s)", self.path, count, seconds)
+            self.close()
+        elif self._is_open:
+            self._abandon()
 
     def close(self) -> None:
-        """Complete the bag; closing twice is harmless."""
+        """Complete the bag and put it in its place; closing twice is harmless."""
+        if self._is_open:
+            self._complete()
+            if self._target.exists() and not self._overwrite:
+                raise InputError(f"{self.path}: exists meanwhile: the new bag is {self._part}")
+            self._take_place()
+
+    def discard(self) -> None:
+        """Remove what was written; what was at `path` before stays."""
+        self._is_open = False
+        self._writer.abandon()
+        _remove(self._part)
+
+    def _abandon(self) -> None:
+        """Keep what was written where that is of use."""
+        written = self._writer.written
+        if not written or not self._keep_partial:
+            self.discard()
+            return
+        try:
+            self._complete()
+        except InputError as error:  # the disk is full: this may be why we are here
+            _log.warning("%s: is incomplete (%s)", self._part, error)
+            return
+        if self._target.exists():
+            place = _set_aside(self._part)
+        else:
+            self._take_place()
+            place = self.path
+        seconds = (self._writer.end_ns - self._writer.start_ns) / 1e9
+        _log.warning("%s: ends early, after %d messages (%.1f s)", place, written, seconds)
+
+    def _set_aside_abandoned(self) -> None:
+        """Make way where a writer was killed; refuse where one is still at work."""
+        part = self._part
+        if not part.exists():
+            return
+        for file in part.glob("*.mcap") if part.is_dir() else [part]:
+            with file.open("rb") as opened, suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise InputError(f"{self.path}: another process is writing it") from None
+        if self._keep_partial:
+            place = _set_aside(part)
+            _log.warning("%s: what an earlier run wrote before it was killed", place)
+        else:
+            _remove(part)
+
+    def _complete(self) -> None:
         self._writer.close()
-        if not self._is_file:
-            (self.path / _METADATA).write_text(yaml.safe_dump(self._metadata(), sort_keys=False))
+        if self._part.is_dir():
+            text = yaml.safe_dump(self._metadata(), sort_keys=False)
+            (self._part / METADATA).write_text(text, encoding="utf-8")
+
+    def _take_place(self) -> None:
+        old = self._target.with_name(f"{self._target.name}.old")
+        if self._target.exists():
+            _check_replaceable(self.path)
+            _remove(old)
+            self._target.rename(old)
+        self._part.rename(self._target)
+        self._is_open = False
+        _remove(old)
 
     def write(self, topic: str, message: Message, log_ns: int) -> None:
         """
@@ -195,15 +274,33 @@ def _offered_qos(topic: str) -> list[dict[str, Any]]:
     ]
 
 
-def _make_way(path: Path, overwrite: bool) -> None:
-    if not path.exists():
-        return
-    if not overwrite:
-        raise InputError(f"{path} exists: give another name, or --overwrite to replace it")
-    if path.is_file():
-        path.unlink()
-        return
-    strangers = [p for p in path.iterdir() if p.suffix not in (".mcap", ".db3", ".yaml")]
-    if strangers:
-        raise InputError(f"{path} holds more than a bag ({strangers[0].name}): not overwritten")
-    shutil.rmtree(path)
+def _check_replaceable(path: Path) -> None:
+    """Raise `InputError` where something is that is no bag, or holds more than a bag."""
+    if path.is_dir():
+        if not is_only_a_bag(path):
+            raise InputError(f"{path}: holds other files than those of one bag: not overwritten")
+    elif path.exists():
+        is_bag = False
+        if path.is_file():
+            with path.open("rb") as file:
+                head = file.read(16)
+            is_bag = not head or head.startswith(BEGINNINGS)
+        if not is_bag:
+            raise InputError(f"{path}: is no bag: not overwritten")
+
+
+def _set_aside(part: Path) -> Path:
+    """Rename an incomplete bag so that no later writer takes it for its own; return its path."""
+    name, suffix = part.stem, ""
+    if name.endswith(".mcap"):
+        name, suffix = name.removesuffix(".mcap"), ".mcap"
+    names = (f"{name}.partial{number}{suffix}" for number in chain([""], count(2)))
+    place = next(path for path in map(part.with_name, names) if not path.exists())
+    return part.rename(place)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -6,7 +6,6 @@ import argparse
 import math
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from hybrid_ins import parameter_file, parameters
@@ -106,7 +105,7 @@ def add_parameters(parser: Any, what: str) -> None:
         metavar="NAME:=VALUE",
         action="append",
         default=[],
-        help="set one parameter; goes before the file; may be repeated",
+        help="set one parameter; overrides the file; may be repeated",
     )
 
 
@@ -169,19 +168,3 @@ def add_batch(parser: argparse.ArgumentParser) -> Any:
         "the same files, instead of on this machine",
     )
     return group
-
-
-def check_new(path: Path, overwrite: bool) -> None:
-    """
-    Find out before the work whether a file can be written to `path`.
-
-    Raises
-    ------
-    InputError
-        It exists and may not be replaced, or there is no such folder.
-
-    """
-    if path.exists() and (path.is_dir() or not overwrite):
-        raise InputError(f"{path}: exists: give --overwrite, or another name")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such folder")

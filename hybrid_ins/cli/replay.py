@@ -77,7 +77,7 @@ def _run(args: argparse.Namespace) -> int:
             cluster=args.dask,
         )
     if args.plot is not None:
-        style.check(args.plot)
+        style.check(args.plot, [*args.input, args.output])
     [source] = args.input
     replayed = replay_bag(
         source, args.output, values, topics, overwrite=args.overwrite, smooth=args.smooth
@@ -98,21 +98,16 @@ def _replay_one(
     if target.exists() and not job.record.exists() and not overwrite:
         raise InputError(f"{target} exists, but no record of its making: --overwrite to replace it")
     levels: list[str] = []
-    unfinished = target.with_name(f".{target.name}")
-    try:
-        replayed = replay_bag(
-            job.source,
-            unfinished,
-            values,
-            topics,
-            overwrite=True,
-            smooth=smooth,
-            log=lambda level, text: levels.append(level),
-        )
-    except BaseException:
-        unfinished.unlink(missing_ok=True)
-        raise
-    unfinished.replace(target)
+    replayed = replay_bag(
+        job.source,
+        target,
+        values,
+        topics,
+        overwrite=True,
+        keep_partial=False,
+        smooth=smooth,
+        log=lambda level, text: levels.append(level),
+    )
     return {
         "duration [s]": replayed.duration,
         "fixes fused": replayed.estimator.fixes_fused,
