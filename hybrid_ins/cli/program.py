@@ -7,9 +7,9 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from tqdm import tqdm
 
@@ -64,15 +64,20 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
     """
     name = getattr(args, "program_name", Path(sys.argv[0]).name)
     kernel_cache.enable()
-    with _logging_to_stderr(name), _sigterm_raised():
+    stdout, stderr = _Output(sys.stdout), _Output(sys.stderr)
+    with (
+        redirect_stdout(stdout),
+        redirect_stderr(stderr),
+        _logging_to_stderr(name),
+        _sigterm_raised(),
+    ):
         try:
-            return body(args) or 0
+            status = body(args) or 0
+            stdout.flush()
+            return status
         except InputError as error:
             print(f"{name}: error: {error}", file=sys.stderr)
             return EXIT_BAD_INPUT
-        except BrokenPipeError:  # `... | head`: the reader has seen enough
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
             print(f"{name}: error: {place}{error.strerror or error}", file=sys.stderr)
@@ -83,6 +88,35 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         except Terminated:
             print(f"{name}: terminated", file=sys.stderr)
             return EXIT_TERMINATED
+
+
+class _Output:
+    """
+    A standard stream that goes on when its reader is gone (``ins_evaluate … | head``).
+
+    What a program prints is not worth losing what it is about to write.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        return self._unless_closed(self._stream.write, text)
+
+    def flush(self) -> None:
+        self._unless_closed(self._stream.flush)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def _unless_closed(self, action: Callable[..., Any], *arguments: Any) -> int:
+        try:
+            return action(*arguments) or 0
+        except BrokenPipeError:
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, self._stream.fileno())  # also what is still buffered
+            os.close(nothing)
+            return 0
 
 
 class _StderrHandler(logging.Handler):

@@ -7,6 +7,7 @@ import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
@@ -145,13 +146,20 @@ def _read_rows(
     path: Path, file: TextIO, layout: CsvFormat, wanted: list[str | int], faults: Faults
 ) -> tuple[NDArray[np.int64], Array]:
     rows = _fields(file, layout.delimiter)
-    names = [name.strip() for name in next(rows, (1, []))[1]] if layout.has_header else []
+    first_line, first = next(rows, (1, []))
+    if not layout.has_header:
+        rows = chain([(first_line, first)], rows)
+    names = [name.strip() for name in first] if layout.has_header else []
     index = [_position(path, names, name) for name in wanted]
-    width = len(names)
+    width = len(first)
+    if max(index) >= width:
+        raise InputError(
+            f"{path}:{first_line}: no column {max(index) + 1}: the first line has {width} fields;"
+            " check the map's columns and delimiter, and remove lines above the table"
+        )
     lines: list[int] = []
     numbers: list[list[float]] = []
     for line, fields in rows:
-        width = width or len(fields)
         if len(fields) != width:
             faults.row(
                 path, line, "wrong number of fields: row dropped", f"{len(fields)}, not {width}"
@@ -159,8 +167,8 @@ def _read_rows(
             continue
         try:
             row = [float(fields[i]) for i in index]
-        except (ValueError, IndexError):
-            bad = next((fields[i] for i in index if not _is_number(fields[i : i + 1])), "")
+        except ValueError:
+            bad = next((fields[i] for i in index if not _is_number(fields[i])), "")
             faults.row(path, line, "no number: row dropped", repr(bad[:40]))
             continue
         if not np.isfinite(row).all():
@@ -191,9 +199,9 @@ def _position(path: Path, names: list[str], name: str | int) -> int:
     raise InputError(f"{path}: no column '{name}'; the header has {there}")
 
 
-def _is_number(fields: list[str]) -> bool:
+def _is_number(text: str) -> bool:
     try:
-        return bool(fields) and np.isfinite(float(fields[0]))
+        return bool(np.isfinite(float(text)))
     except ValueError:
         return False
 

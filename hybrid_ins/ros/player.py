@@ -9,18 +9,21 @@ from __future__ import annotations
 import importlib
 import logging
 import math
+import re
 import struct
 import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -50,15 +53,36 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def started_node(ros_args: Sequence[str]) -> Iterator[Node]:
-    """Yield a node of rclpy, which is started and shut down; give the words from --ros-args on."""
-    # Ctrl-C and SIGTERM stay with Python, so that they unwind through the open bag.
-    rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
+    """
+    Yield a node of rclpy, which is started and shut down.
+
+    Parameters
+    ----------
+    ros_args : sequence of str
+        From ``--ros-args`` on.
+
+    Raises
+    ------
+    InputError
+        ROS refuses an argument, or a name that the block gives it.
+
+    """
     try:
+        # Ctrl-C and SIGTERM stay with Python, so that they unwind through the open bag.
+        rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node("ins_play", start_parameter_services=False, enable_rosout=False)
         try:
             yield node
         finally:
             node.destroy_node()
+    except NameValidationException as error:
+        reason, name = str(error).splitlines()[:2]
+        raise InputError(f"{name.strip()}: {reason.rstrip(':')}: rename it with --remap") from None
+    except UnknownROSArgsError as error:
+        raise InputError(f"unknown ROS arguments: {error}") from None
+    except (RCLError, RCLInvalidROSArgsError) as error:
+        reason = re.split(r"\. Error: |, at /", str(error))[0]  # what follows is rcl's source
+        raise InputError(" ".join(reason.split())) from None
     finally:
         rclpy.try_shutdown()
 
@@ -104,10 +128,31 @@ class Timeline:
 
 
 class Player:
-    """Publishes serialised messages and /clock at their times."""
+    """
+    Publishes serialised messages and /clock at their times.
+
+    Parameters
+    ----------
+    node : Node
+    topics : dict
+        Type name by topic.
+    remap : mapping
+        Name to publish under, by topic.
+    latched : collection of str
+        Topics whose last message late subscribers get, too.
+    clock : bool
+        Publish /clock.
+
+    """
 
     def __init__(
-        self, node: Node, topics: dict[str, str], remap: Mapping[str, str], clock: bool
+        self,
+        node: Node,
+        topics: dict[str, str],
+        remap: Mapping[str, str],
+        *,
+        latched: Collection[str] = (),
+        clock: bool = True,
     ) -> None:
         self.lateness = array("f")  # s, of each message
         self.duration = 0.0  # s, of bag time
@@ -118,9 +163,10 @@ class Player:
             message_type = _message_type(topic, type_name)
             if message_type is not None:
                 name = remap.get(topic, topic)
-                self._publishers[topic] = node.create_publisher(
-                    message_type, name, QoSProfile(depth=_DEPTH)
-                )
+                quality = QoSProfile(depth=_DEPTH)
+                if topic in latched:
+                    quality.durability = DurabilityPolicy.TRANSIENT_LOCAL
+                self._publishers[topic] = node.create_publisher(message_type, name, quality)
         if not self._publishers:
             raise InputError("there is nothing to play: no topic has a type that is installed")
         self._clock = None
@@ -265,7 +311,7 @@ class Recorder:
         self._thread.start()
 
     def check(self) -> None:
-        """Raise the exception that ended the recording thread, if any did."""
+        """Raise the exception that ended the recording, if any did."""
         if self._failure is not None:
             raise self._failure
 
@@ -306,8 +352,12 @@ class Recorder:
         counts[topic] = 0
 
         def receive(data: bytes) -> None:
-            write(topic, type_name, data, now_ns())
-            counts[topic] += 1
+            if self._failure is None:
+                try:
+                    write(topic, type_name, data, now_ns())
+                    counts[topic] += 1
+                except Exception as failure:  # the executor would print a traceback
+                    self._failure = failure
 
         self._node.create_subscription(message_type, name, receive, quality, raw=True)
 

@@ -184,7 +184,9 @@ def test_ended_by_a_signal_the_recording_is_whole(
     options = ("--rate", 0.2, "--record", out, "--record-topics", *ECHOES)
     process = start_player(processes, flight, *options)
     deadline = time.monotonic() + 30
-    while not any(f.stat().st_size > 100_000 for f in out.glob("*")):  # a chunk is written
+    while not any(
+        f.stat().st_size > 100_000 for f in tmp_path.glob("*.part/*")
+    ):  # a chunk is written
         assert time.monotonic() < deadline
         time.sleep(0.05)
     process.send_signal(number)
@@ -223,7 +225,7 @@ def test_a_bag_that_is_damaged_midway_is_played_without_the_damage(
         (["{missing}"], "no such file or directory"),
         (["{flight}", "--start", "99"], "--start 99: .* is only 4.0 s long"),
         (["{flight}", "--topics", "imu"], "--topics /imu: .* has /gnss/fix, /imu/data, "),
-        (["{flight}", "--record", "{flight}"], "exists: give another name, or --overwrite"),
+        (["{flight}", "--record", "{flight}"], "is the input"),
         (["{flight}", "--rate", "0"], "--rate: 0 is not above zero"),
         (["{flight}", "--rate", "fast"], "--rate: 'fast' is no number"),
         (["{flight}", "--drain", "-1"], "--drain: -1 is negative"),
@@ -245,6 +247,62 @@ def test_wrong_arguments(
         status = int(end.code or 0)
     assert status == 2
     assert re.search(f"ins_play: error: .*{complaint}", capfd.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--remap", "/imu/data:=/a//b"], "'/a//b': .* must not contain repeated '/'"),
+        (["--remap", "/imu/data:=/a b"], "'/a b': .* must not contain characters other"),
+        (
+            ["--record", "{out}", "--record-topics", "/a//b"],
+            "'/a//b': .* must not contain repeated",
+        ),
+        (["--ros-args", "-r", "imu"], "Couldn't parse remap rule: '-r imu'$"),
+        (["--ros-args", "--no-such"], "unknown ROS arguments: .*--no-such"),
+    ],
+)
+def test_names_that_ros_refuses(
+    processes: Processes, flight: Path, tmp_path: Path, words: list[str], complaint: str
+) -> None:
+    words = [word.format(out=tmp_path / "out") for word in words]
+    output = play(processes, flight, *words, status=2)
+    assert "Traceback" not in output
+    assert re.search(f"^ins_play: error: .*{complaint}", output, re.MULTILINE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_ends_with_one_line(
+    processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
+) -> None:
+    code = (
+        "import resource, sys; from hybrid_ins.cli.play import main;"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); sys.exit(main())"
+    )
+    words = [flight, "--record", tmp_path / "out", "--record-topics", "odometry"]
+    process = processes.start([sys.executable, "-c", code, *map(str, words)], PIPE, ENVIRONMENT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "Traceback" not in output
+    last = output.strip().splitlines()[-1]
+    assert re.fullmatch("ins_play: error: .*out_0.mcap: cannot be written: File too large", last)
+    with BagReader(tmp_path / "out.part") as bag:
+        assert bag.count("/odometry") > 100  # what there was room for
+
+
+def test_late_subscribers_get_the_map_s_origin(processes: Processes) -> None:
+    code = (
+        "from hybrid_ins.ros.player import Player, started_node\n"
+        "with started_node([]) as node:\n"
+        "    topics = dict.fromkeys(['/datum', '/gnss/fix'], 'sensor_msgs/msg/NavSatFix')\n"
+        "    Player(node, topics, {}, latched=['/datum'])\n"
+        "    for topic in topics:\n"
+        "        info = node.get_publishers_info_by_topic(topic)\n"
+        "        print(info[0].qos_profile.durability.name)\n"
+    )
+    process = processes.start([sys.executable, "-c", code], PIPE, ENVIRONMENT)
+    output, _ = process.communicate(timeout=60)
+    assert output.split() == ["TRANSIENT_LOCAL", "VOLATILE"]
 
 
 def test_only_truth_in_the_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,15 @@
 """What the programs answer to wrong arguments: status 2 and one line that says what is wrong."""
 
+import os
+import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
@@ -19,6 +23,8 @@ MODULES = {
     "ins_replay": "hybrid_ins.cli.replay",
     "ins_simulate": "hybrid_ins.cli.simulate",
 }
+ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+IGNORED = "signal.signal(signal.SIGINT, signal.default_int_handler)"  # as a shell may have left it
 Main = Callable[[list[str]], int]
 
 
@@ -139,6 +145,134 @@ def test_help_teaches_by_example(name: str, capsys: pytest.CaptureFixture[str]) 
     printed = capsys.readouterr().out
     assert printed.startswith(f"usage: {name}")
     assert f"example:\n  {name} " in printed
+
+
+FLIGHT = ["--duration", "8", "--imu-rate", "100", "--seed", "1"]
+HEADING = ["-p", "alignment.heading_source:=parameter"]
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Path:
+    assert status_of("ins_simulate", [str(tmp_path / "flight"), *FLIGHT]) == 0
+    return tmp_path / "flight"
+
+
+@pytest.mark.parametrize("out", ["flight", "flight/flight_0.mcap", "link", "sub/../flight/", "."])
+@pytest.mark.parametrize("program_name", ["ins_replay", "ins_play"])
+def test_no_program_writes_where_it_reads(
+    program_name: str,
+    out: str,
+    flight: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if program_name == "ins_play":
+        pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
+    (flight.parent / "link").symlink_to(flight)
+    (flight.parent / "sub").mkdir()
+    monkeypatch.chdir(flight.parent)
+    before = {p: p.read_bytes() for p in flight.iterdir()}
+    option = ["--record"] if program_name == "ins_play" else []
+
+    assert status_of(program_name, ["flight", *option, out, "--overwrite"]) == 2
+
+    assert "is the input flight" in capsys.readouterr().err
+    assert {p: p.read_bytes() for p in flight.iterdir()} == before
+
+
+def test_a_folder_of_bags_is_not_replayed_into_itself(
+    flight: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = flight.parent / "flights"
+    folder.mkdir()
+    assert status_of("ins_simulate", [str(folder / "one.mcap"), *FLIGHT]) == 0
+    before = (folder / "one.mcap").read_bytes()
+
+    assert status_of("ins_replay", [str(folder), str(folder), "--overwrite", *HEADING]) == 2
+
+    assert "is the input" in capsys.readouterr().out
+    assert (folder / "one.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["GT.csv", "map.yaml"])
+def test_a_conversion_or_simulation_replaces_bags_only(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text("a,b\n1,2\n")
+
+    assert status_of("ins_simulate", [str(tmp_path / name), *FLIGHT, "--overwrite"]) == 2
+    assert f"{name}: is no bag: not overwritten" in capsys.readouterr().err
+    assert status_of("ins_simulate", [str(tmp_path), *FLIGHT, "--overwrite"]) == 2
+    assert "holds other files than those of one bag" in capsys.readouterr().err
+
+    assert (tmp_path / name).read_text() == "a,b\n1,2\n"
+
+
+def test_a_replay_that_never_starts_leaves_nothing_in_the_way(
+    flight: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(flight.with_name("out"))
+
+    assert status_of("ins_replay", [str(flight), out, "-p", "gnss.max_delay:=0.0"]) == 2
+    assert "never started" in capsys.readouterr().err
+    assert not list(flight.parent.glob("out*"))
+
+    assert status_of("ins_replay", [str(flight), out, *HEADING]) == 0
+
+
+BODY = """
+import sys
+from pathlib import Path
+from hybrid_ins.cli import program
+
+def body(args):
+    for k in range(10_000):
+        print("σ", k)
+        print("σ", k, file=sys.stderr)
+    Path(sys.argv[1]).write_text("result")
+
+sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
+"""
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr", "both", "none"])
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii", "utf-8"])
+def test_neither_a_closed_pipe_nor_an_encoding_loses_a_result(
+    closed: str, encoding: str, tmp_path: Path
+) -> None:
+    """GIVEN `| head`, or a terminal without σ WHEN a program prints THEN it writes all the same."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    streams = {
+        name: writing if closed in (name, "both") else subprocess.DEVNULL
+        for name in ("stdout", "stderr")
+    }
+
+    done = subprocess.run(
+        [sys.executable, "-c", BODY, str(tmp_path / "result")],
+        env=os.environ | ENVIRONMENT | {"PYTHONIOENCODING": encoding},
+        timeout=60,
+        **streams,  # type: ignore[call-overload]
+    )
+
+    os.close(writing)
+    assert done.returncode == 0
+    assert (tmp_path / "result").read_text() == "result"
+
+
+def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
+    code = "import hybrid_ins.cli, signal; signal.raise_signal(signal.SIGINT)"
+
+    done = subprocess.run(
+        [sys.executable, "-c", f"import signal\n{IGNORED}\n{code}"],
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+    assert done.returncode == -signal.SIGINT
+    assert done.stderr == "-c: interrupted\n"
 
 
 class TestNode:

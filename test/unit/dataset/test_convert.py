@@ -564,6 +564,16 @@ def test_no_text_breaks_the_reader(tmp_path: Path, data: st.DataObject) -> None:
     assert table.values.shape == (table.t.size, 2)
 
 
+@pytest.mark.parametrize("header", [True, False], ids=["header", "no header"])
+@pytest.mark.parametrize("first", ["", "# logged by hand", "t,a"])
+def test_a_first_line_that_is_too_short_is_named(tmp_path: Path, header: bool, first: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f"{first}\n0.0,1,2\n0.1,1,2\n" if first else "\n")
+    columns: list[str | int] = [2, 3]
+    with pytest.raises(InputError, match=r"table\.csv:1: no column 3: the first line has \d field"):
+        read_table(path, CsvFormat(has_header=header), 1, 1.0, columns, Faults())
+
+
 # --- files that are no good at all ----------------------------------------------------------------
 
 
