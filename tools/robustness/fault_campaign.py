@@ -341,8 +341,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = shell.parser(
         "fault_campaign",
         __doc__ or "",
-        "python -m tools.robustness.fault_campaign --live --flight "
-        "quadrotor/Horizontal/path_4",
+        "python -m tools.robustness.fault_campaign --live --flight quadrotor/Horizontal/path_4",
     )
     parser.add_argument(
         "--flight",
