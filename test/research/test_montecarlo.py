@@ -8,18 +8,8 @@ import pytest
 from hybrid_ins.errors import InputError
 from hybrid_ins.simulation.motions import car_drive, static
 from hybrid_ins.simulation.sensors import ImuErrors
-from tools.paper.montecarlo import (
-    CONSTANTS,
-    START_STD,
-    T0_NS,
-    Method,
-    Run,
-    Scenario,
-    draw,
-    fly,
-    fly_all,
-    state_error,
-)
+from tools.paper.montecarlo import CONSTANTS, Method, fly, fly_all, state_error
+from tools.paper.runs import START_STD, T0_NS, Run, Scenario, draw
 
 SHORT = Scenario("short", rate=100.0, duration=20.0, scored_from=5.0)
 SWITCHING = replace(SHORT, duration=40.0, scored_from=10.0, rough=(10.0, 10.0), dwell=(5.0, 8.0))

@@ -11,7 +11,7 @@ from support.runs import begin, fly, stamped_early, through_estimator
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.state import N_NAV
-from tools.paper.montecarlo import Scenario, draw
+from tools.paper.runs import Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 

@@ -14,7 +14,7 @@ from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.multiple_model import N_HEADINGS
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DP, DV, EPS, LLA, NavState
 from hybrid_ins.ros.estimator import Estimator
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.runs import Run, Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 SECOND = 1_000_000_000

@@ -10,7 +10,7 @@ from support.runs import fly, moved
 
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.state import N_NAV
-from tools.paper.montecarlo import Scenario, draw
+from tools.paper.runs import Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=50.0)
 

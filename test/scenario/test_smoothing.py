@@ -19,7 +19,7 @@ from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.replay import replay_bag
 from hybrid_ins.ros.smoothed import smoothed_run
 from hybrid_ins.row_file import RowFile
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.runs import Run, Scenario, draw
 
 TOPICS = {"imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity"}
 

@@ -21,7 +21,8 @@ from scipy.stats import t as student
 
 from hybrid_ins.core.state import Array
 from hybrid_ins.simulation.sensors import ImuErrors
-from tools.paper.montecarlo import Method, Scenario, fly_all
+from tools.paper.montecarlo import Method, fly_all
+from tools.paper.runs import Scenario
 
 Q = np.repeat([0.02**2, 0.002**2], 3)  # (m/s²)², (rad/s)²: the paper's MPU-9250
 BIAS_WALK = np.repeat([1e-6, 2.5e-9], 3)  # (m/s²)²/s, (rad/s)²/s

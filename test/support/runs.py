@@ -18,7 +18,7 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
-from tools.paper.montecarlo import Run
+from tools.paper.runs import Run
 
 Q = np.repeat([4e-4, 4e-6], 3)
 

@@ -26,7 +26,7 @@ from tools.benchmark.contenders import (
     reading,
 )
 from tools.benchmark.table import Section
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.runs import Run, Scenario, draw
 
 
 def measure_calls(section: Section, run: Run, quick: bool) -> None:

@@ -15,7 +15,7 @@ from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import LAST_F, LAST_W, LLA, N_NAV, PSD, covariance
 from tools.benchmark.careful_numpy import CarefulFilter
-from tools.paper.montecarlo import Run
+from tools.paper.runs import Run
 
 Array = NDArray[np.float64]
 NO_ROWS = np.empty((0, N_NAV))

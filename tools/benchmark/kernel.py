@@ -25,7 +25,7 @@ from tools.benchmark.contenders import (
     Gtsam,
 )
 from tools.benchmark.table import Section, ratios
-from tools.paper.montecarlo import Run, Scenario, draw
+from tools.paper.runs import Run, Scenario, draw
 
 
 def _clocks() -> float:

@@ -30,6 +30,7 @@ from tools.field.tasks import OUTAGE, calibrate_task
 from tools.paper import montecarlo
 from tools.paper.figures import _axes, _save
 from tools.paper.report import Bar, at_most, table
+from tools.paper.runs import Scenario, draw
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
@@ -102,8 +103,8 @@ def _nees_against_reference(errors: Errors) -> float:
 
 def simulation_task(seed: int) -> list[Row]:
     """Return the figures of one simulated flight: its noise is known, its truth exact."""
-    scenario = montecarlo.Scenario("smoothing", outages=((60.0, OUTAGE),))
-    run = montecarlo.draw(scenario, seed)
+    scenario = Scenario("smoothing", outages=((60.0, OUTAGE),))
+    run = draw(scenario, seed)
     process = ProcessNoise(run.bias_walk, 1.0 / scenario.rate)
     psd = process.psd(np.repeat((4e-4, 4e-6), 3))
     first = run.samples[0]

@@ -23,7 +23,8 @@ from tools.field.methods import (
     OURS,
 )
 from tools.paper import montecarlo
-from tools.paper.montecarlo import Method, Scenario
+from tools.paper.montecarlo import Method
+from tools.paper.runs import Scenario, draw
 
 INJECTED = (3.0, 0.1)  # m/s2, rad/s: standard deviation of the injected noise, per sample
 BLOCK = 5.0  # s of quiet, then of injected noise
@@ -226,7 +227,7 @@ def _biases(others: Sequence[FilterPass]) -> dict[str, Any]:
 def simulate_task(kind: str, seed: int, duration: float) -> list[Row]:
     """Fly a simulated flight whose IMU has an error that its noise does not show."""
     scenario = Scenario(kind, duration=duration, errors=MISFITS[kind])
-    run = montecarlo.draw(scenario, seed)
+    run = draw(scenario, seed)
     methods = (Method(OURS, "scaled"), Method(NO_SCALE, "learned"), *HINDSIGHT)
     rows = []
     for method in methods:

@@ -11,7 +11,8 @@ from matplotlib import pyplot as plt
 from matplotlib import ticker
 
 from hybrid_ins.plotting.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, save
-from tools.paper.montecarlo import T0_NS, Flight, Run
+from tools.paper.montecarlo import Flight
+from tools.paper.runs import T0_NS, Run
 
 LINES = {
     "ours": (BLUE, "-"),

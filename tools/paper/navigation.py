@@ -13,8 +13,9 @@ import numpy as np
 from hybrid_ins import progress
 from hybrid_ins.evaluation.statistics import Ratio, paired_ratio
 from tools.paper import figures
-from tools.paper.montecarlo import Flight, Method, Scenario, draw, fly_all
+from tools.paper.montecarlo import Flight, Method, fly_all
 from tools.paper.report import Bar, at_least, at_most, interval, table
+from tools.paper.runs import Scenario, draw
 from tools.paper.scenarios import (
     AQ,
     AS_PRINTED,

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import ImuErrors, Tone
-from tools.paper.montecarlo import CONSTANTS, Method, Scenario
+from tools.paper.montecarlo import CONSTANTS, Method
+from tools.paper.runs import Scenario
 
 ORACLE = Method("oracle", "oracle")
 OURS = Method("ours", "learned")

@@ -20,7 +20,8 @@ from hybrid_ins.core.state import N_ERROR
 from hybrid_ins.evaluation.statistics import mean_band
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight
 from tools.paper import montecarlo
-from tools.paper.montecarlo import Method, Scenario, draw
+from tools.paper.montecarlo import Method
+from tools.paper.runs import Scenario, draw
 from tools.parallel import run_parallel
 
 OUTAGE = (60.0, 60.0)  # s, start and duration
