@@ -47,7 +47,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a bag: its row, or why there is none."""
+    """The result for a bag: its row, or why there is none."""
 
     name: str
     row: Row
@@ -123,7 +123,7 @@ def run(
     cluster: str | None = None,
 ) -> int:
     """
-    Do `work` on every job that is not finished, print the table of all, and say what failed.
+    Do `work` on every job that is not finished, print the table of all, and report failures.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def run(
     settings
         All that the result depends on besides the bag.
     redo
-        Take nothing from earlier runs.
+        Ignore the results of earlier runs.
     workers
         Processes on this machine.
     cluster
@@ -210,7 +210,7 @@ def _cell(value: Any) -> str:
 def _attempt(
     work: Callable[[Job], Row], settings: Mapping[str, Any], redo: bool, job: Job
 ) -> Outcome:
-    """Do one job, or take it from its record; whatever goes wrong is an outcome, too."""
+    """Do one job, or return its recorded result; a failure is an outcome, too."""
     progress.hide()
     try:
         mark = fingerprint(job.source, settings)

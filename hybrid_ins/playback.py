@@ -86,7 +86,7 @@ def play(
         from hybrid_ins.ros.player import Player, Recorder, Timeline, started_node
     except ImportError as error:
         raise InputError(
-            f"ROS 2 is not there ({error}): source its setup file, or install hybrid_ins[ros]"
+            f"ROS 2 is not installed ({error}): source its setup file, or install hybrid_ins[ros]"
         ) from None
 
     with ExitStack() as stack:

@@ -50,7 +50,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Replayed:
-    """What became of a replay."""
+    """The result of a replay."""
 
     estimator: Estimator  # in its last state
     duration: float  # s, of the recording
@@ -127,7 +127,7 @@ def replay(
     imu_topic, fix_topic, velocity_topic : str
         Where the input is.
     smooth : bool
-        Write smoothed states in place of filtered ones: each knows all measurements before and
+        Write smoothed states in place of filtered ones: each uses all measurements before and
         after it. Verdicts and diagnostics remain those of the filter.
     log : callable, optional
         Called with the level and the text of the estimator's messages; by default they are

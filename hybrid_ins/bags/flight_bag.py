@@ -46,7 +46,7 @@ from hybrid_ins.ros.conversions import (
 )
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
 
-# 2023-01-01T00:00:00Z. Files and simulations count from zero, which is no valid stamp in ROS.
+# 2023-01-01T00:00:00Z. Files and simulations count from zero, which ROS takes for an unset stamp.
 EPOCH_NS = 1_672_531_200_000_000_000
 UNKNOWN_VARIANCE = 1e6
 
@@ -203,7 +203,7 @@ def _velocity_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     if gnss.velocity_n is None or gnss.velocity_std is None:
         return
     message = new_message(VELOCITY)
-    # A receiver knows nothing of the rotation.
+    # A receiver does not measure the rotation.
     variances = [*(gnss.velocity_std @ SWAP) ** 2, *np.full(3, UNKNOWN_VARIANCE)]
     message.twist.covariance[:] = np.diag(variances).ravel()
     for stamp_ns, velocity in zip(gnss.stamp_ns.tolist(), gnss.velocity_n @ SWAP, strict=True):

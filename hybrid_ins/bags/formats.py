@@ -130,7 +130,7 @@ class _RosbagsFile:
 
 
 def open_recording(path: Path) -> Source:
-    """Find out from the content, not from the name, what a recording is."""
+    """Open a recording; its format is recognised by the content, not by the name."""
     if not path.exists():
         raise InputError(f"{path}: no such file or directory")
     if path.is_dir():
@@ -170,7 +170,9 @@ def _open_directory(path: Path) -> Source:
     if not names:
         names = sorted(file.name for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
         if not names:
-            raise InputError(f"{path}: is no rosbag2 directory ({trouble}): give a bag's directory")
+            raise InputError(
+                f"{path}: is not a rosbag2 directory ({trouble}): give a bag's directory"
+            )
         _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
     missing = [name for name in names if not (path / name).is_file()]
     if missing:
@@ -202,7 +204,7 @@ def _read_metadata(path: Path) -> dict[str, Any]:
 
 
 def _translates(type_name: str, md5sum: str) -> bool:
-    """Say whether a ROS 1 type is the well-known one, so that its bytes can become CDR."""
+    """Return whether a ROS 1 type is the standard one, so that its bytes can be converted."""
     known = _ros1_types()
     return (
         is_standard(type_name)

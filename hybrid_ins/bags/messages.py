@@ -23,7 +23,7 @@ TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 def is_standard(type_name: str) -> bool:
-    """Say whether a type is one that bags can hold here: those that come with ROS 2."""
+    """Return whether bags can hold a type here: those that come with ROS 2."""
     return type_name in TYPES.fielddefs
 
 

@@ -2,8 +2,8 @@
 Recordings read: rosbag2 (MCAP, SQLite3) and ROS 1 bags.
 
 Inside, every message is ROS 2: CDR bytes, or an object of the Jazzy definitions that ship with
-`rosbags`; definitions embedded in a bag are never compiled. Topic names are absolute; look-ups take
-them with or without the leading slash. Times are integer nanoseconds.
+`rosbags`; definitions embedded in a bag are never compiled. Topic names are absolute; methods
+accept them with or without the leading slash. Times are integer nanoseconds.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ImuTable:
     specific_force: NDArray[np.float64]  # (N, 3) m/s2, axes of the message (FLU)
     angular_rate: NDArray[np.float64]  # (N, 3) rad/s, axes of the message (FLU)
     orientation_xyzw: NDArray[np.float64]  # (N, 4) in ENU; zeros where the message has none
-    has_reading: NDArray[np.bool_]  # (N,) false where a covariance[0] of -1 says there is none
+    has_reading: NDArray[np.bool_]  # (N,) false where covariance[0] is -1: no reading
     frames: tuple[tuple[int, str], ...]  # row from which on each frame_id holds
 
     @property
@@ -121,7 +121,7 @@ class BagReader:
         Find a topic of the right type.
 
         Where an input topic is missing under its usual name and only one topic has its type, that
-        one is taken, with a warning.
+        one is read, with a warning.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class BagReader:
         found = self.topics.get(topic)
         if found == type_name:
             return topic
-        others = [  # a map's origin is no fix, and the truth no estimate
+        others = [  # neither the map's origin nor the truth is input
             name for name, other in self.topics.items()
             if other == type_name and name != "/datum" and not name.startswith("/truth/")
         ]  # fmt: skip
@@ -265,7 +265,7 @@ class BagReader:
             return TYPES.deserialize_cdr(data, channel.type_name)
         except Exception as error:  # whatever a damaged message provokes
             raise InputError(
-                f"{self.path}: the message on {channel.topic} at {log_ns} ns is no"
+                f"{self.path}: the message on {channel.topic} at {log_ns} ns is not a"
                 f" {channel.type_name} ({error}): leave the topic out or record it again"
             ) from None
 

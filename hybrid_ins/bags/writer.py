@@ -211,7 +211,7 @@ class BagWriter:
                     raise ValueError(f"{topic} holds {known_type}, not {type_name}")
                 return number
         if not is_standard(type_name):
-            raise ValueError(f"{topic}: {type_name} is no standard message type")
+            raise ValueError(f"{topic}: {type_name} is not a standard message type")
         return self._writer.add_channel(
             Channel(topic, type_name, "cdr"),
             TYPES.generate_msgdef(type_name, ros_version=2)[0],
@@ -222,7 +222,7 @@ class BagWriter:
         )
 
     def _metadata(self) -> dict[str, Any]:
-        """Return what ``metadata.yaml`` of a rosbag2 directory says, in version 9."""
+        """Return the content of ``metadata.yaml`` of a rosbag2 directory, version 9."""
         writer = self._writer
         span = {
             "duration": {"nanoseconds": writer.end_ns - writer.start_ns},
@@ -275,7 +275,7 @@ def _offered_qos(topic: str) -> list[dict[str, Any]]:
 
 
 def _check_replaceable(path: Path) -> None:
-    """Raise `InputError` where something is that is no bag, or holds more than a bag."""
+    """Raise `InputError` where something exists that is not a bag, or holds more than one."""
     if path.is_dir():
         if not is_only_a_bag(path):
             raise InputError(f"{path}: holds other files than those of one bag: not overwritten")
@@ -286,11 +286,11 @@ def _check_replaceable(path: Path) -> None:
                 head = file.read(16)
             is_bag = not head or head.startswith(BEGINNINGS)
         if not is_bag:
-            raise InputError(f"{path}: is no bag: not overwritten")
+            raise InputError(f"{path}: is not a bag: not overwritten")
 
 
 def _set_aside(part: Path) -> Path:
-    """Rename an incomplete bag so that no later writer takes it for its own; return its path."""
+    """Rename an incomplete bag so that later writers leave it alone; return its new path."""
     name, suffix = part.stem, ""
     if name.endswith(".mcap"):
         name, suffix = name.removesuffix(".mcap"), ".mcap"

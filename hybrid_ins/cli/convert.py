@@ -24,7 +24,7 @@ def _parser() -> argparse.ArgumentParser:
         "ins_convert",
         """Convert logs, or a flight in CSV files, to an MCAP bag on the node's topics.
 
-Logs of a receiver and of an IMU are told apart by their content: RTKLIB solutions (.pos), NMEA
+Logs of a receiver and of an IMU are recognised by their content: RTKLIB solutions (.pos), NMEA
 (needs pynmeagps), UBX with NAV-PVT (needs pyubx2), PX4 logs (needs pyulog), and text tables of
 time, accelerations and angular rates (m/s2, g or mg; rad/s or deg/s; axes FLU), with or without
 a header. Fixes keep the receiver's own covariance, status and velocity. Where the two have clocks

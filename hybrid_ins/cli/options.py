@@ -1,4 +1,4 @@
-"""Options that several programs take, their values checked."""
+"""Options that several programs share, with checks of their values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
     return value
 
 
@@ -43,7 +43,7 @@ def positive(text: str) -> float:
 def count(text: str) -> int:
     """Read a whole number that is zero or more."""
     if not (text.isascii() and text.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from zero on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least zero")
     return int(text)
 
 

@@ -92,9 +92,9 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
 
 class _Output:
     """
-    A standard stream that goes on when its reader is gone (``ins_evaluate … | head``).
+    A standard stream that ignores that its reader is gone (``ins_evaluate … | head``).
 
-    What a program prints is not worth losing what it is about to write.
+    A program that cannot print any more still writes its result.
     """
 
     def __init__(self, stream: Any) -> None:

@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--smooth",
         action="store_true",
-        help="write smoothed states: each knows the measurements after it, too",
+        help="write smoothed states: each uses the measurements after it, too",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace OUT")
     parser.add_argument(
@@ -67,9 +67,10 @@ def _run(args: argparse.Namespace) -> int:
     if len(args.input) > 1 or not batch.is_bag(args.input[0]):
         if args.plot is not None:
             raise InputError("--plot is for one bag at a time")
+        jobs = batch.find_jobs(args.input, args.output)
         kernels.prepare(partial(log_message, "info"))
         return batch.run(
-            batch.find_jobs(args.input, args.output),
+            jobs,
             partial(_replay_one, values, topics, args.smooth, args.overwrite),
             {"values": values, "topics": topics, "smooth": args.smooth},
             redo=args.overwrite,

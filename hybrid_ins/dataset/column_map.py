@@ -180,7 +180,7 @@ def _source(section: _Section) -> Source:
 
 
 class _Section:
-    """A mapping of the file, whose entries are checked as they are taken."""
+    """A mapping of the file, whose entries are checked as they are read."""
 
     def __init__(self, path: Path, name: str, content: object) -> None:
         self.path, self.name = path, name
@@ -191,12 +191,12 @@ class _Section:
         self._sections: list[_Section] = []
 
     def close(self) -> None:
-        """Refuse entries that nobody asked for."""
+        """Refuse entries that are not part of a column map."""
         for key in self._content:
             if key not in self._taken:
                 known = ", ".join(sorted(map(str, self._taken)))
                 raise InputError(
-                    f"{self.path}: {self._place(str(key)[:40])} is no entry of a column map;"
+                    f"{self.path}: {self._place(str(key)[:40])} is not an entry of a column map;"
                     f" known here: {known}"
                 )
         for section in self._sections:

@@ -72,7 +72,7 @@ def convert(
     Raises
     ------
     InputError
-        A file is missing or cannot be what the map says, or IMU and reference have no time in
+        A file is missing or does not match the map, or IMU and reference have no time in
         common.
 
     """
@@ -185,8 +185,8 @@ def make_fixes(
     """
     Make GNSS fixes of the reference.
 
-    Each fix of the whole flight takes its turn in `rng`: a gap or an outage leaves the others as
-    they were.
+    Noise is drawn for every fix of the whole flight: a gap or an outage does not change the
+    noise of the others.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def make_fixes(
         [s]
     lla : ndarray, shape (M, 3)
     std : ndarray, shape (3,)
-        What a fix says of itself: the noise added, or the reference's own where that is more.
+        Standard deviation of a fix: the noise added, or the reference's own where that is larger.
 
     """
     rows, slots = pick_epochs(position.t, rate)

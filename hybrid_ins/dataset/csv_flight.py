@@ -106,7 +106,7 @@ def read_imu(directory: Path, layout: ImuMap, number: int, faults: Faults) -> Im
     number : int
         Which IMU, where the map has several.
     faults : Faults
-        Takes what is wrong with single rows.
+        Receives the defects of single rows.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Columns of numbers from CSV files, with every row that is no good reported and left out."""
+"""Columns of numbers from CSV files; rows that cannot be used are reported and left out."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def read_table(
     seconds_per_unit : float
         Of the time column.
     faults : Faults
-        Takes the reports.
+        Receives the reports.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def read_table(
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
     except csv.Error as error:
-        raise InputError(f"{path}: no CSV file: {error}") from None
+        raise InputError(f"{path}: not a CSV file: {error}") from None
     t = numbers[:, 0] * seconds_per_unit
     keep = _in_order(path, lines, t, faults)
     table = Table(path, lines[keep], t[keep], numbers[keep, 1:])
@@ -169,7 +169,7 @@ def _read_rows(
             row = [float(fields[i]) for i in index]
         except ValueError:
             bad = next((fields[i] for i in index if not _is_number(fields[i])), "")
-            faults.row(path, line, "no number: row dropped", repr(bad[:40]))
+            faults.row(path, line, "not a number: row dropped", repr(bad[:40]))
             continue
         if not np.isfinite(row).all():
             faults.row(path, line, "NaN or infinity: row dropped")

@@ -181,7 +181,7 @@ class Player:
             "waiting for a subscriber of",
         )
         if missing:
-            _log.warning("nobody subscribes to %s: playing all the same", ", ".join(missing))
+            _log.warning("no subscriber of %s: played without", ", ".join(missing))
 
     def play(
         self,
@@ -199,7 +199,7 @@ class Player:
         next_tick_ns = timeline.first_ns
         publish = {topic: publisher.publish for topic, publisher in self._publishers.items()}
         seconds = (last_ns - timeline.first_ns) / 1e9
-        first = list(islice(messages, 1))  # the first one takes long: what reads bags is loaded
+        first = list(islice(messages, 1))  # slow: this opens the first chunk
         timeline.start()
         with progress.bar("playing", round(seconds, 1), "s") as bar:
             for topic, log_ns, data in chain(first, messages):
@@ -295,7 +295,7 @@ class Recorder:
         """
         Wait for the publishers of `topics`, subscribe with the QoS they offer, start to receive.
 
-        Topics that nobody publishes within `patience` seconds are named and left out.
+        Topics without a publisher within `patience` seconds are named and left out.
         """
         names = {topic: remap.get(topic, topic) for topic in topics}
         missing = _wait_until_empty(
@@ -304,7 +304,7 @@ class Recorder:
             "waiting for a publisher of",
         )
         if missing:
-            _log.warning("nobody publishes %s: not recorded", ", ".join(missing))
+            _log.warning("no publisher of %s: not recorded", ", ".join(missing))
         for topic, name in names.items():
             if name not in missing:
                 self._subscribe(topic, name)
@@ -336,7 +336,7 @@ class Recorder:
         offers = self._node.get_publishers_info_by_topic(name)
         type_name = offers[0].topic_type
         if not self._is_known(type_name):
-            _log.warning("%s is left out: %s is no standard message type", name, type_name)
+            _log.warning("%s is left out: %s is not a standard message type", name, type_name)
             return
         message_type = _message_type(name, type_name)
         if message_type is None:
@@ -382,7 +382,7 @@ def _message_type(topic: str, type_name: str) -> Any:
 def _wait_until_empty(
     missing: Callable[[], list[str]], patience: float, announcement: str
 ) -> list[str]:
-    """Ask `missing` until it returns nothing or patience ends; return what it said last."""
+    """Call `missing` until it returns nothing or `patience` [s] ends; return its last result."""
     begin = time.monotonic()
     announced = False
     while (names := missing()) and (waited := time.monotonic() - begin) < patience:

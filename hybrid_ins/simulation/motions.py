@@ -3,7 +3,7 @@ Motions to simulate: smooth, repeatable, and exact to the last derivative.
 
 Every motion is drawn as a programme (speed, course, climb, attitude over a grid of epochs), which
 is smoothed and then interpolated by quintic splines. From there on the splines *are* the motion:
-what `hybrid_ins.cli.simulate.sample` makes of them is exact, whatever the programme was.
+what `simulation.sensors.sample` derives from them is exact, whatever the programme was.
 """
 
 from __future__ import annotations

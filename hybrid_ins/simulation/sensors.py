@@ -1,5 +1,5 @@
 """
-What the sensors of a moving body report: exact on the rotating Earth, then as wrong as asked for.
+Simulated sensors of a moving body: exact on the rotating Earth, then with errors as specified.
 
 ``sample`` turns a trajectory into truth, ``corrupt`` turns truth into the readings of an imperfect
 IMU, ``fixes`` into those of a GNSS receiver. All work on whole arrays and touch no file, for Monte
@@ -71,7 +71,7 @@ class Tone:
 @dataclass(frozen=True)
 class ImuErrors:
     """
-    What is wrong with an IMU; all vectors in the sensor's own axes (FRD), scalars mean all axes.
+    Errors of an IMU; all vectors in the sensor's own axes (FRD), scalars mean all axes.
 
     The defaults are white noise and bias of an MPU-9250. In order of application: the mount turns
     body into sensor axes, then scale factor and g-sensitivity, then bias and everything random.
@@ -103,7 +103,7 @@ class ImuErrors:
 
 @dataclass(frozen=True)
 class ImuData:
-    """What an IMU reports (FRD, the sensor's axes), and what was wrong with it."""
+    """Readings of an IMU (FRD, the sensor's axes), and their true errors."""
 
     t: Array  # (N,) s
     specific_force: Array  # (N, 3) m/s2
@@ -116,7 +116,7 @@ class ImuData:
 
 @dataclass(frozen=True)
 class GnssData:
-    """What a receiver reports."""
+    """Fixes of a receiver."""
 
     t: Array  # (M,) s, when the fixes were true
     lla: Array  # (M, 3) rad, rad, m
@@ -296,7 +296,7 @@ def fixes(
 
 
 def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Tell which times [s] lie in an outage (start, duration) [s]: from its start to its end."""
+    """Return which times [s] are within an outage (start, duration) [s]."""
     out = np.zeros(times.shape, bool)
     for start, duration in outages:
         out |= (times > start - 1e-6) & (times < start + duration - 1e-6)

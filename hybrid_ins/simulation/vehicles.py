@@ -1,5 +1,5 @@
 """
-Vehicles to simulate besides the quadrotor: how they move, shake, and what their receiver says.
+Vehicles to simulate besides the quadrotor: motion, vibration and receiver errors.
 
 A `Vehicle` joins a motion, the errors of its IMU, vibration that depends on speed, and the errors
 of its GNSS receiver: white and slowly varying ones, a claimed standard deviation that need not be

@@ -157,10 +157,10 @@ def test_without_anybody_there_it_says_so_and_plays(
     out = tmp_path / "estimate.mcap"
     options = ("--wait", 0.2, "--rate", 10, "--drain", 0, "--record", out)
     report = play(processes, flight, *options, "--record-topics", "odometry", status=2)
-    assert "nobody subscribes to /gnss/fix, /imu/data" in report.replace(
+    assert "no subscriber of /gnss/fix, /imu/data" in report.replace(
         "/imu/data, /gnss/fix", "/gnss/fix, /imu/data"
     )
-    assert "nobody publishes /odometry: not recorded" in report
+    assert "no publisher of /odometry: not recorded" in report
     assert f"played {RATE * SECONDS + 20} messages" in report
     assert "ins_play: error: nothing came back to record: is the node running" in report
     assert not out.exists()
@@ -227,7 +227,7 @@ def test_a_bag_that_is_damaged_midway_is_played_without_the_damage(
         (["{flight}", "--topics", "imu"], "--topics /imu: .* has /gnss/fix, /imu/data, "),
         (["{flight}", "--record", "{flight}"], "is the input"),
         (["{flight}", "--rate", "0"], "--rate: 0 is not above zero"),
-        (["{flight}", "--rate", "fast"], "--rate: 'fast' is no number"),
+        (["{flight}", "--rate", "fast"], "--rate: 'fast' is not a number"),
         (["{flight}", "--drain", "-1"], "--drain: -1 is negative"),
         (["{flight}", "--remap", "a=b"], "--remap: a=b is not of the form old:=new"),
         ([], "required: IN"),
@@ -318,7 +318,7 @@ def test_without_ros(
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.delitem(sys.modules, "hybrid_ins.ros.player", raising=False)
     assert program.main([str(flight)]) == 2
-    assert "ins_play: error: ROS 2 is not there" in capfd.readouterr().err
+    assert "ins_play: error: ROS 2 is not installed" in capfd.readouterr().err
 
 
 # --- bag time -------------------------------------------------------------------------------------

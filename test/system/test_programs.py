@@ -201,7 +201,7 @@ def test_a_conversion_or_simulation_replaces_bags_only(
     (tmp_path / name).write_text("a,b\n1,2\n")
 
     assert status_of("ins_simulate", [str(tmp_path / name), *FLIGHT, "--overwrite"]) == 2
-    assert f"{name}: is no bag: not overwritten" in capsys.readouterr().err
+    assert f"{name}: is not a bag: not overwritten" in capsys.readouterr().err
     assert status_of("ins_simulate", [str(tmp_path), *FLIGHT, "--overwrite"]) == 2
     assert "holds other files than those of one bag" in capsys.readouterr().err
 

@@ -315,9 +315,9 @@ def test_a_damaged_message_is_named(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag.mcap") as bag:
         bag.write_raw("/imu/data", IMU, serialised(imu_message(0))[:-8], stamp_ns(0))
     with BagReader(tmp_path / "bag.mcap") as bag:
-        with pytest.raises(InputError, match=f"message on /imu/data at {stamp_ns(0)} ns is no"):
+        with pytest.raises(InputError, match=f"message on /imu/data at {stamp_ns(0)} ns is not"):
             list(bag.messages())
-        with pytest.raises(InputError, match="is no sensor_msgs/msg/Imu"):
+        with pytest.raises(InputError, match="is not a sensor_msgs/msg/Imu"):
             bag.imu()
 
 

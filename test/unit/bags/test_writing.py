@@ -122,7 +122,7 @@ def test_misuse_of_the_writer(tmp_path: Path) -> None:
         bag.write("/imu/data", imu_message(0), stamp_ns(0))
         with pytest.raises(ValueError, match=r"/imu/data holds .*Imu, not .*NavSatFix"):
             bag.write("imu/data", new_message(FIX), stamp_ns(0))
-        with pytest.raises(ValueError, match="no standard message type"):
+        with pytest.raises(ValueError, match="not a standard message type"):
             bag.write_raw("/own", "own_msgs/msg/Own", b"", stamp_ns(0))
         with pytest.raises(ValueError, match="before the epoch"):
             bag.write("/imu/data", imu_message(0), -1)
@@ -197,7 +197,7 @@ def test_a_link_keeps_pointing_to_the_bag(tmp_path: Path) -> None:
 def test_a_file_that_is_no_bag_is_not_replaced(tmp_path: Path, content: str) -> None:
     path = tmp_path / "thesis.mcap"
     path.write_text(content)
-    with pytest.raises(InputError, match="is no bag: not overwritten"):
+    with pytest.raises(InputError, match="is not a bag: not overwritten"):
         BagWriter(path, overwrite=True)
     assert path.read_text() == content
 

@@ -459,8 +459,8 @@ def field(position: int, value: str) -> Callable[[str], str]:
 FAULTS = [
     ("IMU_1.csv", lambda line: line[:40], "wrong number of fields: row dropped"),
     ("IMU_1.csv", lambda line: line + ",1", "wrong number of fields: row dropped (11, not 10)"),
-    ("IMU_1.csv", field(4, "abc"), "no number: row dropped ('abc')"),
-    ("IMU_1.csv", field(7, ""), "no number: row dropped ('')"),
+    ("IMU_1.csv", field(4, "abc"), "not a number: row dropped ('abc')"),
+    ("IMU_1.csv", field(7, ""), "not a number: row dropped ('')"),
     ("IMU_1.csv", field(9, "nan"), "NaN or infinity: row dropped"),
     ("IMU_1.csv", field(0, "inf"), "NaN or infinity: row dropped"),
     ("IMU_1.csv", field(0, "0.025"), "time stamp goes back: row dropped (0.025000 s)"),
@@ -468,7 +468,7 @@ FAULTS = [
     ("IMU_1.csv", field(0, "1e6"), "time stamp leaps ahead: row dropped"),
     ("IMU_1.csv", field(5, "1e4"), "reading beyond 1000 m/s2 or 100 rad/s: row dropped"),
     ("IMU_1.csv", field(8, "-1e4"), "reading beyond 1000 m/s2 or 100 rad/s: row dropped"),
-    ("GT.csv", field(8, "?"), "no number: row dropped ('?')"),
+    ("GT.csv", field(8, "?"), "not a number: row dropped ('?')"),
     ("GT.csv", field(3, "NaN"), "NaN or infinity: row dropped"),
 ]
 
@@ -523,7 +523,7 @@ def test_many_faults_of_a_kind_are_counted(
 
     warnings = capsys.readouterr().err.splitlines()
     assert len(warnings) == 5 + 1 + 1  # five rows, one gap, and how many rows more
-    assert "35 more rows: no number: row dropped" in warnings[-1]
+    assert "35 more rows: not a number: row dropped" in warnings[-1]
 
 
 @given(data=st.data())
@@ -701,7 +701,7 @@ def changed(path: str, value: object) -> dict[str, Any]:
         ("imu", "IMU.csv", "imu holds no entries"),
         ("imu.file", None, "imu.file is missing"),
         ("imu.file", 7, "imu.file must be a text"),
-        ("imu.fil", "x", "imu.fil is no entry of a column map; known here: "),
+        ("imu.fil", "x", "imu.fil is not an entry of a column map; known here: "),
         ("imu.time.unit", None, "imu.time.unit is missing"),
         ("imu.time.unit", "seconds", "imu.time.unit must be a unit of time (s, ms, us, ns)"),
         ("imu.time.unit", -1, "imu.time.unit must be a unit of time"),
@@ -722,7 +722,7 @@ def changed(path: str, value: object) -> dict[str, Any]:
         ("position.unit", ["m", "m"], "position.unit must be one unit, or a list of 3"),
         ("attitude.delay", "late", "attitude.delay must be a number"),
         ("epoch", True, "epoch must be a number"),
-        ("attitudes", {}, "attitudes is no entry"),
+        ("attitudes", {}, "attitudes is not an entry"),
     ],
 )
 def test_a_wrong_entry_is_named(tmp_path: Path, path: str, value: object, words: str) -> None:
