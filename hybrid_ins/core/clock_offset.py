@@ -33,7 +33,9 @@ RANDOM_WALK = 1e-3  # s per sqrt(s), of one clock against the other
 NONLINEARITY = (
     0.5  # of a shift: its standard deviation afterwards, since the motion is not linear in it
 )
+MIN_STD = 1e-3  # s: stamps of receivers and drivers are no better
 MAX_INTERVAL = 60.0  # s without a fix after which the sensitivity starts anew
+MAX_SENSITIVITY = 10.0  # of the position, in (the vehicle's speed + 1 m/s)
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
 
 
@@ -75,7 +77,9 @@ class ClockOffsetObserver:
         T = (correction.t_ns - self._t_ns) * 1e-9
         if self._s is not None:
             self._variance += RANDOM_WALK**2 * max(T, 0.0)
-        if self._s is None or not 0.0 <= T <= MAX_INTERVAL:
+        if not 0.0 <= T <= MAX_INTERVAL or not _is_plausible(self._s, velocity_n):
+            self._s = None
+        if self._s is None:
             self._s, T = initial_sensitivity(velocity_n), 0.0
         s, acceleration_n, C_nb = propagate_sensitivity(
             self._s, nav, self._velocity_n, self._C_nb, T
@@ -92,16 +96,16 @@ class ClockOffsetObserver:
                 self.residual,
             )
             self._nis_scale += (nis / len(correction.z) - self._nis_scale) / NIS_MEMORY
-            gain = self._variance / (1.0 + self._variance * information)
-            self.residual += gain * gradient
-            self._variance *= 1.0 - gain * information
+            self._variance /= 1.0 + self._variance * information
+            self.residual += self._variance * gradient
+            self._variance = max(self._variance, MIN_STD**2)
         self._s, self._t_ns = s, correction.t_ns
         self._velocity_n, self._C_nb = velocity_n + correction.dx[DV], C_nb
 
     def set_estimate(self, residual: float, sigma: float) -> None:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
         self.residual = residual
-        self._variance = sigma**2 / max(self._nis_scale, 1.0)
+        self._variance = max(sigma**2 / max(self._nis_scale, 1.0), MIN_STD**2)
 
     def shift(self, by: float) -> Array:
         """Note that ``by`` [s] more is added from now on; return the state's error by it, (15,)."""
@@ -115,6 +119,17 @@ class ClockOffsetObserver:
         """Start the sensitivity anew: the state was moved to where the fixes are."""
         self._s = initial_sensitivity(velocity_n)
         self._velocity_n = velocity_n.copy()
+
+
+def _is_plausible(s: Array | None, velocity_n: Array) -> bool:
+    """
+    Return whether a sensitivity, shape (15,), can come from the vehicle's motion.
+
+    It is propagated by the mean motion between fixes, not by the filter's own transitions, and may
+    therefore grow without bound where little corrects it.
+    """
+    limit = MAX_SENSITIVITY * (1.0 + float(np.linalg.norm(velocity_n)))
+    return s is None or bool(np.linalg.norm(s[DP]) <= limit)  # False where it is not finite
 
 
 def initial_sensitivity(velocity_n: Array) -> Array:
