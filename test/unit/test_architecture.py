@@ -33,7 +33,6 @@ NOT_FOR_EVERYONE = {
 
 
 LONG_FILES = {
-    "hybrid_ins.bags.mcap_file",
     "hybrid_ins.core.navigator",
     "hybrid_ins.core.smoother",
     "hybrid_ins.parameter_list",
