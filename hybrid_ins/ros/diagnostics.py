@@ -57,12 +57,12 @@ def verdict_status(verdict: Verdict) -> Status:
             "nis": verdict.nis,
             "dof": len(verdict.sigma),
             "threshold": verdict.threshold,
-            "weight": verdict.weight,
             "sigma_e": sigma.get("sigma_e", math.nan),
             "sigma_n": sigma.get("sigma_n", math.nan),
             "sigma_u": sigma.get("sigma_u", math.nan),
             "time_offset": offset_ns * 1e-9,
             "age": verdict.age,
+            "weight": verdict.weight,
         },
     )
 

@@ -217,7 +217,7 @@ def test_node_without_ros_says_what_to_install() -> None:
     result = subprocess.run([sys.executable, "-c", hidden], capture_output=True, text=True)
 
     assert result.returncode == 1
-    assert result.stderr.startswith("ins_node: error: ROS 2 is not here")
+    assert result.stderr.startswith("ins_node: error: ROS 2 is not installed")
     assert "Traceback" not in result.stderr
 
 
