@@ -23,22 +23,14 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, Standstill
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator_events import (
-    ClockOffsetFound,
     Event,
     FaultFound,
     GapBridged,
     RestartCause,
     Restarted,
 )
-from hybrid_ins.core.phases import (
-    Aligning,
-    FilterParts,
-    Phase,
-    Running,
-    Searching,
-    phase_after_alignment,
-    search_clock,
-)
+from hybrid_ins.core.phase_machine import PhaseMachine
+from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.standstill import FixMotion
@@ -78,11 +70,6 @@ class Navigator:
         Where the IMU is, and which steps of its stamps need no check.
     monitor : ImuMonitor
         Faults of the IMU and standing, at the last check.
-    phase : Aligning, Searching or Running
-    filter : InsFilter or None
-        The filter while running.
-    clock_open : bool
-        The clock offset of the fixes is to be found: from `open_clock` on until it is.
     """
 
     def __init__(
@@ -96,14 +83,13 @@ class Navigator:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
         self.monitor = ImuMonitor()
-        self.clock_open = False
+        self._events: deque[Event] = deque()
+        self._machine = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
         self._alignment_settings = alignment
-        self._parts = parts
         self._zero_updates = zero_updates
         self._record = record
         self._measurements = MeasurementCheck()
         self._fix_motion = FixMotion()
-        self._events: deque[Event] = deque()
         self.reset()
 
     # Phases.
@@ -121,7 +107,7 @@ class Navigator:
         alignment = Alignment(self._alignment_settings, self.ring)
         if self._biases:
             alignment.remember(self._biases[0])
-        self._enter(Aligning(alignment))
+        self._machine.align(alignment)
 
     def give_up(self, cause: RestartCause) -> None:
         """Give up the state for a cause, and align again."""
@@ -138,21 +124,24 @@ class Navigator:
         self._fix_motion = FixMotion()
         self.realign()
 
-    def _enter(self, phase: Phase) -> None:
-        """Change the phase; every transition passes here."""
-        self.phase = phase
-        self.filter: InsFilter | None = phase.filter  # beside the phase: read at every sample
-        self.stamps.steady_ns = self.stamps.max_gap_ns
-        if isinstance(phase, Aligning) and self._record is not None:
-            self._record.begin()
-        if phase.filter is not None:
-            if self._record is not None:
-                self._record.follow(phase.filter)
-            self.stamps.steady_ns = min(phase.filter.long_step_ns, self.stamps.max_gap_ns)
-
     def _forget_given_heading(self) -> None:
         if isinstance(self.phase, Aligning):
             self.phase.alignment.forget_parameter()
+
+    @property
+    def phase(self) -> Phase:
+        """Where between no state and one filter it is."""
+        return self._machine.phase
+
+    @property
+    def filter(self) -> InsFilter | None:
+        """The filter while running."""
+        return self._machine.filter
+
+    @property
+    def clock_open(self) -> bool:
+        """The clock offset of the fixes is to be found: from `open_clock` on until it is."""
+        return self._machine.clock_open
 
     @property
     def bank(self) -> MultipleModelBank | None:
@@ -167,8 +156,7 @@ class Navigator:
     @property
     def filters(self) -> list[InsFilter]:
         """All filters that run."""
-        running = [] if self.filter is None else [self.filter]
-        return running if self.bank is None else [*running, *self.bank.filters]
+        return self._machine.filters
 
     @property
     def last_ns(self) -> int:
@@ -195,10 +183,11 @@ class Navigator:
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
         if self._record is not None:
             self._record.sample(t_ns, fx, fy, fz, wx, wy, wz)
-        if self.filter is not None:
-            self.filter.predict(t_ns, fx, fy, fz, wx, wy, wz)
-            if self.filter.verdicts:
-                self._collect_verdicts(self.filter)
+        running = self._machine.filter
+        if running is not None:
+            running.predict(t_ns, fx, fy, fz, wx, wy, wz)
+            if running.verdicts:
+                self._machine.collect_verdicts(running)
         elif t_ns >= self._attempt_ns:
             self._attempt(t_ns)
         return None
@@ -210,13 +199,11 @@ class Navigator:
         ``rows``, shape (N, N_NAV), receives the flat state after each sample. The phase must be
         `Running`.
         """
-        assert self.filter is not None
         self.ring.extend(samples)
         if self._record is not None:
             self._record.block(samples)
         self.stamps.last_ns = int(samples["t_ns"][-1])
-        self.filter.predict_block(samples, rows)
-        self._collect_verdicts(self.filter)
+        self._machine.predict_block(samples, rows)
 
     def _on_odd_step(self, t_ns: int) -> None:
         """Bridge a gap before a sample, or restart with a new time base."""
@@ -256,69 +243,25 @@ class Navigator:
         """Try to get from the samples and fixes so far to a filter."""
         self._attempt_ns = t_ns + ATTEMPT_NS
         if isinstance(self.phase, Aligning):
-            start = self.phase.alignment.attempt()
-            if start is not None:
-                self._enter(phase_after_alignment(start, self._parts, self.ring))
-        elif isinstance(self.phase, Searching):
-            self._events.extend(self.phase.bank.advance(self.ring, t_ns))
-            self.check_imu()
-            if isinstance(self.phase, Searching):
-                self._search(self.phase.bank)
-
-    def _search(self, bank: MultipleModelBank) -> None:
-        """Include the clock offset in the search for the heading, and decide on them."""
-        if self.clock_open and not bank.clock_open and not self.monitor.standing:
-            waiting = bank.filters[0].withdraw()
-            bank = search_clock(bank.filters, self._parts, self.ring)
-            self._enter(Searching(bank))
-            for measurement in waiting:
+            self._machine.try_to_align()
+            return
+        self._machine.follow_imu(t_ns)
+        self.check_imu()
+        if not self.monitor.standing:
+            for measurement in self._machine.include_clock():
                 self._measure(measurement)
-        self._decide(bank)
+        if isinstance(self.phase, Searching) and self._machine.decide():
+            self._measurements.forget_stamps()
 
     def open_clock(self, unknown: bool) -> None:
         """Treat the clock offset of the fixes as unknown, or as known; it may have changed."""
-        self.clock_open = unknown
-        if isinstance(self.phase, Running):
-            self._enter(Running(self.phase.filter))
-        elif isinstance(self.phase, Searching) and self.phase.bank.clock_open:
+        if self._machine.open_clock(unknown):
             self.realign()
 
     def find_clock(self) -> None:
         """Continue the search for the clock offset beside the filter; due some times a second."""
-        if not isinstance(self.phase, Running):
-            return
-        running, bank = self.phase.filter, self.phase.bank
-        if bank is not None:
-            bank.advance(self.ring, self.last_ns)
-            self._decide(bank)
-        elif self.clock_open:
-            self._enter(Running(running, search_clock([running], self._parts, self.ring)))
-
-    def _decide(self, bank: MultipleModelBank) -> None:
-        """Replace the hypotheses by one filter, once they agree."""
-        decision = bank.decide()
-        if decision is None:
-            return
-        winner = decision.filter
-        missed = self.ring.after(winner.t_ns)
-        if len(missed):
-            winner.predict_block(missed)
-        if self.filter is not None:  # It has judged each fix already, but for those that wait.
-            winner.withdraw()
-            winner.verdicts.clear()
-            self._events.extend(
-                Verdict.rejected(measurement, "clock offset found")
-                for measurement in self.filter.withdraw()
-            )
-        if bank.clock_open:
-            self.clock_open = decision.at_edge
+        if self._machine.find_clock(self.last_ns):
             self._measurements.forget_stamps()
-            clock = winner.clock
-            self._events.append(ClockOffsetFound(decision.offset, clock.residual, clock.sigma))
-        self._collect_verdicts(winner)
-        if self._record is not None:
-            self._record.follow(winner, decision.offset, bank.heading_open)
-        self._enter(Running(winner))
 
     # Measurements, and what they show.
 
@@ -337,26 +280,14 @@ class Navigator:
             self._measure(measurement)
 
     def _measure(self, measurement: Measurement) -> None:
-        if not self._give(measurement):
+        if not self._machine.measure(measurement):
             if isinstance(self.phase, Aligning):
                 self.phase.alignment.observe(measurement)
             self._events.append(Verdict.rejected(measurement, "aligning"))
 
-    def _give(self, measurement: Measurement) -> bool:
-        """Give a measurement to all filters; False if there is none, or none so old."""
-        if self.filter is not None:
-            self.filter.submit(measurement)
-            self._collect_verdicts(self.filter)
-        taken = self.bank is not None and self.bank.measure(measurement)
-        return taken or self.filter is not None
-
     def submit(self, event: Change) -> None:
         """Change the noise or the covariance of all filters, see `InsFilter.submit`."""
-        for target in (self.bank, self.filter):
-            if target is not None:
-                target.submit(event)
-        if self.filter is not None:
-            self._collect_verdicts(self.filter)
+        self._machine.submit(event)
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
@@ -379,11 +310,7 @@ class Navigator:
             self._biases.append(Biases.of(self.filter.state, t_ns))
         samples = monitor.check_standing(t_ns, running, self._fix_motion.speed > 0.0)
         if samples is not None and self._zero_updates:
-            self._give(Standstill.of(samples))
-
-    def _collect_verdicts(self, decided: InsFilter) -> None:
-        self._events.extend(decided.verdicts)
-        decided.verdicts.clear()
+            self._machine.measure(Standstill.of(samples))
 
     def pop_events(self) -> list[Event]:
         """Return what happened since the last call, in order."""

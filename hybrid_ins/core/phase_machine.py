@@ -1,0 +1,221 @@
+"""
+The phase of a navigator with its transitions, and the filters that run in it.
+
+    Aligning -> Searching    alignment found a state for every heading
+    Aligning -> Running      alignment found one state
+    Searching -> Searching   the clock offset is searched for, too
+    Searching -> Running     the hypotheses agree
+    Running -> Running       a search for the clock offset begins, is given up, or has found it
+    any -> Aligning          `PhaseMachine.align`
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment import Alignment
+from hybrid_ins.core.events import Change
+from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.navigator_events import ClockOffsetFound, Event
+from hybrid_ins.core.phases import (
+    Aligning,
+    FilterParts,
+    Phase,
+    Running,
+    Searching,
+    phase_after_alignment,
+    search_clock,
+)
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.stamp_check import ImuStampCheck
+
+Array = NDArray[np.float64]
+
+
+class PhaseMachine:
+    """
+    Runs the filters of the present phase, and changes the phase.
+
+    Parameters
+    ----------
+    parts : FilterParts
+        Builds what a filter is made of.
+    ring : ImuRing
+        Recent IMU samples; its owner fills it.
+    stamps : ImuStampCheck
+        Its ``steady_ns`` follows the filter that runs.
+    events : deque of Event
+        Verdicts and decisions are appended.
+    record : RunRecord, optional
+        Filled for a smoother.
+
+    Attributes
+    ----------
+    phase : Aligning, Searching or Running
+    filter : InsFilter or None
+        The filter while running.
+    clock_open : bool
+        The clock offset of the fixes is to be found: from `open_clock` on until it is.
+    """
+
+    def __init__(
+        self,
+        parts: FilterParts,
+        ring: ImuRing,
+        stamps: ImuStampCheck,
+        events: deque[Event],
+        record: RunRecord | None,
+    ) -> None:
+        self._parts = parts
+        self._ring = ring
+        self._stamps = stamps
+        self._events = events
+        self._record = record
+        self.clock_open = False
+        self.phase: Phase
+        self.filter: InsFilter | None = None
+
+    def align(self, alignment: Alignment) -> None:
+        """Discard all filters, and align."""
+        if self._record is not None:
+            self._record.begin()
+        self._enter(Aligning(alignment))
+
+    def _enter(self, phase: Phase) -> None:
+        """Change the phase; every transition passes here."""
+        self.phase = phase
+        self.filter = phase.filter  # beside the phase: read at every sample
+        self._stamps.steady_ns = self._stamps.max_gap_ns
+        if phase.filter is not None:
+            if self._record is not None:
+                self._record.follow(phase.filter)
+            self._stamps.steady_ns = min(phase.filter.long_step_ns, self._stamps.max_gap_ns)
+
+    @property
+    def filters(self) -> list[InsFilter]:
+        """All filters that run."""
+        running = [] if self.filter is None else [self.filter]
+        bank = self.phase.bank
+        return running if bank is None else [*running, *bank.filters]
+
+    # The filters.
+
+    def predict_block(self, samples: NDArray[np.void], rows: Array) -> None:
+        """See `InsFilter.predict_block`; the phase must be `Running`."""
+        assert self.filter is not None
+        self.filter.predict_block(samples, rows)
+        self.collect_verdicts(self.filter)
+
+    def measure(self, measurement: Measurement) -> bool:
+        """Give a measurement to all filters; False if there is none, or none so old."""
+        if self.filter is not None:
+            self.filter.submit(measurement)
+            self.collect_verdicts(self.filter)
+        bank = self.phase.bank
+        taken = bank is not None and bank.measure(measurement)
+        return taken or self.filter is not None
+
+    def submit(self, event: Change) -> None:
+        """Change the noise or the covariance of all filters, see `InsFilter.submit`."""
+        for target in (self.phase.bank, self.filter):
+            if target is not None:
+                target.submit(event)
+        if self.filter is not None:
+            self.collect_verdicts(self.filter)
+
+    def collect_verdicts(self, decided: InsFilter) -> None:
+        """Move a filter's verdicts to the events."""
+        self._events.extend(decided.verdicts)
+        decided.verdicts.clear()
+
+    # From no state to one filter.
+
+    def try_to_align(self) -> None:
+        """Try to start filters while aligning."""
+        if isinstance(self.phase, Aligning):
+            start = self.phase.alignment.attempt()
+            if start is not None:
+                self._enter(phase_after_alignment(start, self._parts, self._ring))
+
+    def follow_imu(self, t_ns: int) -> None:
+        """Let the filters of several headings follow the IMU to a stamp [ns]."""
+        if isinstance(self.phase, Searching):
+            self._events.extend(self.phase.bank.advance(self._ring, t_ns))
+
+    def include_clock(self) -> list[Measurement]:
+        """
+        Search for the clock offset together with the heading.
+
+        Returns the measurements that wait for their samples: they are to be given again.
+        """
+        if not (self.clock_open and isinstance(self.phase, Searching)):
+            return []
+        bank = self.phase.bank
+        if bank.clock_open:
+            return []
+        waiting = bank.filters[0].withdraw()
+        self._enter(Searching(search_clock(bank.filters, self._parts, self._ring)))
+        return waiting
+
+    def open_clock(self, unknown: bool) -> bool:
+        """
+        Treat the clock offset of the fixes as unknown, or as known; it may have changed.
+
+        Returns whether alignment has to begin again: the filters mix headings and offsets.
+        """
+        self.clock_open = unknown
+        if isinstance(self.phase, Running):
+            self._enter(Running(self.phase.filter))
+        return isinstance(self.phase, Searching) and self.phase.bank.clock_open
+
+    def find_clock(self, t_ns: int) -> bool:
+        """Continue the search for the clock offset beside the filter; see `decide`."""
+        if not isinstance(self.phase, Running):
+            return False
+        if self.phase.bank is not None:
+            self.phase.bank.advance(self._ring, t_ns)
+            return self.decide()
+        if self.clock_open:
+            bank = search_clock([self.phase.filter], self._parts, self._ring)
+            self._enter(Running(self.phase.filter, bank))
+        return False
+
+    def decide(self) -> bool:
+        """
+        Replace the hypotheses by one filter, once they agree.
+
+        Returns whether the clock offset was found: stamps of fixes from now on are others.
+        """
+        bank = self.phase.bank
+        decision = None if bank is None else bank.decide()
+        if bank is None or decision is None:
+            return False
+        winner = decision.filter
+        missed = self._ring.after(winner.t_ns)
+        if len(missed):
+            winner.predict_block(missed)
+        if self.filter is not None:  # It has judged each fix already, but for those that wait.
+            winner.withdraw()
+            winner.verdicts.clear()
+            waiting = self.filter.withdraw()
+            self._events.extend(Verdict.rejected(m, "clock offset found") for m in waiting)
+        if bank.clock_open:
+            self.clock_open = decision.at_edge
+            clock = winner.clock
+            self._events.append(ClockOffsetFound(decision.offset, clock.residual, clock.sigma))
+        self.collect_verdicts(winner)
+        self._replace(winner, bank, decision.offset)
+        return bank.clock_open
+
+    def _replace(self, winner: InsFilter, bank: MultipleModelBank, offset: float) -> None:
+        """Run the filter that a bank has become, with an offset [s] added to its fixes."""
+        if self._record is not None:
+            self._record.follow(winner, offset, bank.heading_open)
+        self._enter(Running(winner))
