@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, iterated_update, propagation
-from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
 from hybrid_ins.core.events import (
     Change,
     ClockShift,
@@ -42,10 +42,12 @@ from hybrid_ins.core.state import (
     COVARIANCE,
     LAST_F,
     LAST_W,
+    N_CHECKPOINT,
     N_ERROR,
     N_NAV,
     PSD,
     QUAT,
+    SENSITIVITY,
     VELOCITY,
     NavState,
     covariance,
@@ -132,6 +134,7 @@ class InsFilter:
         self.nav = initial.to_flat()
         self.nav[LAST_F], self.nav[LAST_W] = sample[:3], sample[3:]
         self.nav[PSD] = noise.psd()
+        self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n)
         self.t_ns = t_ns
         self.noise = noise
         self.gate = gate
@@ -282,7 +285,7 @@ class InsFilter:
         elif isinstance(event, NoiseEstimate):
             self.noise.take_estimate(event)
         elif isinstance(event, ClockShift):
-            inject(self.nav, self.clock.shift(event.by))
+            inject(self.nav, self.clock.shift(event.by, self.nav))
         elif isinstance(event, CovarianceInflation):
             pack(inflate_covariance(covariance(self.nav), event.std), self.nav[COVARIANCE])
             self.noise.restart(keep_weights=True)
@@ -316,7 +319,10 @@ class InsFilter:
                 inflate_to_innovation(self.nav, z, H, interval)
             dx, K = iterated_update.update(self.nav, z, H, R / verdict.weight)
         if measurement.sensor != GNSS:
+            self.nav[SENSITIVITY] -= K @ (H @ before[SENSITIVITY])
             return False
+        h = self.clock.sensitivity_of(before, measurement.t_ns, H)
+        self.nav[SENSITIVITY] -= K @ h
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
@@ -324,18 +330,20 @@ class InsFilter:
         if verdict.inflated or verdict.jump:
             return False
         C_nb = matrix_from_quat(self.nav[QUAT])
-        return self._learn(
-            Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted)
+        correction = Correction(
+            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
         )
+        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R)
+        return self._learn_noise(correction)
 
-    def _learn(self, correction: Correction) -> bool:
-        """Let clock and noise learn from a correction; noise may say where the state belongs."""
-        self.clock.update(correction)
+    def _learn_noise(self, correction: Correction) -> bool:
+        """Let the noise learn from a correction; it may say where the state belongs."""
         moved = self.noise.take_correction(correction)
         if moved is not None:
             inject(self.nav, moved.dx)
             pack(moved.P, self.nav[COVARIANCE])
-            self.clock.restart(self.nav[VELOCITY])
+            self.nav[SENSITIVITY] = initial_sensitivity(self.nav[VELOCITY])
+            self.clock.on_moved_state(self.nav[VELOCITY])
         return moved is not None
 
     def _checkpoint(self) -> None:
@@ -343,7 +351,7 @@ class InsFilter:
         self._history.add_checkpoint(
             Checkpoint(
                 self.t_ns,
-                self.nav[:N_NAV].copy(),
+                self.nav[:N_CHECKPOINT].copy(),
                 copy.copy(self.noise),
                 copy.copy(self.gate),
                 copy.copy(self.clock),
@@ -363,7 +371,7 @@ class InsFilter:
         waiting, again = self._pending, self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)
-        self.nav[:N_NAV] = point.nav
+        self.nav[:N_CHECKPOINT] = point.nav
         self.t_ns, self._corrected_ns = point.t_ns, point.corrected_ns
         self.noise, self.gate, self.clock = point.noise, point.gate, point.clock
         self._checkpoint()

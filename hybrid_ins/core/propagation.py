@@ -28,6 +28,7 @@ from hybrid_ins.core.state import (
     PSD,
     QUAT,
     SCRATCH,
+    SENSITIVITY,
     SYSTEM,
     VELOCITY,
 )
@@ -43,6 +44,7 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
 
         P <- Phi P Phi' + G Qc G' dt,   Phi = I + F dt
 
+    The sensitivity to the clock offset moves with it, s <- Phi s.
     F is `error_model.system_matrix`, G Qc G' dt is `error_model.process_noise`, and the products
     are the generated `_covariance_step.covariance_step`.
     """
@@ -58,7 +60,7 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
     F = nav[SYSTEM].reshape(15, 15)
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
     q_v, q_eps, q_a, q_g = process_noise(C, nav[PSD], dt)
-    covariance_step(nav[COVARIANCE], F, dt, q_v, q_eps, q_a, q_g)
+    covariance_step(nav[COVARIANCE], nav[SENSITIVITY], F, dt, q_v, q_eps, q_a, q_g)
     nav[PENDING_DT] = 0.0
     for i in range(3):
         f_n[i] = 0.0

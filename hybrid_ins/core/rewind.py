@@ -29,7 +29,7 @@ class Checkpoint:
     """All that changes in a filter, copied."""
 
     t_ns: int
-    nav: Array  # (N_NAV,)
+    nav: Array  # (N_CHECKPOINT,)
     noise: FilterNoise
     gate: Gate
     clock: ClockOffsetObserver

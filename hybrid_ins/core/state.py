@@ -31,7 +31,8 @@ W_G = slice(3, 6)
 W_AB = slice(6, 9)
 W_GB = slice(9, 12)
 
-# The flat state: what a checkpoint holds (N_NAV), and behind it the kernels' scratch.
+# The flat state: what a navigator needs (N_NAV) and a checkpoint holds (N_CHECKPOINT), and behind
+# it the kernels' scratch.
 LLA = slice(0, 3)  # rad, rad, m
 VELOCITY = slice(3, 6)  # m/s, n
 QUAT = slice(6, 10)  # C_nb, xyzw
@@ -46,7 +47,9 @@ PENDING_F = slice(35, 38)
 PENDING_C = slice(38, 47)
 COVARIANCE = slice(47, 47 + N_ERROR * (N_ERROR + 1) // 2)
 N_NAV = COVARIANCE.stop
-SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
+SENSITIVITY = slice(N_NAV, N_NAV + N_ERROR)  # d(error)/d(clock offset of fixes), per second
+N_CHECKPOINT = SENSITIVITY.stop
+SYSTEM = slice(N_CHECKPOINT, N_CHECKPOINT + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 N_FLAT = SCRATCH.stop
 

@@ -32,7 +32,7 @@ def begin(run: Run) -> InsFilter:
         int(stamps[0]),
         np.concatenate((run.samples["f"][0], run.samples["w"][0])),
         FilterNoise(ConstantNoise(Q), ProcessNoise(run.bias_walk, 0.01), NoiseMultipleModelBank()),
-        Gate({3: 25.0}, 3.0),
+        Gate({3: 25.0, 6: 35.0}, 3.0),
         ring,
         FilterSettings(max_delay=1.0),
     )

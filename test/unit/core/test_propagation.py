@@ -83,11 +83,14 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
 
     packed = np.empty(120)
     pack(P, packed)
-    covariance_step(packed, F, dt, *process_noise(C.ravel(), psd, dt))
+    s = rng.normal(size=N_ERROR)
+    s_expected = (np.eye(N_ERROR) + F * dt) @ s
+    covariance_step(packed, s, F, dt, *process_noise(C.ravel(), psd, dt))
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
     assert np.max(error) < 1e-14
+    np.testing.assert_allclose(s, s_expected, rtol=1e-12, atol=1e-12)
 
 
 def propagated(P: Array, F: Array, C_nb: Array, psd: Array, dt: float) -> Array:
