@@ -168,6 +168,9 @@ def _compile_output() -> None:
         6.0,
     )
     clock_offset.regress(zero, zero, turn, 0.0)
+    imu_input.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
+    stamps, vectors = np.arange(1, 3), np.ones((2, 3))
+    imu_input.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)
