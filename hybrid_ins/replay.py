@@ -242,16 +242,17 @@ class _Replay:
         ):
             if self._is_filtered:
                 self._write_odometry(stamps_ns, *by_frame)
-        self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]))
+        self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]), of_imu=True)
 
     def _write_odometry(self, stamps_ns: NDArray[np.int64], *by_frame: NDArray[np.float64]) -> None:
         for writer, odometry in zip(self._odometry, by_frame, strict=True):
             writer.write(stamps_ns, odometry)
 
-    def _write_reports(self, log_ns: int) -> None:
+    def _write_reports(self, log_ns: int, *, of_imu: bool = False) -> None:
+        """Write reports at a log time [ns]; those of IMU samples each at the sample's stamp."""
         for report in self._estimator.pop_reports():
             if self._is_filtered or report.topic not in SMOOTHED:
-                self._write_report(report, log_ns)
+                self._write_report(report, (of_imu and report.known_ns) or log_ns)
 
     def _write_report(self, report: Report, log_ns: int) -> None:
         message = to_message(report, new_message)

@@ -163,7 +163,8 @@ def antenna_is_base(
 
     def frame(path: Path) -> str:
         with BagReader(path) as bag:
-            return next((str(m.header.frame_id) for *_, m in bag.messages(fix_topic)), "")
+            topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
+            return next((str(m.header.frame_id) for *_, m in bag.messages(topic)), "")
 
     return not any(values["gnss.antenna_position"]) and all(
         frame(path).lstrip("/") == values["base_frame"] for path in paths

@@ -11,6 +11,7 @@ from hybrid_ins import batch, kernels
 from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
+from hybrid_ins.export.writer import check_export, export_bag
 from hybrid_ins.parameters import Values
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.overview import plot_bag
@@ -58,6 +59,15 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="draw the run, with errors where IN holds truth: .png or .svg",
     )
+    parser.add_argument(
+        "--export",
+        metavar="FILE",
+        type=Path,
+        action="append",
+        default=[],
+        help="write the track for other tools, by suffix: .tum, .csv, .kml, .gpx or .geojson; "
+        "may be repeated",
+    )
     options.add_batch(parser)
     return parser
 
@@ -65,8 +75,8 @@ def _parser() -> argparse.ArgumentParser:
 def _run(args: argparse.Namespace) -> int:
     values, topics = options.parameter_values(args), options.topics(args)
     if len(args.input) > 1 or not batch.is_bag(args.input[0]):
-        if args.plot is not None:
-            raise InputError("--plot is for one bag at a time")
+        if args.plot is not None or args.export:
+            raise InputError("--plot and --export are for one bag at a time")
         jobs = batch.find_jobs(args.input, args.output)
         kernels.prepare(partial(log_message, "info"))
         return batch.run(
@@ -79,6 +89,8 @@ def _run(args: argparse.Namespace) -> int:
         )
     if args.plot is not None:
         style.check(args.plot, [*args.input, args.output])
+    for path in args.export:
+        check_export(path, [*args.input, args.output])
     [source] = args.input
     replayed = replay_bag(
         source, args.output, values, topics, overwrite=args.overwrite, smooth=args.smooth
@@ -87,6 +99,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         plot_bag(args.output, args.plot)
         print(f"picture: {args.plot}")
+    for path in args.export:
+        export_bag(args.output, path)
+        print(f"trajectory: {path}")
     return 0
 
 

@@ -96,5 +96,5 @@ class OutputTopics:
 
     def publish_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
         """Publish diagnostics at once, with or without subscribers."""
-        report = Report("/diagnostics", Diagnostics(t_ns, statuses))
+        report = Report("/diagnostics", Diagnostics(t_ns, statuses), t_ns)
         self.publishers["/diagnostics"].publish(to_message(report, self._new_message))

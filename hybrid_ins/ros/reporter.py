@@ -95,14 +95,15 @@ class Reporter:
             if verdict.inflated:
                 counts["gnss: state opened"] += 1
                 self._inputs.log("warn", f"gnss: {verdict.reason}")
-        self._reports.append(Report("gnss/verdict", diagnostics.verdict_status(verdict)))
+        status = diagnostics.verdict_status(verdict)
+        self._reports.append(Report("gnss/verdict", status, self._navigator.last_ns))
 
     def report_datum(self, t_ns: int, lla: Array) -> None:
         """Report the map's origin (rad, rad, m)."""
         latitude, longitude = np.degrees(lla[:2]).tolist()
         height, zero = float(lla[2]), np.zeros(9)
         datum = Position(t_ns, self._map_frame, latitude, longitude, height, zero, UNKNOWN)
-        self._reports.append(Report("datum", datum))
+        self._reports.append(Report("datum", datum, self._navigator.last_ns))
 
     def report_state(self, t_ns: int, arm_b: Array) -> None:
         """
@@ -128,7 +129,7 @@ class Reporter:
     def report_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
         """Report on ``/diagnostics``."""
         self._diagnostics_ns = t_ns + DIAGNOSTICS_NS
-        self._reports.append(Report("/diagnostics", Diagnostics(t_ns, statuses)))
+        self._reports.append(Report("/diagnostics", Diagnostics(t_ns, statuses), t_ns))
 
 
 def state_reports(t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str) -> list[Report]:
@@ -154,8 +155,8 @@ def state_reports(t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str
     latitude, longitude, height = fix[:3].tolist()
     position = Position(t_ns, frame, latitude, longitude, height, fix[3:], KNOWN)
     return [
-        Report("gnss/filtered", position),
-        Report("imu/bias", ImuBiases(t_ns, frame, biases[:3], biases[3:6], biases[6:])),
-        Report("q/accelerometer", Vector(t_ns, frame, levels[:3])),
-        Report("q/gyroscope", Vector(t_ns, frame, levels[3:])),
+        Report("gnss/filtered", position, t_ns),
+        Report("imu/bias", ImuBiases(t_ns, frame, biases[:3], biases[3:6], biases[6:]), t_ns),
+        Report("q/accelerometer", Vector(t_ns, frame, levels[:3]), t_ns),
+        Report("q/gyroscope", Vector(t_ns, frame, levels[3:]), t_ns),
     ]

@@ -91,3 +91,4 @@ class Report:
 
     topic: str
     content: Content
+    known_ns: int  # stamp of the last IMU sample when it was made

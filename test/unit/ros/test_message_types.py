@@ -19,15 +19,18 @@ STATUSES = [
     Status(0, "hybrid_ins: input", "", []),
 ]
 REPORTS = [
-    Report("gnss/filtered", Position(T_NS, "base_link", 32.1, -34.8, 20.5, np.arange(9.0), 3)),
-    Report("datum", Position(T_NS, "map", -32.1, 34.8, -3.0, np.zeros(9), 0)),
-    Report("q/accelerometer", Vector(T_NS, "base_link", np.array([1e-3, 2e-3, 3e-3]))),
+    Report(
+        "gnss/filtered", Position(T_NS, "base_link", 32.1, -34.8, 20.5, np.arange(9.0), 3), T_NS
+    ),
+    Report("datum", Position(T_NS, "map", -32.1, 34.8, -3.0, np.zeros(9), 0), T_NS),
+    Report("q/accelerometer", Vector(T_NS, "base_link", np.array([1e-3, 2e-3, 3e-3])), T_NS),
     Report(
         "imu/bias",
         ImuBiases(T_NS, "b", np.array([0.1, 0.2, 0.3]), np.array([4e-3, 5e-3, 6e-3]), np.ones(36)),
+        T_NS,
     ),
-    Report("gnss/verdict", STATUSES[0]),
-    Report("/diagnostics", Diagnostics(T_NS, STATUSES)),
+    Report("gnss/verdict", STATUSES[0], T_NS),
+    Report("/diagnostics", Diagnostics(T_NS, STATUSES), T_NS),
 ]
 
 

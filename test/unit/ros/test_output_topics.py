@@ -33,7 +33,7 @@ def make(**subscribers: int) -> tuple[OutputTopics, dict[str, Listened]]:
 
 
 def vectors(count: int, topic: str = "q/accelerometer") -> list[Report]:
-    return [Report(topic, Vector(k, "base_link", np.zeros(3))) for k in range(count)]
+    return [Report(topic, Vector(k, "base_link", np.zeros(3)), k) for k in range(count)]
 
 
 def test_reports_go_out_one_by_one_and_only_where_somebody_listens() -> None:

@@ -1,0 +1,69 @@
+"""Recordings through ``ins_replay``: when its output was known, and the track for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.cli import replay, simulate
+from hybrid_ins.ros.conversions import stamp_ns
+
+DUE = "/imu/bias", "/q/accelerometer", "/q/gyroscope", "/gnss/filtered", "/diagnostics"
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a flight with an outage."""
+    path = tmp_path_factory.mktemp("replay") / "flight.mcap"
+    arguments = f"{path} --duration 30 --imu-rate 100 --outage 15 10 --seed 5"
+    assert simulate.main(arguments.split()) == 0
+    return path
+
+
+@pytest.mark.parametrize("smooth", [[], ["--smooth"]], ids=["filter", "smoother"])
+def test_output_has_the_log_time_at_which_it_was_known(
+    flight: Path, smooth: list[str], tmp_path: Path
+) -> None:
+    # GIVEN a flight with an outage, in which no message but the IMU's comes
+    out = tmp_path / "out.mcap"
+    # WHEN it is replayed
+    assert replay.main([str(flight), str(out), *smooth]) == 0
+    # THEN what is published in the outage lies in it, and nothing arrives late
+    with BagReader(out) as bag:
+        start_ns = bag.start_ns
+        for topic in DUE:
+            times = [(log_ns, stamp_ns(m.header.stamp)) for _, log_ns, m in bag.messages(topic)]
+            log_ns, stamps = np.array(times).T
+            assert np.abs(log_ns - stamps).max() <= 100_000_000, topic
+            inside = np.diff(log_ns[((log_ns - start_ns) * 1e-9 > 16.0)])
+            assert inside.max() <= 1_100_000_000, topic
+
+
+def test_a_replayed_track_is_exported(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tum, kml = tmp_path / "track.tum", tmp_path / "track.kml"
+    arguments = [
+        str(flight),
+        str(tmp_path / "out.mcap"),
+        "--export",
+        str(tum),
+        "--export",
+        str(kml),
+    ]
+    assert replay.main(arguments) == 0
+    assert f"trajectory: {tum}\ntrajectory: {kml}" in capsys.readouterr().out
+    assert len(np.loadtxt(tum)) > 1500
+    assert kml.read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_an_export_that_cannot_be_written_is_refused_before_the_work(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.mcap"
+    assert replay.main([str(flight), str(out), "--export", str(tmp_path / "track.doc")]) == 2
+    assert "track.doc: the name of an export ends in one of" in capsys.readouterr().err
+    assert not out.exists()
