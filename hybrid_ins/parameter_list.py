@@ -416,6 +416,11 @@ _NOISE = (
 
 _OUTPUT = (
     Parameter(
+        "autostart",
+        True,
+        "Configure and activate at the start; false: wait for a lifecycle manager to do so",
+    ),
+    Parameter(
         "odometry_rate",
         0.0,
         "Rate of odometry and odometry/local; 0: with every IMU sample",

@@ -42,6 +42,12 @@ def generate_launch_description() -> LaunchDescription:
                 description="Put before the frames map, odom and base_link, one per vehicle",
             ),
             DeclareLaunchArgument(
+                "autostart",
+                default_value="true",
+                choices=["true", "false"],
+                description="Activate it at the start; false: leave that to a lifecycle manager",
+            ),
+            DeclareLaunchArgument(
                 "use_sim_time",
                 default_value="false",
                 choices=["true", "false"],
@@ -101,6 +107,7 @@ def start(context: LaunchContext) -> list[Any]:
     if not Path(given("params_file")).is_file():
         raise RuntimeError(f"params_file:={given('params_file')}: no such file")
     use_sim_time = {"use_sim_time": given("use_sim_time") == "true"}
+    managed = [{"autostart": False}] if given("autostart") == "false" else []
     prefix = given("frame_prefix")
     frames = {
         f"{frame.partition('_')[0]}_frame": prefix + frame
@@ -112,7 +119,12 @@ def start(context: LaunchContext) -> list[Any]:
         executable="ins_node",
         name=given("name"),
         namespace=given("namespace"),
-        parameters=[given("params_file"), use_sim_time, *([frames] if frames else [])],
+        parameters=[
+            given("params_file"),
+            use_sim_time,
+            *managed,
+            *([frames] if frames else []),
+        ],
         remappings=[
             ("imu/data", given("imu_topic")),
             ("gnss/fix", given("fix_topic")),

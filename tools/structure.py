@@ -136,9 +136,9 @@ def imu_road() -> list[str]:
     subprocess.CalledProcessError
         The filter did not start.
     """
-    node = ast.parse((ROOT / NAME / "ros" / "node.py").read_text(encoding="utf-8"))
+    node = ast.parse((ROOT / NAME / "ros" / "live_estimator.py").read_text(encoding="utf-8"))
     callbacks = [
-        f"ros/node.py: {function.name}"
+        f"ros/live_estimator.py: {function.name}"
         for function in ast.walk(node)
         if isinstance(function, ast.FunctionDef) and "handle_imu" in _attributes(function)
     ]

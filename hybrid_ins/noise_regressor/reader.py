@@ -33,6 +33,25 @@ ABSURD = 1e6  # m/s², rad/s
 LOOKAHEAD = 15  # windows of a recording that are read along with one
 
 
+def find_regressor(model: str) -> NoiseRegressor:
+    """
+    Return the regressor that ``noise.model`` asks for.
+
+    Parameters
+    ----------
+    model : str
+        A path, the name of a model that comes with the package, or ``spectral``.
+
+    Raises
+    ------
+    InputError
+        The model cannot be used.
+    """
+    if model == "spectral":
+        return SpectralRegressor()
+    return Regressor.load(model if model.endswith(".onnx") else share_path(f"models/{model}.onnx"))
+
+
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
     """
     Return the regressor that ``noise.model`` asks for; the spectral one where that fails.
@@ -40,15 +59,12 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
     Parameters
     ----------
     model : str
-        A path, the name of a model that comes with the package, or ``spectral``.
+        See `find_regressor`.
     log : callable
         Called with the reason why a model cannot be used.
     """
-    if model == "spectral":
-        return SpectralRegressor()
     try:
-        path = model if model.endswith(".onnx") else share_path(f"models/{model}.onnx")
-        return Regressor.load(path)
+        return find_regressor(model)
     except InputError as error:
         log("warn", f"noise.model: {error}; the spectral estimator is used instead")
         return SpectralRegressor()

@@ -1,5 +1,17 @@
 """
-``ins_node``: the estimator on ROS 2. Callbacks convert, call, publish.
+``ins_node``: the estimator as a lifecycle node of ROS 2.
+
+    unconfigured -> inactive      configure: parameters, noise model, compiled filter, publishers
+    inactive     -> active        activate: subscriptions, services, timers
+    active       -> inactive      deactivate: they end, the state is kept
+    inactive     -> unconfigured  clean up: the state is discarded
+
+With the parameter ``autostart`` the node configures and activates itself. The transitions, and what
+a failing one leads to, are those of [1]_, as nav2_lifecycle_manager expects.
+
+References
+----------
+.. [1] G. Biggs, T. Foote, "Managed nodes", design.ros2.org/articles/node_lifecycle.html.
 """
 
 from __future__ import annotations
@@ -21,249 +33,156 @@ except ModuleNotFoundError as error:
         "ins_node: error: ROS 2 is not installed: source /opt/ros/jazzy/setup.bash, or install its "
         'wheels: pip install "hybrid_ins[ros]"'
     ) from None
-from geometry_msgs.msg import (
-    PoseWithCovarianceStamped,
-    TransformStamped,
-    TwistWithCovarianceStamped,
-)
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_policy_name_from_kind,
-)
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import deserialize_message
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, NavSatFix
-from std_srvs.srv import Trigger
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # the wheels of ROS have none
-    TFMessage = None
 
 from hybrid_ins import kernels, parameters
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import conversions, node_parameters
+from hybrid_ins.noise_regressor.reader import find_regressor
+from hybrid_ins.ros import node_parameters
 from hybrid_ins.ros.callback_guard import CallbackGuard
-from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
-from hybrid_ins.ros.diagnostics import status
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
-from hybrid_ins.ros.node_messages import MESSAGES, new_message
-from hybrid_ins.ros.output_topics import OutputTopics
-from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.live_estimator import LiveEstimator
+from hybrid_ins.ros.node_messages import new_message
 from hybrid_ins.ros.warm_up import warm_up
 
-IMU_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-GNSS_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-OUTPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
-)
-LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-TRANSFORM_RATE = 50.0  # Hz, on /tf
-FIXED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
-
-class InsNode(Node):
+class InsNode(LifecycleNode):
     """INS/GNSS navigation of one vehicle."""
 
     def __init__(self) -> None:
         super().__init__(parameters.NODE_NAME)
-        given: dict[str, Any] = {}
+        self._live: LiveEstimator | None = None
+        self._errors = CallbackGuard(InputLog(self._log))
+        self.autostart = bool(self._declare(parameters.PARAMETERS["autostart"], True))
         for p in parameters.PARAMETERS.values():
-            described = node_parameters.descriptor(p)
-            value = self.declare_parameter(p.name, p.default, described).value
-            if value is not None:  # what ROS makes of an empty list in a file
-                given[p.name] = node_parameters.plain(value)
+            if p.name != "autostart":
+                self._declare(p, self.autostart)
         self._warn_of_unknown_parameters()
-        values: dict[str, Any] = dict(parameters.check_all(given))
-        self._decoder = ImuDecoder()
-        self._estimator = Estimator(values, self._log)
-        self.guard = CallbackGuard(self._estimator.inputs)
-        self._by_receipt = bool(values["use_receive_time"])
-        self._transforms_due = RateLimiter(TRANSFORM_RATE)
-        self._crowded: set[str] = set()
-        self._last_imu = time.monotonic()
-
-        self._topics = OutputTopics(values, new_message)
-        for topic, type_name in OUTPUTS.items():
-            self._topics.publishers[topic] = self.create_publisher(
-                MESSAGES[type_name],
-                topic,
-                LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
-                event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
-        self._transforms: Any = None
-        if TFMessage is None:
-            if values["publish_tf"]:
-                self.get_logger().info(
-                    "tf2_msgs is not installed: /tf is not published and /tf_static not read"
-                )
-        else:
-            if values["publish_tf"]:
-                self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
-                self._publish_transforms = self.create_publisher(
-                    TFMessage, "/tf", OUTPUT_QOS
-                ).publish
-            self._subscribe(
-                TFMessage, "/tf_static", self._estimator.handle_static_transforms, FIXED_QOS
-            )
-        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, self._decode_imu)
-        self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
-        self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
-        self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
         self.add_pre_set_parameters_callback(node_parameters.read_texts)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self.guard.wrap(self._use_parameters))
-        self._topics.find_subscribers()
-        self._publish_reports()
+        self.add_post_set_parameters_callback(self._use_parameters)
+        self._answer_impossible_transitions()
 
-    def prepare(self) -> None:
-        """Load and run everything once, so that the first message is handled as fast as any."""
+    def _declare(self, parameter: Any, fixed: bool) -> Any:
+        described = node_parameters.descriptor(parameter, fixed)
+        return self.declare_parameter(parameter.name, parameter.default, described).value
+
+    # Transitions.
+
+    def start(self) -> None:
+        """
+        Configure and activate.
+
+        Raises
+        ------
+        InputError
+            A parameter has an impossible value.
+        """
+        self._values()
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() != TransitionCallbackReturn.SUCCESS:
+                raise InputError("the node could not be started: see the log")
+
+    def stop(self) -> None:
+        """Shut down in order, from any state."""
+        if self._live is not None:
+            self.trigger_shutdown()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Check the parameters, load the noise model and the filter, and publish."""
+        return self._transition("configure", self._configure, self._discard)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Subscribe, and offer the services."""
+        return self._transition("activate", self._activate, self._deactivate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop to listen."""
+        return self._transition("deactivate", self._deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Discard the state and the publishers."""
+        return self._transition("clean up", self._discard)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish what is left and a last diagnostics message."""
+        return self._transition("shut down", self._discard)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Discard everything, so that the node can be configured again."""
+        return self._transition("process an error", self._discard)
+
+    def _transition(
+        self, name: str, action: Callable[[], None], undo: Callable[[], None] = lambda: None
+    ) -> TransitionCallbackReturn:
+        """Do what a transition asks for; it fails with one line in the log, and is undone."""
+        try:
+            action()
+        except InputError as error:
+            self.get_logger().error(f"{name}: {error}")
+            undo()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would discard it
+            self.on_exception(error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self) -> None:
+        values = self._values()
+        if not self.autostart and values["noise.mode"] == "learned":
+            # Without a manager nobody could correct it: the node then uses the fallback.
+            find_regressor(str(values["noise.model"]))
         kernels.prepare(self.get_logger().info)
         warm_up(new_message)
+        self._live = LiveEstimator(self, values, self._log)
+        self._live.advertise()
         # What exists now stays: the collector need not traverse it again and again.
+        gc.unfreeze()
         gc.collect()
         gc.freeze()
-        self.get_logger().info("ready: waiting for " + self._estimator.waiting_for)
 
-    def _subscribe(
-        self,
-        kind: Any,
-        topic: str,
-        callback: Callable[[Any], None],
-        qos: QoSProfile,
-        decode: Callable[[bytes], Any] | None = None,
-    ) -> None:
-        decode = decode or (lambda data: deserialize_message(data, kind))
+    def _activate(self) -> None:
+        assert self._live is not None
+        self._live.activate()
+        waiting_for = self._live.estimator.waiting_for
+        self.get_logger().info("ready" + (f": waiting for {waiting_for}" if waiting_for else ""))
 
-        def incompatible(event: Any) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
-            self.get_logger().error(
-                f"{self.resolve_topic_name(topic)}: the {policy} of a publisher's QoS is "
-                "incompatible: nothing arrives from it; change it there, or ours by qos_overrides"
-            )
+    def _deactivate(self, state: str = "inactive") -> None:
+        if self._live is not None and self.context.ok():
+            self._live.deactivate(state)
 
-        self.create_subscription(
-            kind,
-            topic,
-            self.guard.decoding(topic, decode, callback),
-            qos,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+    def _discard(self) -> None:
+        self._deactivate("shut down")
+        live, self._live = self._live, None
+        if live is not None:
+            live.destroy()
 
-    # Input.
+    def _answer_impossible_transitions(self) -> None:
+        """Answer requests that the present state does not allow; rclpy lets the client wait."""
+        service = self._service_change_state
+        change_state = service.callback
 
-    def _decode_imu(self, data: bytes) -> ImuFields:
-        try:
-            return self._decoder.decode(data)
-        except ValueError:  # another byte order
-            return conversions.imu_fields(deserialize_message(data, Imu))
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return change_state(request, response)
+            except RCLError:
+                transition = request.transition.label or request.transition.id
+                self.get_logger().warning(f"transition {transition}: not in the present state")
+                response.success = False
+                return response
 
-    def _on_imu(self, imu: ImuFields) -> None:
-        estimator = self._estimator
-        self._last_imu = time.monotonic()
-        odometry = estimator.handle_imu(imu, self._received_ns())
-        if odometry is not None:
-            self._topics.publish_odometry(odometry)
-            if self._transforms is not None and self._transforms_due.is_due(odometry.t_ns):
-                fill_transforms(self._transforms.transforms, odometry, estimator.values)
-                self._publish_transforms(self._transforms)
-        estimator.run_periodic()
-        self._topics.publish_some(estimator.pop_reports())
+        service.callback = answer
 
-    def _received_ns(self) -> int | None:
-        return self.get_clock().now().nanoseconds if self._by_receipt else None
-
-    def _on_fix(self, message: NavSatFix) -> None:
-        self._estimator.handle_fix(message, self._received_ns())
-        self._publish_reports()
-
-    def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
-        self._estimator.handle_velocity(message, self._received_ns())
-        self._publish_reports()
-
-    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self._estimator.handle_initial_pose(message)
-        self._publish_reports()
-
-    def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "internal error: see the log"
-        try:
-            self._estimator.reset()
-            response.success, response.message = True, "aligning anew"
-        except Exception as error:  # see `CallbackGuard`
-            self.guard.on_error(error)
-        return response
-
-    def _on_second(self) -> None:
-        """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
-        self._topics.find_subscribers()
-        for name in ("imu/data", "gnss/fix", "gnss/velocity"):
-            topic = self.resolve_topic_name(name)
-            if topic not in self._crowded and self.count_publishers(topic) > 1:
-                self._crowded.add(topic)
-                nodes = [info.node_name for info in self.get_publishers_info_by_topic(topic)]
-                self._estimator.inputs.count_and_warn(
-                    name,
-                    conversions.Refused(
-                        f"{name}: several publishers",
-                        f"{topic} has {len(nodes)} publishers "
-                        f"({', '.join(nodes)}): stop or remap all but one",
-                    ),
-                )
-        silent = time.monotonic() - self._last_imu
-        if silent < SILENCE:
-            return
-        now = self.get_clock().now().nanoseconds
-        topic = self.resolve_topic_name("imu/data")
-        self._topics.publish_diagnostics(
-            now,
-            [
-                *self._estimator.diagnostics(now),
-                status(
-                    "imu",
-                    2,
-                    f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
-                    "remapped, the QoS compatible?",
-                    {"topic": topic, "publishers": self.count_publishers(topic)},
-                ),
-            ],
-        )
-
-    def _publish_reports(self) -> None:
-        self._topics.publish_all(self._estimator.pop_reports())
+    def on_exception(self, error: Exception) -> None:
+        """Count and log what no callback should raise."""
+        (self._errors if self._live is None else self._live.guard).on_error(error)
 
     def _log(self, level: str, text: str) -> None:
         # One line for each level: rclpy ties a severity to the line it is logged from.
@@ -275,6 +194,19 @@ class InsNode(Node):
             self.get_logger().error(text)
 
     # Parameters.
+
+    def _values(self) -> dict[str, Any]:
+        """Return all parameters, checked."""
+        given = {name: self.get_parameter(name).value for name in parameters.PARAMETERS}
+        return dict(
+            parameters.check_all(
+                {
+                    name: node_parameters.plain(value)
+                    for name, value in given.items()
+                    if value is not None  # what ROS makes of an empty list in a file
+                }
+            )
+        )
 
     def _warn_of_unknown_parameters(self) -> None:
         """Warn of names that ROS ignores silently; a file for '/**' may address other nodes."""
@@ -296,21 +228,17 @@ class InsNode(Node):
         """Check changes of this package's parameters; others are not ours to check."""
         ours = [p for p in changes if p.name in parameters.PARAMETERS]
         known = {p.name: node_parameters.plain(p.value) for p in ours}
-        return parameters.check_change(self._estimator.values, known)
+        if self._live is None:  # they take effect together when the node is configured
+            return {name: parameters.find(name).check(value) for name, value in known.items()}
+        return parameters.check_change(self._live.estimator.values, known)
 
     def _use_parameters(self, changes: list[Any]) -> None:
-        checked = self._checked(changes)
-        if checked:
-            self._estimator.change(checked)
-            self._topics.set_odometry_rate(self._estimator.values["odometry_rate"])
-
-    def publish_end(self) -> None:
-        """Publish what is left and a last diagnostics message."""
-        self._publish_reports()
-        now = self.get_clock().now().nanoseconds
-        first, *others = self._estimator.diagnostics(now)
-        first = first._replace(text=f"shut down; {first.text}")
-        self._topics.publish_diagnostics(now, [first, *others])
+        try:
+            checked = self._checked(changes)
+            if checked and self._live is not None:
+                self._live.change(checked)
+        except Exception as error:  # see `CallbackGuard`
+            self.on_exception(error)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -328,8 +256,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: asked_to_stop.set_result(None))
     node = None
     try:
+        if not kernels.is_compiled():  # a lifecycle manager waits for nodes, not for transitions
+            kernels.prepare(rclpy.logging.get_logger(parameters.NODE_NAME).info)
         node = InsNode()
-        node.prepare()
+        if node.autostart:
+            node.start()
+        else:
+            node.get_logger().info("unconfigured: waiting for a lifecycle manager")
         executor = EventsExecutor()
         executor.add_node(node)
         while rclpy.ok() and not asked_to_stop.done():
@@ -339,7 +272,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             except ExternalShutdownException:
                 break
             except Exception as error:  # what no callback caught
-                node.guard.on_error(error)
+                node.on_exception(error)
                 time.sleep(0.01)  # it may come again at once
     except ExternalShutdownException:
         pass
@@ -347,8 +280,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse_start(error)
     finally:
         if node is not None:
-            if rclpy.ok():
-                node.publish_end()
+            node.stop()
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

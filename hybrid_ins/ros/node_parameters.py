@@ -15,12 +15,17 @@ from hybrid_ins.parameter import Parameter
 LARGEST_BOUND = 1e300  # beyond it a range is none
 
 
-def descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return the descriptor of a parameter."""
+def descriptor(parameter: Parameter, fixed: bool = True) -> ParameterDescriptor:
+    """
+    Return the descriptor of a parameter.
+
+    One that takes effect when the node is configured is read-only where that is ``fixed``: where it
+    happens at the start.
+    """
     described = ParameterDescriptor(
         description=parameter.text + (f" [{parameter.unit}]" if parameter.unit else ""),
         additional_constraints=", ".join(parameter.choices) or parameter.bounds(),
-        read_only=not parameter.runtime,
+        read_only=fixed and not parameter.runtime,
         dynamic_typing=True,
     )
     low = 0.0 if parameter.or_zero else parameter.low

@@ -336,6 +336,7 @@ import json, time, rclpy
 from hybrid_ins.ros.node import InsNode
 rclpy.init()
 node = InsNode()
+node.start()
 time.sleep(0.5)
 graph = [
     [name for name, _ in names("ins_node", "/")]

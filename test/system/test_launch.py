@@ -221,6 +221,9 @@ class TestLive:
     def test_topics_are_remapped(self, installed: set[str]) -> None:
         assert ("imu/data", "/my_imu") in self.node(imu_topic="/my_imu")["remappings"]
 
+    def test_a_lifecycle_manager_may_start_it(self, installed: set[str]) -> None:
+        assert {"autostart": False} in self.node(autostart="false")["parameters"]
+
     def test_respawn_is_a_choice(self, installed: set[str]) -> None:
         assert self.node()["respawn"] is False
         assert self.node(respawn="true")["respawn"] is True

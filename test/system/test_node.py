@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, until
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
@@ -22,31 +22,8 @@ from tools.processes import Processes
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 
-ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-HEADING = ["alignment.heading_source:=parameter", f"alignment.yaw:={math.pi / 2:.6f}"]
 DURATION = 20.0
 RATE = 4.0
-
-
-def start_node(processes: Processes, log: Path, *words: str) -> subprocess.Popen[str]:
-    """Start ``ins_node`` and wait until it says that it is ready."""
-    parameters = [word for value in HEADING for word in ("-p", value)]
-    with log.open("w") as output:
-        node = processes.start(
-            [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *parameters, *words],
-            output,
-            ENVIRONMENT,
-        )
-    until(lambda: "ready" in log.read_text() or node.poll() is not None, 90.0)
-    assert "ready" in log.read_text(), log.read_text()
-    return node
-
-
-def until(condition: Any, patience: float = 15.0) -> None:
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
@@ -149,48 +126,6 @@ def test_sigterm_ends_the_node_in_order(recorded: tuple[Path, str, int]) -> None
     _, log, status = recorded
     assert status == 0, log
     assert "Traceback" not in log
-
-
-class Client:
-    """An rclpy node that asks and listens."""
-
-    def __init__(self) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.executors import SingleThreadedExecutor
-
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("asking", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.diagnostics: list[Any] = []
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
-
-    def spin_until(self, condition: Any, patience: float = 15.0) -> None:
-        end = time.monotonic() + patience
-        while not condition():
-            assert time.monotonic() < end, "waited too long"
-            self.executor.spin_once(0.1)
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(15.0), name
-        answer = client.call_async(request)
-        self.spin_until(answer.done)
-        return answer.result()
-
-    def set(self, name: str, value: Any) -> Any:
-        from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter
-
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
-        return self.call(SetParameters, "/ins_node/set_parameters", request).results[0]
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture

@@ -1,0 +1,321 @@
+"""
+The estimator on a node's topics. Callbacks convert, call, publish.
+
+Publishers exist as long as a `LiveEstimator`, subscriptions, services and timers while it is
+active.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import (
+    PoseWithCovarianceStamped,
+    TransformStamped,
+    TwistWithCovarianceStamped,
+)
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu, NavSatFix
+from std_srvs.srv import Trigger
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # the wheels of ROS have none
+    TFMessage = None
+
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros import conversions
+from hybrid_ins.ros.callback_guard import CallbackGuard
+from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
+from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
+from hybrid_ins.ros.node_messages import MESSAGES, new_message
+from hybrid_ins.ros.output_topics import OutputTopics
+from hybrid_ins.ros.rate_limiter import RateLimiter
+
+IMU_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+GNSS_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+OUTPUT_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
+)
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+TRANSFORM_RATE = 50.0  # Hz, on /tf
+FIXED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
+
+
+@contextmanager
+def _about(topic: str) -> Iterator[None]:
+    """Name the topic that rclpy cannot create."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise InputError(f"{topic}: {error}") from None
+
+
+class LiveEstimator:
+    """
+    Connects an estimator with the topics of a node.
+
+    Parameters
+    ----------
+    node : Node
+        Owns the topics.
+    values : mapping
+        Checked parameters.
+    log : callable
+        Called with a level (info, warn, error) and a line for the user.
+
+    Attributes
+    ----------
+    estimator : Estimator
+    guard : CallbackGuard
+        Counts and logs what callbacks raise.
+    """
+
+    def __init__(
+        self, node: Node, values: Mapping[str, Any], log: Callable[[str, str], None]
+    ) -> None:
+        self._node = node
+        self._decoder = ImuDecoder()
+        self.estimator = Estimator(values, log)
+        self.guard = CallbackGuard(self.estimator.inputs)
+        self._by_receipt = bool(values["use_receive_time"])
+        self._transforms_due = RateLimiter(TRANSFORM_RATE)
+        self._crowded: set[str] = set()
+        self._last_imu = time.monotonic()
+        self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
+        self._topics = OutputTopics(values, new_message)
+        self._transforms: Any = None
+        self._transform_publisher: Any = None
+
+    def advertise(self) -> None:
+        """
+        Create the publishers.
+
+        Raises
+        ------
+        InputError
+            A topic cannot be published, such as for the parameters of its QoS.
+        """
+        node, values = self._node, self.estimator.values
+        for topic, type_name in OUTPUTS.items():
+            with _about(topic):
+                self._topics.publishers[topic] = node.create_publisher(
+                    MESSAGES[type_name],
+                    topic,
+                    LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
+                    event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                )
+        if values["publish_tf"]:
+            if TFMessage is None:
+                self.estimator.inputs.log(
+                    "info",
+                    "tf2_msgs is not installed: /tf is not published and /tf_static not read",
+                )
+            else:
+                self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
+                self._transform_publisher = node.create_publisher(TFMessage, "/tf", OUTPUT_QOS)
+        self._topics.find_subscribers()
+        self._publish_reports()
+
+    def activate(self) -> None:
+        """
+        Subscribe, and offer the services.
+
+        Raises
+        ------
+        InputError
+            A topic cannot be subscribed to, such as for the parameters of its QoS.
+        """
+        if TFMessage is not None:
+            self._subscribe(
+                TFMessage, "/tf_static", self.estimator.handle_static_transforms, FIXED_QOS
+            )
+        self._last_imu = time.monotonic()
+        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, self._decode_imu)
+        self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
+        self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
+        self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
+        node = self._node
+        service = node.create_service(Trigger, "~/reset", self._on_reset)
+        self._input.append((node.destroy_service, service))
+        timer = node.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
+        self._input.append((node.destroy_timer, timer))
+
+    def deactivate(self, state: str) -> None:
+        """Stop to listen; diagnostics say last that the node is in ``state``."""
+        if not self._input:
+            return
+        while self._input:
+            destroy, entity = self._input.pop()
+            destroy(entity)
+        self._publish_reports()
+        now = self._node.get_clock().now().nanoseconds
+        first, *others = self.estimator.diagnostics(now)
+        first = first._replace(text=f"{state}; {first.text}")
+        self._topics.publish_diagnostics(now, [first, *others])
+
+    def destroy(self) -> None:
+        """Give the publishers up."""
+        for publisher in self._topics.publishers.values():
+            self._node.destroy_publisher(publisher)
+        self._topics.publishers.clear()
+        if self._transform_publisher is not None:
+            self._node.destroy_publisher(self._transform_publisher)
+        self._topics.find_subscribers()
+
+    def change(self, checked: Mapping[str, Any]) -> None:
+        """Use checked values of run-time parameters."""
+        self.estimator.change(checked)
+        self._topics.set_odometry_rate(self.estimator.values["odometry_rate"])
+
+    def _subscribe(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        decode: Callable[[bytes], Any] | None = None,
+    ) -> None:
+        decode = decode or (lambda data: deserialize_message(data, kind))
+        node = self._node
+
+        def incompatible(event: Any) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            node.get_logger().error(
+                f"{node.resolve_topic_name(topic)}: the {policy} of a publisher's QoS is "
+                "incompatible: nothing arrives from it; change it there, or ours by qos_overrides"
+            )
+
+        with _about(topic):
+            subscription = node.create_subscription(
+                kind,
+                topic,
+                self.guard.decoding(topic, decode, callback),
+                qos,
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+        self._input.append((node.destroy_subscription, subscription))
+
+    # Input.
+
+    def _decode_imu(self, data: bytes) -> ImuFields:
+        try:
+            return self._decoder.decode(data)
+        except ValueError:  # another byte order
+            return conversions.imu_fields(deserialize_message(data, Imu))
+
+    def _on_imu(self, imu: ImuFields) -> None:
+        estimator = self.estimator
+        self._last_imu = time.monotonic()
+        odometry = estimator.handle_imu(imu, self._received_ns())
+        if odometry is not None:
+            self._topics.publish_odometry(odometry)
+            if self._transforms is not None and self._transforms_due.is_due(odometry.t_ns):
+                fill_transforms(self._transforms.transforms, odometry, estimator.values)
+                self._transform_publisher.publish(self._transforms)
+        estimator.run_periodic()
+        self._topics.publish_some(estimator.pop_reports())
+
+    def _received_ns(self) -> int | None:
+        return self._node.get_clock().now().nanoseconds if self._by_receipt else None
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        self.estimator.handle_fix(message, self._received_ns())
+        self._publish_reports()
+
+    def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
+        self.estimator.handle_velocity(message, self._received_ns())
+        self._publish_reports()
+
+    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self.estimator.handle_initial_pose(message)
+        self._publish_reports()
+
+    def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "internal error: see the log"
+        try:
+            self.estimator.reset()
+            response.success, response.message = True, "aligning anew"
+        except Exception as error:  # see `CallbackGuard`
+            self.guard.on_error(error)
+        return response
+
+    def _publish_reports(self) -> None:
+        self._topics.publish_all(self.estimator.pop_reports())
+
+    # The topics.
+
+    def _on_second(self) -> None:
+        """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
+        self._topics.find_subscribers()
+        self._find_crowded_topics()
+        silent = time.monotonic() - self._last_imu
+        if silent < SILENCE:
+            return
+        node = self._node
+        now, topic = node.get_clock().now().nanoseconds, node.resolve_topic_name("imu/data")
+        self._topics.publish_diagnostics(
+            now,
+            [
+                *self.estimator.diagnostics(now),
+                status(
+                    "imu",
+                    2,
+                    f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
+                    "remapped, the QoS compatible?",
+                    {"topic": topic, "publishers": node.count_publishers(topic)},
+                ),
+            ],
+        )
+
+    def _find_crowded_topics(self) -> None:
+        """Warn, once for each topic, of several publishers."""
+        node = self._node
+        for name in ("imu/data", "gnss/fix", "gnss/velocity"):
+            topic = node.resolve_topic_name(name)
+            if topic in self._crowded or node.count_publishers(topic) < 2:
+                continue
+            self._crowded.add(topic)
+            nodes = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
+            self.estimator.inputs.count_and_warn(
+                name,
+                conversions.Refused(
+                    f"{name}: several publishers",
+                    f"{topic} has {len(nodes)} publishers "
+                    f"({', '.join(nodes)}): stop or remap all but one",
+                ),
+            )
