@@ -1,15 +1,23 @@
 """
-Health of the IMU and standing of the vehicle, checked twice a second while a filter runs.
+Health of the IMU and standing of the vehicle, checked twice a second while filters run.
+
+What a check finds is applied to the filters: inflated covariances, zero-velocity updates.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.alignment import Biases
+from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import Standstill
+from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import is_standing
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
@@ -19,6 +27,7 @@ Array = NDArray[np.float64]
 PERIOD_NS = 500_000_000  # between two checks
 WINDOW_NS = 1_000_000_000  # of samples that are checked
 SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
+BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 LONGEST_FALL_NS = 5_000_000_000  # without weight
 LAST_FIX_NS = 1_100_000_000  # age of the last fix that confirms a fall
@@ -32,6 +41,11 @@ class ImuMonitor:
     """
     Checks the last second of samples for faults and for standing.
 
+    Parameters
+    ----------
+    zero_updates : bool
+        Use standing as a measurement.
+
     Attributes
     ----------
     fault : ImuFault or None
@@ -42,20 +56,27 @@ class ImuMonitor:
         The vehicle stood at the last check.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, zero_updates: bool) -> None:
+        self._zero_updates = zero_updates
+        self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self.reset()
 
     def reset(self) -> None:
-        """Restart, as the filter did."""
+        """Restart, as the filter did; the biases stay."""
         self.fault: ImuFault | None = None
         self.falling = self.standing = False
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity
 
-    def is_due(self, t_ns: int) -> bool:
-        """Return whether to check at a stamp [ns]."""
-        return t_ns >= self._next_ns
+    @property
+    def biases(self) -> Biases | None:
+        """What a filter estimated before any fault of the last checks can have misled it."""
+        return self._biases[0] if self._biases else None
+
+    def discard_biases(self) -> None:
+        """Discard them: the filter that estimated them was wrong, or is of another time."""
+        self._biases.clear()
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Note whether the last fix agreed with the filter."""
@@ -63,41 +84,59 @@ class ImuMonitor:
             agreed = verdict.accepted and not verdict.inflated
             self._fix_agreed_ns = verdict.measurement.t_ns if agreed else 0
 
-    def check_fault(self, ring: ImuRing, t_ns: int, running: bool) -> list[ImuFault]:
+    def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, fixes_move: bool) -> bool:
         """
-        Set ``fault`` and ``falling`` by the samples up to a stamp [ns].
+        Check where that is due, and apply the result to the filters.
 
-        ``running`` tells whether there is one filter whose fixes can confirm a fall. Returns the
-        faults of the previous and of this check: what happened between them misled the filter.
+        Parameters
+        ----------
+        phases : PhaseMachine
+            The filters; without any there is no check.
+        ring : ImuRing
+            Recent IMU samples.
+        t_ns : int
+            Stamp of the last of them [ns].
+        fixes_move : bool
+            The position fixes show motion: the vehicle does not stand.
+
+        Returns
+        -------
+        bool
+            A check was due.
         """
+        best = phases.phase.best
+        if best is None or t_ns < self._next_ns:
+            return False
         self._next_ns = t_ns + PERIOD_NS
-        self._samples = ring.after(t_ns - WINDOW_NS)
-        before, self.fault = self.fault, find_fault(self._samples)
-        self.falling = self._is_falling(t_ns, running)
+        samples = ring.after(t_ns - WINDOW_NS)
+        before, self.fault = self.fault, find_fault(samples)
+        self.falling = self._is_falling(t_ns, phases.filter is not None)
         if self.falling:
             self.fault = None
-        return [fault for fault in (before, self.fault) if fault is not None]
-
-    def check_standing(
-        self, t_ns: int, running: InsFilter, fixes_move: bool
-    ) -> NDArray[np.void] | None:
-        """Set ``standing``, unless the fixes move; return the samples of a vehicle that stands."""
-        samples = self._samples
-        span = t_ns - samples["t_ns"][0]
+        for fault in (before, self.fault):  # what happened between the checks misled the filters
+            std = None if fault is None else _error_std_after(fault)
+            if std is not None:
+                phases.submit(CovarianceInflation(t_ns, std))
+        if self.fault is not None and self.fault.unusable:
+            return True
+        if phases.filter is not None and self.fault is None and not self.falling:
+            self._biases.append(Biases.of(phases.filter.state, t_ns))
         self.standing = (
-            span > SHORTEST_STAND
+            t_ns - samples["t_ns"][0] > SHORTEST_STAND
             and not fixes_move
             and is_standing(samples)
-            and _zero_speed_is_plausible(running)
+            and _zero_speed_is_plausible(best)
         )
-        return samples if self.standing else None
+        if self.standing and self._zero_updates:
+            phases.measure(Standstill.of(samples))
+        return True
 
     def _is_falling(self, t_ns: int, running: bool) -> bool:
         """
         Distinguish a free fall from an IMU without gravity.
 
         To the filter both are a fall. Where the vehicle does not fall, the next fix is beyond the
-        gate.
+        gate: one filter has to run (``running``) for fixes to show it.
         """
         if self.fault is None or self.fault.kind is not FaultKind.NO_GRAVITY:
             self._weighed_ns = t_ns
@@ -109,7 +148,7 @@ class ImuMonitor:
         )
 
 
-def error_std_after(fault: ImuFault) -> Array | None:
+def _error_std_after(fault: ImuFault) -> Array | None:
     """
     Return what readings with a fault may have done to the state between two checks.
 

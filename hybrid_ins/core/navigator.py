@@ -1,27 +1,25 @@
 """
 From the first IMU sample to a running filter, and back when the IMU stops.
 
-A navigator is in one of three phases: `Aligning` waits for a first state, `Searching` runs one
-filter per possible heading, `Running` has one filter, and may run others beside it to find the
-clock offset of the fixes. What happens comes out of one queue, `Navigator.pop_events`.
+A navigator admits samples and measurements, checks the IMU, and decides when to restart. Its
+`PhaseMachine` runs the filters: `Aligning` waits for a first state, `Searching` runs one filter per
+possible heading, `Running` has one filter, and may run others beside it to find the clock offset of
+the fixes. What happens comes out of one queue, `Navigator.pop_events`.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment import Alignment, AlignmentSettings, Biases, yaw_of
-from hybrid_ins.core.events import Change, CovarianceInflation
+from hybrid_ins.core.alignment import Alignment, AlignmentSettings
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.imu_monitor import ImuMonitor, error_std_after
+from hybrid_ins.core.imu_monitor import ImuMonitor
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, Standstill
-from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.measurements import GNSS, IMU, Measurement
 from hybrid_ins.core.navigator_events import (
     Event,
     FaultFound,
@@ -31,18 +29,14 @@ from hybrid_ins.core.navigator_events import (
 )
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching
+from hybrid_ins.core.restart import ResetCount, heading_after
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
-from hybrid_ins.core.standstill import FixMotion
 from hybrid_ins.core.state import VELOCITY
 
 Array = NDArray[np.float64]
 
 ATTEMPT_NS = 100_000_000  # between two attempts to align
-TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
-HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not kept over a gap
-BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
-RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
 
 
 class Navigator:
@@ -70,6 +64,8 @@ class Navigator:
         Where the IMU is, and which steps of its stamps need no check.
     monitor : ImuMonitor
         Faults of the IMU and standing, at the last check.
+    phases : PhaseMachine
+        The filters, and the phase that they are in.
     """
 
     def __init__(
@@ -82,32 +78,31 @@ class Navigator:
     ) -> None:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
-        self.monitor = ImuMonitor()
+        self.monitor = ImuMonitor(zero_updates)
         self._events: deque[Event] = deque()
-        self._machine = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
+        self.phases = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
         self._alignment_settings = alignment
-        self._zero_updates = zero_updates
         self._record = record
         self._measurements = MeasurementCheck()
-        self._fix_motion = FixMotion()
         self.reset()
 
     # Phases.
 
     def reset(self) -> None:
         """Discard everything, and align again."""
-        self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
+        self.monitor.discard_biases()
         self._discard_samples()
 
-    def realign(self) -> None:
-        """Give up the state, but not the samples, and align again."""
+    def realign(self) -> Alignment:
+        """Give up the state, but not the samples; return the alignment that begins."""
         self.monitor.reset()
         self._attempt_ns = 0
-        self._resets: deque[int] = deque(maxlen=RESETS)
+        self._resets = ResetCount()
         alignment = Alignment(self._alignment_settings, self.ring)
-        if self._biases:
-            alignment.remember(self._biases[0])
-        self._machine.align(alignment)
+        if self.monitor.biases is not None:
+            alignment.remember(self.monitor.biases)
+        self.phases.align(alignment)
+        return alignment
 
     def give_up(self, cause: RestartCause) -> None:
         """Give up the state for a cause, and align again."""
@@ -115,48 +110,32 @@ class Navigator:
         self._events.append(Restarted(cause, fault=fault))
         self.realign()
         self.monitor.fault = fault
-        self._forget_given_heading()
+        self._ignore_given_heading()
 
     def _discard_samples(self) -> None:
         self.ring.clear()
         self.stamps.reset()
         self._measurements.reset()
-        self._fix_motion = FixMotion()
         self.realign()
 
-    def _forget_given_heading(self) -> None:
-        if isinstance(self.phase, Aligning):
-            self.phase.alignment.forget_parameter()
+    def _ignore_given_heading(self) -> None:
+        if self.alignment is not None:
+            self.alignment.forget_parameter()
 
     @property
     def phase(self) -> Phase:
         """Where between no state and one filter it is."""
-        return self._machine.phase
+        return self.phases.phase
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The alignment while aligning: it accepts headings."""
+        return self.phase.alignment if isinstance(self.phase, Aligning) else None
 
     @property
     def filter(self) -> InsFilter | None:
         """The filter while running."""
-        return self._machine.filter
-
-    @property
-    def clock_open(self) -> bool:
-        """The clock offset of the fixes is to be found: from `open_clock` on until it is."""
-        return self._machine.clock_open
-
-    @property
-    def bank(self) -> MultipleModelBank | None:
-        """The filters of several hypotheses: of the heading, or of the clock offset."""
-        return self.phase.bank
-
-    @property
-    def best(self) -> InsFilter | None:
-        """The filter, or the likeliest while searching: its position is good already."""
-        return self.phase.best
-
-    @property
-    def filters(self) -> list[InsFilter]:
-        """All filters that run."""
-        return self._machine.filters
+        return self.phases.filter
 
     @property
     def last_ns(self) -> int:
@@ -183,11 +162,11 @@ class Navigator:
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
         if self._record is not None:
             self._record.sample(t_ns, fx, fy, fz, wx, wy, wz)
-        running = self._machine.filter
+        running = self.phases.filter
         if running is not None:
             running.predict(t_ns, fx, fy, fz, wx, wy, wz)
             if running.verdicts:
-                self._machine.collect_verdicts(running)
+                self.phases.collect_verdicts(running)
         elif t_ns >= self._attempt_ns:
             self._attempt(t_ns)
         return None
@@ -203,7 +182,7 @@ class Navigator:
         if self._record is not None:
             self._record.block(samples)
         self.stamps.last_ns = int(samples["t_ns"][-1])
-        self._machine.predict_block(samples, rows)
+        self.phases.predict_block(samples, rows)
 
     def _on_odd_step(self, t_ns: int) -> None:
         """Bridge a gap before a sample, or restart with a new time base."""
@@ -215,27 +194,15 @@ class Navigator:
             self._events.append(GapBridged(seconds))
         elif step_ns < 0:
             self._events.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
-            self._biases.clear()
+            self.monitor.discard_biases()
             self._discard_samples()
         else:
             self._events.append(Restarted(RestartCause.NO_SAMPLES, seconds))
-            kept = _heading_after(seconds, self.filter, self.monitor.standing)
+            kept = heading_after(seconds, self.filter, self.monitor.standing)
             self._discard_samples()
-            self._forget_given_heading()
-            if kept is not None:
-                self.set_yaw(t_ns, *kept)
-
-    # Headings for the start.
-
-    def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
-        """While aligning, use a heading [rad from north] that was true at a stamp [ns]."""
-        if isinstance(self.phase, Aligning):
-            self.phase.alignment.set_yaw(t_ns, yaw, std)
-
-    def observe_yaw(self, yaw: float) -> None:
-        """While aligning, use the heading [rad from north] of the IMU's own orientation."""
-        if isinstance(self.phase, Aligning):
-            self.phase.alignment.observe_yaw(yaw)
+            self._ignore_given_heading()
+            if kept is not None and self.alignment is not None:
+                self.alignment.set_yaw(t_ns, *kept)
 
     # From no state to one filter.
 
@@ -243,74 +210,57 @@ class Navigator:
         """Try to get from the samples and fixes so far to a filter."""
         self._attempt_ns = t_ns + ATTEMPT_NS
         if isinstance(self.phase, Aligning):
-            self._machine.try_to_align()
+            self.phases.try_to_align()
             return
-        self._machine.follow_imu(t_ns)
+        self.phases.follow_imu(t_ns)
         self.check_imu()
         if not self.monitor.standing:
-            for measurement in self._machine.include_clock():
+            for measurement in self.phases.include_clock():
                 self._measure(measurement)
-        if isinstance(self.phase, Searching) and self._machine.decide():
+        if isinstance(self.phase, Searching) and self.phases.decide():
             self._measurements.forget_stamps()
 
     def open_clock(self, unknown: bool) -> None:
         """Treat the clock offset of the fixes as unknown, or as known; it may have changed."""
-        if self._machine.open_clock(unknown):
+        if self.phases.open_clock(unknown):
             self.realign()
 
     def find_clock(self) -> None:
         """Continue the search for the clock offset beside the filter; due some times a second."""
-        if self._machine.find_clock(self.last_ns):
+        if self.phases.find_clock(self.last_ns):
             self._measurements.forget_stamps()
 
     # Measurements, and what they show.
 
     def measure(self, measurement: Measurement) -> None:
         """Use an aiding measurement; its verdict appears among the events."""
-        speed = 0.0 if self.filter is None else float(np.linalg.norm(self.filter.nav[VELOCITY]))
-        reason = self._measurements.check(measurement, self.stamps, speed)
-        if reason == "stamped ahead of the IMU":
-            age = (self.last_ns - measurement.t_ns) * 1e-9
-            self._events.append(Verdict.rejected(measurement, reason, age))
-        elif reason:
-            self._events.append(Verdict.rejected(measurement, reason))
+        refused = self._measurements.check(measurement, self.stamps, self._speed)
+        if refused is not None:
+            self._events.append(refused)
         else:
-            if isinstance(measurement, PositionFix):
-                self._fix_motion.observe(measurement.t_ns, measurement.lla)
             self._measure(measurement)
 
-    def _measure(self, measurement: Measurement) -> None:
-        if not self._machine.measure(measurement):
-            if isinstance(self.phase, Aligning):
-                self.phase.alignment.observe(measurement)
-            self._events.append(Verdict.rejected(measurement, "aligning"))
+    @property
+    def _speed(self) -> float:
+        """Speed of the filter that runs [m/s]; 0 without one."""
+        return 0.0 if self.filter is None else float(np.linalg.norm(self.filter.nav[VELOCITY]))
 
-    def submit(self, event: Change) -> None:
-        """Change the noise or the covariance of all filters, see `InsFilter.submit`."""
-        self._machine.submit(event)
+    def _measure(self, measurement: Measurement) -> None:
+        if not self.phases.measure(measurement):
+            if self.alignment is not None:
+                self.alignment.observe(measurement)
+            self._events.append(Verdict.rejected(measurement, "aligning"))
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
-        running, t_ns, monitor = self.best, self.last_ns, self.monitor
-        if running is None or not monitor.is_due(t_ns):
+        before, moving = self.monitor.fault, self._measurements.motion.speed > 0.0
+        if not self.monitor.check(self.phases, self.ring, self.last_ns, moving):
             return
-        before = monitor.fault
-        for fault in monitor.check_fault(self.ring, t_ns, self.filter is not None):
-            std = error_std_after(fault)
-            if std is not None:
-                self.submit(CovarianceInflation(t_ns, std))
-        fault_now = monitor.fault
-        if fault_now is not None and fault_now.unusable:
+        fault = self.monitor.fault
+        if fault is not None and fault != before:
+            self._events.append(FaultFound(fault))
+        if fault is not None and fault.unusable:
             self.give_up(RestartCause.IMU_UNUSABLE)
-        if fault_now is not None and fault_now != before:
-            self._events.append(FaultFound(fault_now))
-        if fault_now is not None and fault_now.unusable:
-            return
-        if self.filter is not None and fault_now is None and not monitor.falling:
-            self._biases.append(Biases.of(self.filter.state, t_ns))
-        samples = monitor.check_standing(t_ns, running, self._fix_motion.speed > 0.0)
-        if samples is not None and self._zero_updates:
-            self._machine.measure(Standstill.of(samples))
 
     def pop_events(self) -> list[Event]:
         """Return what happened since the last call, in order."""
@@ -333,23 +283,7 @@ class Navigator:
     def _on_verdict(self, verdict: Verdict) -> None:
         """Restart after repeated covariance resets: the heading is wrong."""
         self.monitor.on_verdict(verdict)
-        if not verdict.inflated or self.filter is None:
-            return
-        t_ns = verdict.measurement.t_ns
-        self._resets.append(t_ns)
-        speed = float(np.linalg.norm(self.filter.nav[VELOCITY]))
-        if len(self._resets) == RESETS and t_ns - self._resets[0] < RESETS_NS and speed > 1.0:
-            self._biases.clear()
+        reset = verdict.inflated and self.filter is not None
+        if reset and self._resets.add(verdict.measurement.t_ns, self._speed):
+            self.monitor.discard_biases()
             self.give_up(RestartCause.REPEATED_RESETS)
-
-
-def _heading_after(
-    gap: float, running: InsFilter | None, standing: bool
-) -> tuple[float, float] | None:
-    """Heading and its uncertainty [rad] after seconds without samples, if still of use."""
-    if running is None:
-        return None
-    state = running.state
-    rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
-    std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
-    return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None

@@ -55,6 +55,37 @@ def interpolate(
     return np.array([(t_ns, f, w)], SAMPLE_DTYPE)
 
 
+def insert_stamps(
+    first: NDArray[np.void], samples: NDArray[np.void], t_ns: NDArray[np.int64]
+) -> NDArray[np.void]:
+    """
+    Return samples and, on the line between their neighbours, one at each stamp that is missing.
+
+    Parameters
+    ----------
+    first : ndarray of ``SAMPLE_DTYPE``, shape (1,)
+        The sample before the others; stamps up to its own are not inserted.
+    samples : ndarray of ``SAMPLE_DTYPE``, shape (N,)
+        By stamp.
+    t_ns : ndarray, shape (M,)
+        None younger than the last sample [ns].
+    """
+    missing = np.setdiff1d(t_ns, samples["t_ns"])
+    missing = missing[missing > first["t_ns"][0]]
+    if len(missing) == 0:
+        return samples
+    known = np.concatenate((first, samples))
+    after = np.searchsorted(known["t_ns"], missing)
+    low, high = known[after - 1], known[after]
+    fraction = ((missing - low["t_ns"]) / (high["t_ns"] - low["t_ns"]))[:, None]
+    made = np.empty(len(missing), SAMPLE_DTYPE)
+    made["t_ns"] = missing
+    for axis in ("f", "w"):
+        made[axis] = low[axis] + fraction * (high[axis] - low[axis])
+    merged = np.concatenate((samples, made))
+    return merged[np.argsort(merged["t_ns"], kind="stable")]
+
+
 class ImuRing:
     """
     Ring buffer of the last ``capacity`` IMU samples, for rewinding and for the noise regressor.

@@ -31,11 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, iterated_update
-from hybrid_ins.core.error_model import system_matrix
+from hybrid_ins.core.backward_propagation import run_backward
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import GNSS, Measurement
-from hybrid_ins.core.samples import SAMPLE_DTYPE, readings_of, steps_since
+from hybrid_ins.core.samples import SAMPLE_DTYPE, insert_stamps, readings_of, steps_since
 from hybrid_ins.core.smoother_step import (
     correction_adjoint,
     propagation_adjoint,
@@ -43,28 +43,18 @@ from hybrid_ins.core.smoother_step import (
     smoothed_rows,
 )
 from hybrid_ins.core.state import (
-    B_A,
-    B_G,
-    BIAS_A,
-    BIAS_G,
     COVARIANCE,
-    DV,
-    EPS,
     LAST_F,
     LAST_W,
-    LLA,
     N_ERROR,
     N_FLAT,
     N_NAV,
     PLACES,
     PSD,
-    QUAT,
-    VELOCITY,
     NavState,
     covariance,
     pack,
 )
-from hybrid_ins.core.strapdown import mechanise
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.void]
@@ -180,7 +170,9 @@ class Smoother:
         samples = samples[after:]
         end_ns = int(samples["t_ns"][-1]) if len(samples) else start.t_ns
         updates = [u for u in updates if start.t_ns <= u.t_ns <= end_ns]
-        self._samples = _with_stamps(start, samples, np.array([u.t_ns for u in updates], np.int64))
+        first = np.array([(start.t_ns, start.sample[:3], start.sample[3:])], SAMPLE_DTYPE)
+        stamps = np.array([u.t_ns for u in updates], np.int64)
+        self._samples = insert_stamps(first, samples, stamps)
         self._own = np.isin(self._samples["t_ns"], samples["t_ns"])
         self._steps = np.empty(0, np.int64)
         if len(self._samples):
@@ -351,66 +343,14 @@ class Smoother:
         return nav[None, :N_NAV].copy(), np.array([dt]), F[:m], lengths[:m], leads_to
 
     def before_start(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """
-        Yield the state at the start's sample and before it, carried back by the IMU alone.
-
-        Of a smoothed state that knows nothing of what came before it, the error a time dt earlier
-        is (I + F dt)^-1 (error - w), where w is the process noise of that time.
-        """
+        """Yield the state at the start's sample and before it, see `run_backward`."""
         nav = self._first_flat()
-        P, psd = covariance(nav), self._start.psd
+        nav[LAST_F], nav[LAST_W] = self._start.sample[:3], self._start.sample[3:]
+        nav[PSD] = self._start.psd
         samples = self._before[self._before["t_ns"] >= self._start.t_ns - LONGEST_BEFORE_NS]
-        f, w = self._start.sample[:3], self._start.sample[3:]
-        t_ns, C, f_n, F = self._start.t_ns, np.empty(9), np.empty(3), np.zeros((N_ERROR, N_ERROR))
-        stamps: list[int] = []
-        rows: list[Array] = []
-        for sample in samples[::-1]:
-            dt = (t_ns - int(sample["t_ns"])) * 1e-9
-            if dt * 1e9 > self._long_step_ns:
-                break
-            if dt > 0.0:
-                late, early = (
-                    (f - nav[BIAS_A], w - nav[BIAS_G]),
-                    (
-                        sample["f"] - nav[BIAS_A],
-                        sample["w"] - nav[BIAS_G],
-                    ),
-                )
-                mechanise(nav[LLA], nav[VELOCITY], nav[QUAT], *late, *early, -dt, C, f_n)
-                system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
-                back, C_nb = np.eye(N_ERROR) - dt * F, C.reshape(3, 3)
-                for block, q in ((DV, psd[:3]), (EPS, psd[3:6])):
-                    P[block, block] += dt * (C_nb * q) @ C_nb.T
-                P[B_A, B_A] += dt * np.diag(psd[6:9])
-                P[B_G, B_G] += dt * np.diag(psd[9:])
-                P = back @ P @ back.T
-            t_ns, f, w = int(sample["t_ns"]), sample["f"], sample["w"]
-            nav[LAST_F], nav[LAST_W] = f, w
-            pack(P, nav[COVARIANCE])
-            stamps.append(t_ns)
-            rows.append(nav[:N_NAV].copy())
-        if rows:
-            yield np.array(stamps[::-1]), np.array(rows[::-1])
-
-
-def _with_stamps(start: Start, samples: Samples, t_ns: NDArray[np.int64]) -> Samples:
-    """Return the samples and, on the line between their neighbours, one at each missing stamp."""
-    missing = np.setdiff1d(t_ns, samples["t_ns"])
-    missing = missing[missing > start.t_ns]
-    if len(missing) == 0:
-        return samples
-    first = np.zeros(1, SAMPLE_DTYPE)
-    first["t_ns"], first["f"], first["w"] = start.t_ns, start.sample[:3], start.sample[3:]
-    known = np.concatenate((first, samples))
-    after = np.searchsorted(known["t_ns"], missing)
-    low, high = known[after - 1], known[after]
-    share = ((missing - low["t_ns"]) / (high["t_ns"] - low["t_ns"]))[:, None]
-    made = np.empty(len(missing), SAMPLE_DTYPE)
-    made["t_ns"] = missing
-    for axis in ("f", "w"):
-        made[axis] = low[axis] + share * (high[axis] - low[axis])
-    merged = np.concatenate((samples, made))
-    return merged[np.argsort(merged["t_ns"], kind="stable")]
+        t_ns, rows = run_backward(nav, self._start.t_ns, samples, self._long_step_ns)
+        if len(rows):
+            yield t_ns, rows
 
 
 def _full(packed: Array) -> Array:

@@ -13,7 +13,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.standstill import FixMotion
 
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
@@ -82,13 +84,21 @@ class ImuStampCheck:
 
 
 class MeasurementCheck:
-    """Refuses aiding measurements that come twice, from the future, or from a stuck receiver."""
+    """
+    Refuses aiding measurements that come twice, from the future, or from a stuck receiver.
+
+    Attributes
+    ----------
+    motion : FixMotion
+        Of the position fixes that were admitted.
+    """
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget all measurements."""
+        self.motion = FixMotion()
         self._last_lla: NDArray[np.float64] | None = None
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
 
@@ -96,9 +106,11 @@ class MeasurementCheck:
         """Forget the stamps of earlier measurements: the next come by another clock."""
         self._seen.clear()
 
-    def check(self, measurement: Measurement, stamps: ImuStampCheck, speed: float) -> str:
+    def check(
+        self, measurement: Measurement, stamps: ImuStampCheck, speed: float
+    ) -> Verdict | None:
         """
-        Return why a measurement is refused; empty where it is not.
+        Return the verdict on a measurement that is refused; None: it is to be used.
 
         Parameters
         ----------
@@ -110,14 +122,15 @@ class MeasurementCheck:
         """
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
-            return "repeated stamp"
+            return Verdict.rejected(measurement, "repeated stamp")
         ahead_ns = measurement.t_ns - stamps.last_ns
         if stamps.last_ns and ahead_ns > stamps.max_gap_ns + AHEAD_NS:
-            return "stamped ahead of the IMU"
+            return Verdict.rejected(measurement, "stamped ahead of the IMU", -ahead_ns * 1e-9)
         self._seen.append(key)
         if not isinstance(measurement, PositionFix):
-            return ""
+            return None
         last, self._last_lla = self._last_lla, measurement.lla
         if last is not None and speed > MOVING and np.array_equal(last, measurement.lla):
-            return "same position while moving"
-        return ""
+            return Verdict.rejected(measurement, "same position while moving")
+        self.motion.observe(measurement.t_ns, measurement.lla)
+        return None

@@ -88,7 +88,7 @@ class ClockCorrection:
         if running is None or running.t_ns < self._next_ns:
             return
         self._next_ns = running.t_ns + CORRECTION_NS
-        correcting = self._estimate and not self._navigator.clock_open
+        correcting = self._estimate and not self._navigator.phases.clock_open
         if correcting:
             self._correct(running)
         fault = self._fault()
@@ -113,7 +113,7 @@ class ClockCorrection:
 
     def found(self) -> tuple[float, float] | None:
         """Return what is missing from the offset in force, and its uncertainty [s]."""
-        running, bank = self._navigator.filter, self._navigator.bank
+        running, bank = self._navigator.filter, self._navigator.phase.bank
         if isinstance(bank, ClockSearch):
             return bank.clock()
         return None if running is None else (running.clock.residual, running.clock.sigma)
@@ -151,7 +151,7 @@ class ClockCorrection:
         missing, sigma = found
         values |= {"time_offset_found": offset + missing, "sigma": sigma}
         fault = self._fault()
-        searching = ", the search goes on" if self._navigator.clock_open else ""
+        searching = ", the search goes on" if self._navigator.phases.clock_open else ""
         text = fault or (
             f"fixes: {offset:+.3f} s in force, by the innovations "
             f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}"

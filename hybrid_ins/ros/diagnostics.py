@@ -104,7 +104,7 @@ def filter_status(navigator: Navigator, t_ns: int, fused_ns: int, fixes_fused: i
 def _alignment_status(navigator: Navigator) -> Status:
     state, waiting = wording.state_of(navigator), wording.waiting_for(navigator)
     values: dict[str, object] = {"state": state, "waiting_for": waiting}
-    bank = navigator.bank
+    bank = navigator.phase.bank
     if bank is not None:
         heading_std = math.degrees(bank.heading()[1])
         values["sigma_heading_deg"] = min(heading_std, LARGEST_HEADING_STD)

@@ -187,7 +187,7 @@ class Estimator:
         self.clock.change(changes)
         self._convert_gnss()
         noise_changes = any(name.startswith("noise.") for name in changes)
-        for running in self.navigator.filters:
+        for running in self.navigator.phases.filters:
             running.gate = self._parts.gate()
             if noise_changes or any(name.endswith("_bias_walk") for name in changes):
                 noise = self._parts.noise(running.noise.process.period)
@@ -223,8 +223,7 @@ class Estimator:
             "info",
             f"initialpose: heading {heading % 360.0:.1f}° ± {std:.1f}° from north: aligning anew",
         )
-        self.navigator.realign()
-        self.navigator.set_yaw(self.navigator.last_ns, *yaw)
+        self.navigator.realign().set_yaw(self.navigator.last_ns, *yaw)
         self._restart()
 
     def handle_static_transforms(self, message: Message) -> None:
@@ -308,8 +307,8 @@ class Estimator:
 
     def _use_orientation(self, quat_xyzw: Sequence[float]) -> None:
         yaw = conversions.imu_yaw(quat_xyzw, self._placement.mount)
-        if yaw is not None:
-            self.navigator.observe_yaw(yaw)
+        if yaw is not None and self.navigator.alignment is not None:
+            self.navigator.alignment.observe_yaw(yaw)
 
     # GNSS.
 

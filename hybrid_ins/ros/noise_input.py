@@ -66,4 +66,4 @@ class NoiseInput:
         """Estimate the levels at a stamp [ns] where that is due."""
         if self.reader is not None and t_ns >= self.next_ns:
             self.next_ns = t_ns + self._period_ns
-            self._navigator.submit(self.reader.read(self._navigator.ring, t_ns))
+            self._navigator.phases.submit(self.reader.read(self._navigator.ring, t_ns))

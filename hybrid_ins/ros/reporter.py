@@ -111,7 +111,7 @@ class Reporter:
 
         ``arm_b``, shape (3,), is the IMU relative to the base frame's origin [m], b.
         """
-        running = self._navigator.best
+        running = self._navigator.phase.best
         if running is None:
             return
         if not self._announced and self._navigator.filter is not None:

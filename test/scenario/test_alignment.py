@@ -54,8 +54,8 @@ def test_standing_still_decides_nothing_and_learns_the_gyroscope_bias() -> None:
     assert navigator.filter is None and navigator.monitor.standing
     assert heading_std(navigator) > np.radians(50.0)
     assert run.errors(navigator, 30.0)[0] < 0.1
-    assert navigator.best is not None
-    assert navigator.best.nav[BIAS_G] == pytest.approx([0.002, -0.003, 0.001], abs=5e-4)
+    assert navigator.phase.best is not None
+    assert navigator.phase.best.nav[BIAS_G] == pytest.approx([0.002, -0.003, 0.001], abs=5e-4)
 
 
 @pytest.mark.parametrize("heading", np.linspace(-2.9, 3.1, 4))
@@ -118,7 +118,7 @@ def test_a_heading_known_less_well_is_decided_on_later(
     """Clock or lever arm uncalibrated: the mixture stays wider, and one filter narrows it on."""
     navigator = make_navigator()
     play(scene(static(6.0)), navigator)
-    bank = navigator.bank
+    bank = navigator.phase.bank
     assert bank is not None
     first_ns, decided = bank.best.t_ns, []
     monkeypatch.setattr(bank, "heading", lambda: (0.5, sigma))
@@ -174,8 +174,7 @@ def test_heading_by_hand_goes_before_all_and_ends_the_search() -> None:
     play(run, navigator, stop=4.0)
     assert navigator.filter is None
 
-    navigator.realign()
-    navigator.set_yaw(navigator.last_ns, 1.0, 0.02)
+    navigator.realign().set_yaw(navigator.last_ns, 1.0, 0.02)
     play(run, navigator, start=4.0)
 
     assert navigator.filter is not None
@@ -198,7 +197,8 @@ def test_imu_heading_is_taken_where_it_is_asked_for() -> None:
     play(run, navigator, stop=2.0)
     assert navigator.filter is None and "orientation" in waiting_for(navigator)
 
-    navigator.observe_yaw(-2.0)
+    assert navigator.alignment is not None
+    navigator.alignment.observe_yaw(-2.0)
     play(run, navigator, start=2.0)
 
     assert navigator.filter is not None

@@ -64,7 +64,7 @@ def told_and_waiting(estimator: Estimator) -> list[int]:
 def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None:
     estimator = estimating(until(stamped_early(draw(SCENE, 4), true), 22.0), late)
 
-    assert estimator.navigator.bank is None
+    assert estimator.navigator.phase.bank is None
     assert offset(estimator) == pytest.approx(true, abs=0.02)
     missing, sigma = found(estimator)
     assert sigma < 0.02
@@ -81,7 +81,7 @@ def test_heading_and_clock_are_found_together(seed: int, value: float, true: flo
     estimator = estimating(run, **AUTO, **{"gnss.time_offset.value": value})
     # THEN both are found, and each fix is told of once
     running = estimator.navigator.filter
-    assert running is not None and estimator.navigator.bank is None
+    assert running is not None and estimator.navigator.phase.bank is None
     assert offset(estimator) == pytest.approx(true, abs=0.03)
     assert np.sqrt(running.nav[COVARIANCE][DIAGONAL][8]) < 0.1
     told = told_and_waiting(estimator)
@@ -101,7 +101,7 @@ def test_the_filter_that_takes_over_is_where_it_says() -> None:
         run = draw(SCENE, seed)
         estimator = estimating(until(stamped_early(run, -0.3), 25.0))
         running = estimator.navigator.filter
-        assert running is not None and estimator.navigator.bank is None
+        assert running is not None and estimator.navigator.phase.bank is None
         # WHEN its position is held against the truth at the next epoch that is scored
         k = int(np.searchsorted(run.samples["t_ns"][run.scored], running.t_ns))
         now = run.samples["t_ns"][run.scored[k]]
@@ -143,7 +143,7 @@ def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) 
 def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.bank
+    search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.phase.bank
     assert isinstance(search, ClockSearch) and len(search.filters) > 1
     assert search.decide() is None
     missing, sigma = search.clock()
@@ -162,7 +162,7 @@ def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
     estimator = estimating(replace(run, samples=run.samples[(t < 19.0) | (t > 21.0)]))
     # THEN the filter that starts after that knows the clock from its beginning
     assert estimator.counts["restart: no IMU samples"] == 1
-    assert estimator.navigator.bank is None
+    assert estimator.navigator.phase.bank is None
     missing, sigma = found(estimator)
     assert sigma < 0.06
     assert offset(estimator) + missing == pytest.approx(0.2, abs=0.03)
@@ -186,15 +186,15 @@ def test_while_nothing_moves_nothing_is_said() -> None:
 
     assert offset(estimator) == 0.0
     assert found(estimator)[1] > 0.2
-    assert estimator.navigator.bank is not None
-    assert len(estimator.navigator.bank.filters) == 2 * N_STEPS + 1
+    assert estimator.navigator.phase.bank is not None
+    assert len(estimator.navigator.phase.bank.filters) == 2 * N_STEPS + 1
     assert "the search goes on" in estimator.diagnostics(estimator.navigator.last_ns)[-1].text
 
 
 def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     run = standing(draw(SCENE, 1))
     estimator = estimating(until(run, 10.0), **AUTO)
-    bank = estimator.navigator.bank
+    bank = estimator.navigator.phase.bank
     assert bank is not None and len(bank.filters) <= N_HEADINGS
 
     # WHEN the vehicle flies off
@@ -203,31 +203,31 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     samples = np.where(t < 10.0, run.samples, moving.samples)
     estimator = estimating(until(replace(run, samples=samples), 12.0), **AUTO)
     # THEN there are
-    bank = estimator.navigator.bank
+    bank = estimator.navigator.phase.bank
     assert bank is not None and len(bank.filters) > N_HEADINGS
     assert "clock offset" in estimator.waiting_for
 
 
 def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:
     run = until(stamped_early(draw(SCENE, 4), 0.1), 5.0)
-    assert through_estimator(run).navigator.bank is None
+    assert through_estimator(run).navigator.phase.bank is None
 
     estimator = estimating(run)
-    assert estimator.navigator.bank is not None
+    assert estimator.navigator.phase.bank is not None
     estimator.change({"gnss.time_offset.estimate": False})
-    assert estimator.navigator.bank is None
-    assert estimator.navigator.filters == [estimator.navigator.filter]
+    assert estimator.navigator.phase.bank is None
+    assert estimator.navigator.phases.filters == [estimator.navigator.filter]
 
 
 def test_another_value_while_both_are_open_begins_anew() -> None:
     # GIVEN a search around a value that is then changed
     run = stamped_early(draw(SCENE, 4), 0.1)
     estimator = estimating(until(run, 6.0), **AUTO)
-    bank = estimator.navigator.bank
+    bank = estimator.navigator.phase.bank
     assert bank is not None and bank.clock_open
     estimator.change({"gnss.time_offset.value": -0.2})
 
-    assert estimator.navigator.bank is None
+    assert estimator.navigator.phase.bank is None
 
 
 def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:

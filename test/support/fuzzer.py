@@ -177,7 +177,7 @@ def feed(estimator: Estimator, fuzzer: Fuzzer, count: int) -> int:
             for numbers in numbers_of(report):
                 assert np.isfinite(numbers).all(), report
         if k % 200 == 0:
-            for running in estimator.navigator.filters:
+            for running in estimator.navigator.phases.filters:
                 assert np.linalg.eigvalsh(covariance(running.nav)).min() > 0.0
     return renewed
 

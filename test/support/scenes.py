@@ -82,7 +82,7 @@ class Scene:
 
     def errors(self, navigator: Navigator, t: float) -> tuple[float, float, float]:
         """Horizontal position [m], velocity [m/s] and heading [rad] error at a time."""
-        running = navigator.best
+        running = navigator.phase.best
         assert running is not None
         k = int(np.argmin(np.abs(self.truth.t - t)))
         metres = (running.nav[LLA] - self.truth.lla[k]) * curvature_scale(self.truth.lla[k])
@@ -164,7 +164,7 @@ def stamp(t: float) -> int:
 
 def heading_std(navigator: Navigator) -> float:
     """What the navigator says of its heading [rad]."""
-    if navigator.bank is not None:
-        return navigator.bank.heading()[1]
+    if navigator.phase.bank is not None:
+        return navigator.phase.bank.heading()[1]
     assert navigator.filter is not None
     return float(np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL][8]))

@@ -32,15 +32,9 @@ NOT_FOR_EVERYONE = {
 }
 
 
-LONG_FILES = {
-    "hybrid_ins.core.navigator",
-    "hybrid_ins.core.smoother",
-    "hybrid_ins.parameter_list",
-}
+LONG_FILES = {"hybrid_ins.parameter_list"}
 LONG_CLASSES = {
     "hybrid_ins.core.ins_filter.InsFilter",
-    "hybrid_ins.core.navigator.Navigator",
-    "hybrid_ins.core.smoother.Smoother",
     "hybrid_ins.ros.estimator.Estimator",
 }
 

@@ -1,0 +1,57 @@
+"""
+Restarts of a navigator: what makes one necessary, and what of the state outlasts it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from hybrid_ins.core.alignment import yaw_of
+from hybrid_ins.core.ins_filter import InsFilter
+
+TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
+HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not kept over a gap
+RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
+MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
+
+
+class ResetCount:
+    """Counts the covariance resets of a filter: repeated ones prove its heading wrong."""
+
+    def __init__(self) -> None:
+        self._stamps: deque[int] = deque(maxlen=RESETS)
+
+    def add(self, t_ns: int, speed: float) -> bool:
+        """Count a reset: stamp [ns], speed [m/s]; return whether the heading is wrong."""
+        self._stamps.append(t_ns)
+        enough = len(self._stamps) == RESETS and t_ns - self._stamps[0] < RESETS_NS
+        return enough and speed > MOVING
+
+
+def heading_after(
+    gap: float, running: InsFilter | None, standing: bool
+) -> tuple[float, float] | None:
+    """
+    Return the heading [rad from north] after a gap, and its uncertainty.
+
+    Parameters
+    ----------
+    gap : float
+        Time without IMU samples [s].
+    running : InsFilter or None
+        The filter before it.
+    standing : bool
+        The vehicle stood.
+
+    Returns
+    -------
+    (float, float) or None
+        Heading and standard deviation [rad]; None where they are of no more use.
+    """
+    if running is None:
+        return None
+    state = running.state
+    rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
+    std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
+    return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None
