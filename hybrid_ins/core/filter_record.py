@@ -11,6 +11,7 @@ from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.events import Event
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurement_update import Outcome
 from hybrid_ins.core.state import NavState
 
 Array = NDArray[np.float64]
@@ -64,23 +65,13 @@ class FilterRecord:
     def add(
         self,
         event: Event,
-        verdict: Verdict | None,
-        r_scale: float,
-        state_moved: bool,
+        outcome: Outcome,
         noise: FilterNoise,
         clock: ClockOffsetObserver,
     ) -> None:
         """Append an event that was applied, with noise and clock after it."""
         self.decided.append(
-            Decided(
-                event,
-                verdict,
-                r_scale,
-                state_moved,
-                noise.levels(),
-                clock.residual,
-                clock.sigma**2,
-            )
+            Decided(event, *outcome, noise.levels(), clock.residual, clock.sigma**2)
         )
 
     def add_too_old(self, verdict: Verdict, noise: FilterNoise, clock: ClockOffsetObserver) -> None:

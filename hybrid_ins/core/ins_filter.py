@@ -15,43 +15,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import gap, iterated_update, propagation
+from hybrid_ins.core import gap, propagation
 from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
-from hybrid_ins.core.events import (
-    Change,
-    ClockShift,
-    CovarianceInflation,
-    Event,
-    NoiseChange,
-    order,
-)
+from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.inflation import (
-    inflate_covariance,
-    inflate_to_innovation,
-)
-from hybrid_ins.core.kalman import inject, innovation
-from hybrid_ins.core.measurements import GNSS, Measurement
-from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.measurement_update import MeasurementUpdate
+from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.rewind import Checkpoint, History
-from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
-    COVARIANCE,
     LAST_F,
     LAST_W,
     N_CHECKPOINT,
-    N_ERROR,
     N_NAV,
     PSD,
-    QUAT,
     SENSITIVITY,
-    VELOCITY,
     NavState,
-    covariance,
-    pack,
 )
 
 Array = NDArray[np.float64]
@@ -113,8 +94,6 @@ class InsFilter:
         Its stamp [ns].
     long_step_ns : int
         A longer step [ns] is a gap in the samples.
-    clock : ClockOffsetObserver
-        Clock offset of fixes, estimated beside the state; changes nothing by itself.
     verdicts : deque of Verdict
         One per measurement submitted, in order of decision; the owner empties it.
     record : FilterRecord or None
@@ -136,14 +115,13 @@ class InsFilter:
         self.nav[PSD] = noise.psd()
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n)
         self.t_ns = t_ns
-        self.noise = noise
-        self.gate = gate
-        self.clock = ClockOffsetObserver(settings.clock_std)
+        self._update = MeasurementUpdate(
+            noise, gate, ClockOffsetObserver(settings.clock_std), corrected_ns=t_ns
+        )
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
         self._interval = settings.covariance_interval - 1e-6
-        self._corrected_ns = t_ns
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
         self.record: FilterRecord | None = None
@@ -158,6 +136,25 @@ class InsFilter:
         nav = self.nav.copy()
         propagation.propagate_covariance(nav)
         return NavState.from_flat(nav)
+
+    @property
+    def noise(self) -> FilterNoise:
+        """The noise in force."""
+        return self._update.noise
+
+    @property
+    def gate(self) -> Gate:
+        """The gate in force."""
+        return self._update.gate
+
+    @gate.setter
+    def gate(self, gate: Gate) -> None:
+        self._update.gate = gate
+
+    @property
+    def clock(self) -> ClockOffsetObserver:
+        """Clock offset of fixes, estimated beside the state; changes nothing by itself."""
+        return self._update.clock
 
     @property
     def covariance_interval(self) -> float:
@@ -279,84 +276,16 @@ class InsFilter:
         self._checkpoint()
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        r_scale, verdict, moved = self.noise.fix_factor, None, False
-        if isinstance(event, NoiseChange):
-            self.noise = copy.copy(event.noise)
-        elif isinstance(event, NoiseEstimate):
-            self.noise.take_estimate(event)
-        elif isinstance(event, ClockShift):
-            inject(self.nav, self.clock.shift(event.by, self.nav))
-        elif isinstance(event, CovarianceInflation):
-            pack(inflate_covariance(covariance(self.nav), event.std), self.nav[COVARIANCE])
-            self.noise.restart(keep_weights=True)
-        else:
-            moved = self._fuse(event)
-            verdict = self.verdicts[-1]
-        self.nav[PSD] = self.noise.psd()
+        outcome = self._update.apply(self.nav, event, self._age(event))
+        if outcome.verdict is not None:
+            self.verdicts.append(outcome.verdict)
         if self.record is not None:
-            self.record.add(event, verdict, r_scale, moved, self.noise, self.clock)
-
-    def _fuse(self, measurement: Measurement) -> bool:
-        """
-        Decide on a measurement, fuse it, and let the noise and the clock learn from it.
-
-        Returns whether the noise moved the state, too.
-        """
-        if not np.isfinite(self.nav).all():
-            self.verdicts.append(Verdict.rejected(measurement, "the state is lost"))
-            return False
-        z, H, R = measurement.linearise(self.nav)
-        if measurement.sensor == GNSS:
-            R = R * self.noise.fix_factor
-        S, nis = innovation(self.nav, z, H, R)
-        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
-        verdict = self.gate.judge(measurement, z, R, S, nis, self._age(measurement), interval)
-        self.verdicts.append(verdict)
-        before = self.nav.copy()
-        dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
-        if verdict.accepted:
-            if verdict.inflated:
-                inflate_to_innovation(self.nav, z, H, interval)
-            dx, K = iterated_update.update(self.nav, z, H, R / verdict.weight)
-        if measurement.sensor != GNSS:
-            self.nav[SENSITIVITY] -= K @ (H @ before[SENSITIVITY])
-            return False
-        h = self.clock.sensitivity_of(before, measurement.t_ns, H)
-        self.nav[SENSITIVITY] -= K @ h
-        if verdict.accepted:
-            self._corrected_ns = measurement.t_ns
-        if verdict.inflated:
-            self.noise.restart(keep_weights=False)
-        if verdict.inflated or verdict.jump:
-            return False
-        C_nb = matrix_from_quat(self.nav[QUAT])
-        correction = Correction(
-            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
-        )
-        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R)
-        return self._learn_noise(correction)
-
-    def _learn_noise(self, correction: Correction) -> bool:
-        """Let the noise learn from a correction; it may say where the state belongs."""
-        moved = self.noise.take_correction(correction)
-        if moved is not None:
-            inject(self.nav, moved.dx)
-            pack(moved.P, self.nav[COVARIANCE])
-            self.nav[SENSITIVITY] = initial_sensitivity(self.nav[VELOCITY])
-            self.clock.on_moved_state(self.nav[VELOCITY])
-        return moved is not None
+            self.record.add(event, outcome, self.noise, self.clock)
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""
         self._history.add_checkpoint(
-            Checkpoint(
-                self.t_ns,
-                self.nav[:N_CHECKPOINT].copy(),
-                copy.copy(self.noise),
-                copy.copy(self.gate),
-                copy.copy(self.clock),
-                self._corrected_ns,
-            )
+            Checkpoint(self.t_ns, self.nav[:N_CHECKPOINT].copy(), copy.copy(self._update))
         )
 
     def _rewind(self, late: Event) -> bool:
@@ -372,8 +301,7 @@ class InsFilter:
         if self.record is not None:
             self.record.rewind(self._history.count)
         self.nav[:N_CHECKPOINT] = point.nav
-        self.t_ns, self._corrected_ns = point.t_ns, point.corrected_ns
-        self.noise, self.gate, self.clock = point.noise, point.gate, point.clock
+        self.t_ns, self._update = point.t_ns, point.update
         self._checkpoint()
         decided = len(self.verdicts)
         self._pending = sorted([*again, late], key=order)

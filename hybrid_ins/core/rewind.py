@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.events import Event
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.measurement_update import MeasurementUpdate
 
 Array = NDArray[np.float64]
 
@@ -30,10 +28,7 @@ class Checkpoint:
 
     t_ns: int
     nav: Array  # (N_CHECKPOINT,)
-    noise: FilterNoise
-    gate: Gate
-    clock: ClockOffsetObserver
-    corrected_ns: int  # stamp of the last correction
+    update: MeasurementUpdate
 
 
 class History:

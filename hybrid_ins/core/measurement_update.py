@@ -1,0 +1,152 @@
+"""
+What an event does to a filter at its own stamp: the measurement update, and other changes.
+
+A measurement is judged by the gate and fused; its innovation then teaches the noise factors and
+the clock offset.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core import iterated_update
+from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.events import ClockShift, CovarianceInflation, Event, NoiseChange
+from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
+from hybrid_ins.core.kalman import inject, innovation
+from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    N_ERROR,
+    PSD,
+    QUAT,
+    SENSITIVITY,
+    VELOCITY,
+    covariance,
+    pack,
+)
+
+Array = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What became of an event."""
+
+    verdict: Verdict | None  # None: no measurement
+    r_scale: float  # factor that was on the covariance of fixes
+    state_moved: bool  # by a `StateCorrection`
+
+
+class MeasurementUpdate:
+    """
+    Applies events to a flat state, and holds what they change besides it.
+
+    A copy is a checkpoint.
+
+    Parameters
+    ----------
+    noise : FilterNoise
+        Qc, and the factor on the covariance of fixes.
+    gate : Gate
+        Decides which measurements are fused.
+    clock : ClockOffsetObserver
+        Clock offset of fixes, estimated beside the state.
+    corrected_ns : int
+        Stamp of the last fix that was fused, or of the start [ns].
+    """
+
+    def __init__(
+        self, noise: FilterNoise, gate: Gate, clock: ClockOffsetObserver, corrected_ns: int
+    ) -> None:
+        self.noise = noise
+        self.gate = gate
+        self.clock = clock
+        self._corrected_ns = corrected_ns
+
+    def __copy__(self) -> MeasurementUpdate:
+        return MeasurementUpdate(
+            copy.copy(self.noise), copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns
+        )
+
+    def apply(self, nav: Array, event: Event, age: float) -> Outcome:
+        """
+        Apply an event.
+
+        Parameters
+        ----------
+        nav : ndarray, shape (N_FLAT,)
+            Flat state at the event's stamp with nothing pending; overwritten.
+        event : Event
+        age : float
+            How far the event lies behind the IMU [s].
+        """
+        r_scale, verdict, moved = self.noise.fix_factor, None, False
+        if isinstance(event, NoiseChange):
+            self.noise = copy.copy(event.noise)
+        elif isinstance(event, NoiseEstimate):
+            self.noise.take_estimate(event)
+        elif isinstance(event, ClockShift):
+            inject(nav, self.clock.shift(event.by, nav))
+        elif isinstance(event, CovarianceInflation):
+            pack(inflate_covariance(covariance(nav), event.std), nav[COVARIANCE])
+            self.noise.restart(keep_weights=True)
+        else:
+            verdict, moved = self._fuse(nav, event, age)
+        nav[PSD] = self.noise.psd()
+        return Outcome(verdict, r_scale, moved)
+
+    def _fuse(self, nav: Array, measurement: Measurement, age: float) -> tuple[Verdict, bool]:
+        """
+        Decide on a measurement, fuse it, and let the noise and the clock learn from it.
+
+        Returns the verdict, and whether the noise moved the state, too.
+        """
+        if not np.isfinite(nav).all():
+            return Verdict.rejected(measurement, "the state is lost"), False
+        z, H, R = measurement.linearise(nav)
+        if measurement.sensor == GNSS:
+            R = R * self.noise.fix_factor
+        S, nis = innovation(nav, z, H, R)
+        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
+        verdict = self.gate.judge(measurement, z, R, S, nis, age, interval)
+        before = nav.copy()
+        dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
+        if verdict.accepted:
+            if verdict.inflated:
+                inflate_to_innovation(nav, z, H, interval)
+            dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
+        if measurement.sensor != GNSS:
+            nav[SENSITIVITY] -= K @ (H @ before[SENSITIVITY])
+            return verdict, False
+        h = self.clock.sensitivity_of(before, measurement.t_ns, H)
+        nav[SENSITIVITY] -= K @ h
+        if verdict.accepted:
+            self._corrected_ns = measurement.t_ns
+        if verdict.inflated:
+            self.noise.restart(keep_weights=False)
+        if verdict.inflated or verdict.jump:
+            return verdict, False
+        C_nb = matrix_from_quat(nav[QUAT])
+        correction = Correction(
+            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
+        )
+        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R)
+        return verdict, self._learn_noise(nav, correction)
+
+    def _learn_noise(self, nav: Array, correction: Correction) -> bool:
+        """Let the noise learn from a correction; it may say where the state belongs."""
+        moved = self.noise.take_correction(correction)
+        if moved is not None:
+            inject(nav, moved.dx)
+            pack(moved.P, nav[COVARIANCE])
+            nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY])
+            self.clock.on_moved_state(nav[VELOCITY])
+        return moved is not None
