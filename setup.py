@@ -36,7 +36,8 @@ EXTRAS = {
     ],
     # For users
     "plot": ["matplotlib>=3.6"],  # pictures and reports of ins_evaluate and ins_calibrate
-    "logs": ["pynmeagps>=1.0", "pyubx2>=1.2", "pyulog>=1.0"],  # ins_convert: NMEA, UBX, PX4
+    # ins_convert: ArduPilot, NMEA, UBX, PX4
+    "logs": ["pymavlink>=2.4.40", "pynmeagps>=1.0", "pyubx2>=1.2", "pyulog>=1.0"],
     "fleet": ["dask", "distributed"],  # many bags on a cluster
     # For work on the package
     "train": ["onnx", "torch==2.13.0"],  # tools/regressor

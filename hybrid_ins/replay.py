@@ -39,6 +39,7 @@ from hybrid_ins.ros.reports import Report
 from hybrid_ins.row_file import RowFile
 
 SMOOTHED = ("gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
+VERDICT = "gnss/verdict"
 TRUTH = "/truth/"
 BLOCK = 256  # odometry messages that are written at a time
 
@@ -168,6 +169,7 @@ class _Replay:
     ) -> None:
         self._values, self._log, self._is_filtered = values, log, record is None
         self._bag, self._out = bag, out
+        self._verdicts: list[tuple[int, Report]] = []  # that wait for the smoother
         self._imu = imu = bag.imu(imu_topic)
         self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
         self._frames = deque(imu.frames)
@@ -251,8 +253,11 @@ class _Replay:
     def _write_reports(self, log_ns: int, *, of_imu: bool = False) -> None:
         """Write reports at a log time [ns]; those of IMU samples each at the sample's stamp."""
         for report in self._estimator.pop_reports():
-            if self._is_filtered or report.topic not in SMOOTHED:
-                self._write_report(report, (of_imu and report.known_ns) or log_ns)
+            known_ns = (of_imu and report.known_ns) or log_ns
+            if self._is_filtered or report.topic not in (*SMOOTHED, VERDICT):
+                self._write_report(report, known_ns)
+            elif report.topic == VERDICT:
+                self._verdicts.append((known_ns, report))
 
     def _write_report(self, report: Report, log_ns: int) -> None:
         message = to_message(report, new_message)
@@ -261,8 +266,10 @@ class _Replay:
     def smooth(self, record: RunRecord) -> None:
         """Write the smoothed run, after `filter`."""
         # Its kernels are compiled here only: a node that filters does not wait for them.
-        from hybrid_ins.ros.smoothed import smoothed_run
+        from hybrid_ins.ros.smoothed import smoothed_run, smoothed_verdicts
 
+        for log_ns, report in smoothed_verdicts(record, self._verdicts):
+            self._write_report(report, log_ns)
         total = 3 * record.count
         with progress.bar("smooth", total, "sample", unit_scale=True) as bar:
             for block, reports in smoothed_run(self._estimator, record, RowFile, bar.update):

@@ -8,7 +8,7 @@
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-extras=(plot fleet lint test)
+extras=(plot logs fleet lint test)
 patience=()
 folders=(test/unit test/scenario test/system)
 if [ "${1:-}" = all ]; then

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from hybrid_ins.cli import options, program
 from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.convert import DEFAULT_MAP, Conversion, convert
@@ -25,10 +27,11 @@ def _parser() -> argparse.ArgumentParser:
         """Convert logs, or a flight in CSV files, to an MCAP bag on the node's topics.
 
 Logs of a receiver and of an IMU are recognised by their content: RTKLIB solutions (.pos), NMEA
-(needs pynmeagps), UBX with NAV-PVT (needs pyubx2), PX4 logs (needs pyulog), and text tables of
-time, accelerations and angular rates (m/s2, g or mg; rad/s or deg/s; axes FLU), with or without
-a header. Fixes keep the receiver's own covariance, status and velocity. Where the two have clocks
-of their own the offset between them is found by the turns that both see.
+(needs pynmeagps), UBX with NAV-PVT (needs pyubx2), PX4 logs (needs pyulog), ArduPilot logs (needs
+pymavlink), tables of fixes with a line of names, and tables of time, accelerations and angular
+rates (m/s2, g or mg; rad/s or deg/s; axes FLU), with or without a header; docs/logs.md. Fixes
+keep the receiver's own covariance, status and velocity. Where the two have clocks of their own
+the offset between them is found by the turns that both see.
 
 Made for the dataset "Quadrotor Dead Reckoning with Multiple Inertial Sensors" (Hurwitz & Klein);
 for others copy config/datasets/quadrotor.yaml, change it, and give it with --map.
@@ -72,6 +75,13 @@ Rows that cannot be used are reported on stderr and left out.""",
         help="added to the reference's times to bring them to the IMU's clock [0: as published]; "
         "of logs, to the IMU's to bring them to the receiver's [found]",
     )
+    p.add_argument(
+        "--origin",
+        type=options.number,
+        nargs=3,
+        metavar=("LAT", "LON", "H"),
+        help="of a table of fixes with local coordinates, deg deg m",
+    )
     p.add_argument("--map", type=Path, metavar="FILE", help="column map (YAML) of the dataset")
     p.add_argument("--overwrite", action="store_true", help="replace OUT where it exists")
     return p
@@ -79,7 +89,11 @@ Rows that cannot be used are reported on stderr and left out.""",
 
 def _run(args: argparse.Namespace) -> None:
     if len(args.input) > 1 or args.input[0].is_file():
-        print(convert_logs(args.input, args.out, args.time_offset, overwrite=args.overwrite))
+        origin = None
+        if args.origin is not None:
+            origin = np.array([*np.radians(args.origin[:2]), args.origin[2]])
+        offset, overwrite = args.time_offset, args.overwrite
+        print(convert_logs(args.input, args.out, offset, origin, overwrite=overwrite))
         return
     [flight] = args.input
     conversion = Conversion(

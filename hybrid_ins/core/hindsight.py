@@ -28,7 +28,7 @@ from hybrid_ins.core.events import ClockShift, CovarianceInflation
 from hybrid_ins.core.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.forward_record import Stretch
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import GNSS
+from hybrid_ins.core.measurements import GNSS, clock_offset_ns
 from hybrid_ins.core.noise_multiple_model import MEMORY
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.smoother import N_ADJOINT, Smoother, Start, Store, Update
@@ -73,6 +73,19 @@ def smoother_of(
     return Smoother(start, samples, updates, interval, gap_ns, *stores, progress)
 
 
+def clock_offsets(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
+    """Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s]."""
+    steps, moved = _steps(stretch.filters)
+    found = [
+        (decided.verdict.measurement, dt)
+        for decided, dt in zip((step.decided for step in steps), moved, strict=True)
+        if decided.verdict is not None and decided.verdict.measurement.sensor == GNSS
+    ]
+    offsets_ns = np.array([clock_offset_ns(measurement) for measurement, _ in found], np.int64)
+    stamps = np.array([measurement.t_ns for measurement, _ in found], np.int64) - offsets_ns
+    return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found])
+
+
 @dataclass(slots=True)
 class _Step:
     """What was decided, with the clock offset applied to it and the noise then in force."""
@@ -83,9 +96,8 @@ class _Step:
     r_scale: float
 
 
-def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Update]]:
-    """Return what the smoother begins with and does, by hindsight."""
-    first = _record(filters[0][0])
+def _steps(filters: Sequence[tuple[InsFilter, float]]) -> tuple[list[_Step], Array]:
+    """Return what was decided in the end, and what is to be added to the stamps of each [s]."""
     steps: list[_Step] = []
     applied, shifted = 0.0, len(filters) > 1
     for running, offset in filters:
@@ -100,9 +112,15 @@ def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Updat
             steps.append(_Step(decided, applied, decided.levels, decided.r_scale))
         steps += [_Step(late, applied, late.levels, late.r_scale) for late in record.too_old]
     steps.sort(key=lambda step: step.decided.event.t_ns)
+    return steps, _clock(steps) if shifted else np.zeros(len(steps))
+
+
+def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Update]]:
+    """Return what the smoother begins with and does, by hindsight."""
+    first = _record(filters[0][0])
+    steps, moved = _steps(filters)
     psd = filters[0][0].noise.process.psd
     first_levels = _raise(steps, first.start)
-    moved = _clock(steps) if shifted else np.zeros(len(steps))
     updates: list[Update] = []
     levels = first_levels
     for step, dt in zip(steps, moved, strict=True):

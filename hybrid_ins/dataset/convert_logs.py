@@ -16,9 +16,11 @@ from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.dataset.logs.clock_match import clock_offset
 from hybrid_ins.dataset.logs.formats import read_logs
+from hybrid_ins.dataset.logs.plausibility import check_imu
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import SWAP
+from hybrid_ins.ros.trajectory import Array
 
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
 UNKNOWN_VARIANCE = 1e6
@@ -26,7 +28,12 @@ EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
 
 
 def convert_logs(
-    paths: list[Path], out: Path, time_offset: float | None = None, *, overwrite: bool = False
+    paths: list[Path],
+    out: Path,
+    time_offset: float | None = None,
+    origin: Array | None = None,
+    *,
+    overwrite: bool = False,
 ) -> str:
     """
     Write a bag of one or two logs, which are told apart by their content.
@@ -40,6 +47,8 @@ def convert_logs(
     time_offset : float, optional
         Added to the IMU's times to bring them to the receiver's clock [s]. Without it that is
         found by correlation, unless both have one clock or overlap already.
+    origin : ndarray, shape (3,), optional
+        Of local coordinates in a table of fixes: latitude, longitude [rad], height [m].
     overwrite : bool
         See `BagWriter`.
 
@@ -53,7 +62,7 @@ def convert_logs(
     InputError
         A file cannot be read, or the two have no time in common.
     """
-    imu, gnss = read_logs(paths)
+    imu, gnss = read_logs(paths, origin)
     told = ""
     common = min(imu.t[-1], gnss.t[-1]) - max(imu.t[0], gnss.t[0])
     if time_offset is not None:
@@ -64,6 +73,7 @@ def convert_logs(
         told = f"; clock offset by the turns in both, correlation {r:.2f} (refine: ins_calibrate)"
     if min(imu.t[-1], gnss.t[-1]) <= max(imu.t[0], gnss.t[0]):
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
+    imu = check_imu(imu, gnss)
     if not gnss.is_dated:
         imu, gnss = replace(imu, t=imu.t + EPOCH), replace(gnss, t=gnss.t + EPOCH)
     streams = [_imu_entries(imu), _fix_entries(gnss), _velocity_entries(gnss)]

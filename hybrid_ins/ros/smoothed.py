@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.forward_record import RunRecord
-from hybrid_ins.core.hindsight import smoother_of
+from hybrid_ins.core.hindsight import clock_offsets, smoother_of
 from hybrid_ins.core.smoother import Store
 from hybrid_ins.core.state import PSD
 from hybrid_ins.ros.estimator import REPORT_NS, Estimator
 from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import state_reports
-from hybrid_ins.ros.reports import OdometryBlock, Report
+from hybrid_ins.ros.reports import OdometryBlock, Report, Status
 
 Array = NDArray[np.float64]
 
@@ -57,6 +58,27 @@ def smoothed_run(
                         made = state_reports(stamp, row, levels, estimator.arm_b, frame)
                         reports += [(stamp, report) for report in made]
                 yield block, reports
+
+
+def smoothed_verdicts(
+    record: RunRecord, verdicts: Sequence[tuple[int, Report]]
+) -> Iterator[tuple[int, Report]]:
+    """
+    Yield the filter's verdicts (log time [ns], report) with the smoothed clock offset of each fix.
+
+    It says which time of the reference each smoothed state belongs to.
+    """
+    parts = [clock_offsets(stretch) for stretch in record.finish()]
+    stamps, offsets = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    order = np.argsort(stamps, kind="stable")
+    for log_ns, report in verdicts:
+        if len(stamps) and isinstance(report.content, Status):
+            fix_ns = int(dict(report.content.values)["stamp"])
+            offset = float(np.interp(fix_ns, stamps[order], offsets[order]))
+            values = {**dict(report.content.values), "time_offset": f"{offset:.6g}"}
+            content = report.content._replace(values=list(values.items()))
+            report = replace(report, content=content)
+        yield log_ns, report
 
 
 def _parts(rows: Array) -> Iterator[slice]:

@@ -20,6 +20,7 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.hindsight import clock_offsets
 from hybrid_ins.core.measurements import clock_offset_ns
 from hybrid_ins.core.navigator_events import Event
 from hybrid_ins.core.noise import NoiseEstimate
@@ -272,17 +273,18 @@ def fly(
         )
     ]
 
-    def judge(stamps: Sequence[Stamps], odometry: Sequence[Array]) -> Result:
+    def judge(stamps: Sequence[Stamps], odometry: Sequence[Array], verdicts: Verdicts) -> Result:
         track, _ = trajectory_from_odometry(np.concatenate(stamps), np.concatenate(odometry))
         return evaluate(
             replace(track, datum_lla=aid.lla[0]),
             flight.truth,
             fix_stamp_ns=aid.stamp_ns,
-            verdicts=Verdicts.of(estimator.rows),
+            verdicts=verdicts,
             scoring=Scoring(skip=skip),
         )
 
-    result = judge([t for t, _ in done], [v for _, v in done])
+    verdicts = Verdicts.of(estimator.rows)
+    result = judge([t for t, _ in done], [v for _, v in done], verdicts)
     if record is None:
         return Flown(result, estimator)
     # Judged on the same epochs: the time before the filter ran, which it has too, does not count.
@@ -291,7 +293,10 @@ def fly(
     stamps = np.concatenate([block.t_ns for block in blocks])
     odometry = np.concatenate([block.in_map for block in blocks])
     kept = stamps >= first_ns
-    return Flown(result, estimator, judge([stamps[kept]], [odometry[kept]]))
+    clock = [clock_offsets(stretch) for stretch in record.finish()]
+    offset_ns, offsets = (np.concatenate(column) for column in zip(*clock, strict=True))
+    hindsight = replace(verdicts, time_offset=np.interp(verdicts.stamp_ns, offset_ns, offsets))
+    return Flown(result, estimator, judge([stamps[kept]], [odometry[kept]], hindsight))
 
 
 def as_recording(flight: Flight, aid: Fixes) -> Recording:

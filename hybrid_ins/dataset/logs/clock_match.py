@@ -34,8 +34,8 @@ def clock_offset(imu: ImuLog, gnss: GnssLog) -> tuple[float, float]:
     InputError
         No offset stands out: too little motion, or too little of it turning.
     """
-    turn_imu = _imu_turn_rate(imu)
-    turn_gnss, moving = _gnss_turn_rate(gnss)
+    _, turn_imu = imu_turn_rate(imu)
+    _, turn_gnss, moving = gnss_turn_rate(gnss)
     if moving.sum() * GRID < LEAST_OVERLAP:
         raise _failure(imu, gnss, f"the receiver moved for {moving.sum() * GRID:.0f} s only")
     r, counts = _correlations(turn_imu, turn_gnss, moving)
@@ -56,8 +56,8 @@ def _failure(imu: ImuLog, gnss: GnssLog, why: str) -> InputError:
     )
 
 
-def _imu_turn_rate(imu: ImuLog) -> Array:
-    """Return the turn rate about the vertical [rad/s], up positive, on the grid."""
+def imu_turn_rate(imu: ImuLog) -> tuple[Array, Array]:
+    """Return times [s] and the turn rate about the vertical [rad/s], up positive, on the grid."""
     t = np.arange(imu.t[0], imu.t[-1], GRID)
     width = max(1, round(LEVEL_TIME / float(np.median(np.diff(imu.t)))))
     kernel = np.ones(width) / width
@@ -65,11 +65,11 @@ def _imu_turn_rate(imu: ImuLog) -> Array:
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     rate = np.einsum("ij,ij->i", imu.angular_rate, up)
     total = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.t))))
-    return np.asarray(np.gradient(np.interp(t, imu.t, total), GRID))
+    return t, np.asarray(np.gradient(np.interp(t, imu.t, total), GRID))
 
 
-def _gnss_turn_rate(gnss: GnssLog) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the turn rate of the course [rad/s], up positive, on the grid; and where it moves."""
+def gnss_turn_rate(gnss: GnssLog) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return times [s], turn rate of the course [rad/s], up positive, and where it moves."""
     velocity = gnss.velocity_n
     if velocity is None or not np.isfinite(velocity[:, :2]).any():
         metres = (gnss.lla - gnss.lla[0]) * curvature_scale(gnss.lla[0])
@@ -81,7 +81,7 @@ def _gnss_turn_rate(gnss: GnssLog) -> tuple[Array, NDArray[np.bool_]]:
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     moving = np.asarray(np.interp(t, at, speed) > LEAST_SPEED)
     rate = -np.gradient(np.interp(t, at, course), GRID)
-    return np.where(moving, rate, 0.0), moving
+    return t, np.where(moving, rate, 0.0), moving
 
 
 def _correlations(a: Array, b: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:

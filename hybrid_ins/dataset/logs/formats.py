@@ -5,18 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
-from hybrid_ins.dataset.logs import imu_text, nmea, rtklib, ubx, ulog
-from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.dataset.logs import ardupilot, gnss_text, imu_text, nmea, rtklib, ubx, ulog
+from hybrid_ins.dataset.logs.series import GnssLog, ImuLog, head_of
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.trajectory import Array
 
-FORMATS: tuple[ModuleType, ...] = (ulog, rtklib, ubx, nmea, imu_text)
+FORMATS: tuple[ModuleType, ...] = (ulog, ardupilot, rtklib, ubx, nmea, gnss_text, imu_text)
 """Each has ``recognise(head)``, and ``read_imu(path)`` or ``read_gnss(path)`` or both."""
 HEAD = 1 << 16  # bytes
 
 
-def read_logs(paths: list[Path]) -> tuple[ImuLog, GnssLog]:
+def read_logs(paths: list[Path], origin: Array | None = None) -> tuple[ImuLog, GnssLog]:
     """
     Read an IMU's samples and a receiver's fixes from one or two logs.
+
+    Parameters
+    ----------
+    paths : list of Path
+        One or two files.
+    origin : ndarray, shape (3,), optional
+        Of local coordinates, see `gnss_text.read_gnss`.
 
     Raises
     ------
@@ -29,7 +37,9 @@ def read_logs(paths: list[Path]) -> tuple[ImuLog, GnssLog]:
         module = format_of(path)
         if hasattr(module, "read_imu"):
             imu.append(module.read_imu(path))
-        if hasattr(module, "read_gnss"):
+        if module is gnss_text:
+            gnss.append(gnss_text.read_gnss(path, origin))
+        elif hasattr(module, "read_gnss"):
             gnss.append(module.read_gnss(path))
     if len(imu) != 1 or len(gnss) != 1:
         raise InputError(
@@ -50,8 +60,10 @@ def format_of(path: Path) -> ModuleType:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    with path.open("rb") as stream:
-        head = stream.read(HEAD)
+    try:
+        head = head_of(path, HEAD)
+    except (OSError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
     for module in FORMATS:
         if module.recognise(head):
             return module

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import ImuLog
+from hybrid_ins.dataset.logs.series import ImuLog, text_of
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import Array
 
@@ -46,7 +46,7 @@ def read_imu(path: Path) -> ImuLog:
     InputError
         It has no seven columns that can be time, accelerations and angular rates.
     """
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = text_of(path).splitlines()
     rows = [_numbers(line) for line in lines]
     widths = [len(row) for row in rows if len(row) >= 7]
     if len(widths) < 10:
@@ -59,14 +59,21 @@ def read_imu(path: Path) -> ImuLog:
     later = np.append(True, np.diff(np.maximum.accumulate(t)) > 0.0)
     factor = _unit_of_gravity(path, table[:, force])
     rates = table[:, rate]
-    faster = np.median(np.sort(np.linalg.norm(rates, axis=1))[len(rates) // 2 :])
-    if faster > LARGEST_RAD or np.max(np.abs(rates)) > 40.0:
+    if _is_in_degrees(rates, " ".join(names[k] for k in rate) if names else ""):
         rates = np.radians(rates)
     held = np.append(False, (np.diff(table[:, [*force, *rate]], axis=0) == 0.0).all(axis=1))
     kept = later & ~held  # a logger that asks faster than the sensor samples repeats rows
     return ImuLog(
         path, t[kept] * seconds, table[kept][:, force] * factor, rates[kept], t[0] * seconds > DATED
     )
+
+
+def _is_in_degrees(rates: Array, names: str) -> bool:
+    """Tell whether rates are in deg/s: by the names of their columns, else by their size."""
+    if re.search(r"deg|dps|°", names):
+        return True
+    faster = np.median(np.sort(np.linalg.norm(rates, axis=1))[len(rates) // 2 :])
+    return "rad" not in names and bool(faster > LARGEST_RAD or np.max(np.abs(rates)) > 40.0)
 
 
 def _numbers(line: str) -> list[float]:

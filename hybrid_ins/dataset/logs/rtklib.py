@@ -8,6 +8,7 @@ RTKLIB manual 2.4.2, appendix B.1 (positioning solution file).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -16,15 +17,18 @@ import numpy as np
 from hybrid_ins.dataset.logs.series import (
     FIX,
     GBAS_FIX,
-    LEAP_SECONDS,
+    GPS_EPOCH,
     SBAS_FIX,
+    WEEK,
     GnssLog,
+    from_ecef,
+    text_of,
     utc_from_gps,
 )
 from hybrid_ins.errors import InputError
 
 STATUS = {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX}
-WEEK = 604_800  # s
+NED_AXES, ECEF_AXES = (("n", "e", "u"), (1.0, 1.0, -1.0)), (("x", "y", "z"), (1.0, 1.0, 1.0))
 
 
 def recognise(head: bytes) -> bool:
@@ -46,7 +50,7 @@ def read_gnss(path: Path) -> GnssLog:
     """
     names: list[str] = []
     rows: list[tuple[float, list[float]]] = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in text_of(path).splitlines():
         if line.startswith("%"):
             if "latitude" in line or "x-ecef" in line:
                 names = [word.split("(")[0] for word in line.strip("% ").split()]
@@ -60,45 +64,48 @@ def read_gnss(path: Path) -> GnssLog:
     table = [(t, values) for t, values in rows if len(values) == width and width >= 10]
     if not table:
         raise InputError(f"{path}: no row has the columns that its header names")
-    t = np.array([t for t, _ in table])
-    if names[0] == "UTC":
-        t += LEAP_SECONDS
     columns = dict(zip(names[1:], np.array([values for _, values in table]).T, strict=True))
+    t = np.array([t for t, _ in table])
+    status = np.array([STATUS.get(int(q), FIX) for q in columns["Q"]], np.int8)
+    t = t + GPS_EPOCH if names[0] == "UTC" else utc_from_gps(t)
     if "x-ecef" in columns:
-        raise InputError(
-            f"{path}: holds ECEF coordinates; write the solution as latitude and longitude "
-            "(out-solformat = llh)"
+        vectors = []
+        if "vx" in columns:
+            vectors.append(np.column_stack([columns[f"v{axis}"] for axis in "xyz"]))
+        if "vx" in columns and "sdvx" in columns:
+            vectors.append(_covariance(columns, "sdv{}", *ECEF_AXES))
+        lla, covariance, turned = from_ecef(
+            np.column_stack([columns[f"{axis}-ecef"] for axis in "xyz"]),
+            _covariance(columns, "sd{}", *ECEF_AXES),
+            *vectors,
         )
-    velocity = None
+        velocity, velocity_covariance = [*turned, None, None][:2]
+        return GnssLog(path, t, lla, covariance, status, velocity, velocity_covariance)
+    velocity_n = None
     if "vn" in columns:
-        velocity = np.column_stack((columns["vn"], columns["ve"], -columns["vu"]))
+        velocity_n = np.column_stack((columns["vn"], columns["ve"], -columns["vu"]))
     return GnssLog(
         path,
-        utc_from_gps(t),
+        t,
         np.column_stack(
             (*np.radians((columns["latitude"], columns["longitude"])), columns["height"])
         ),
-        _covariance(columns, "sd{}"),
-        np.array([STATUS.get(int(q), FIX) for q in columns["Q"]], np.int8),
-        velocity,
-        _covariance(columns, "sdv{}") if "sdvn" in columns else None,
+        _covariance(columns, "sd{}", *NED_AXES),
+        status,
+        velocity_n,
+        _covariance(columns, "sdv{}", *NED_AXES) if "sdvn" in columns else None,
     )
 
 
-def _covariance(columns: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Return (M, 3, 3), NED: off the diagonal the file has square roots with the sign kept."""
+def _covariance(
+    columns: dict[str, np.ndarray], name: str, axes: Sequence[str], signs: Sequence[float]
+) -> np.ndarray:
+    """Return (M, 3, 3): off the diagonal the file has square roots with the sign kept."""
     P = np.zeros((len(columns["Q"]), 3, 3))
-    for (i, j), axes, sign in (
-        ((0, 0), "n", 1.0),
-        ((1, 1), "e", 1.0),
-        ((2, 2), "u", 1.0),
-        ((0, 1), "ne", 1.0),
-        ((1, 2), "eu", -1.0),
-        ((0, 2), "un", -1.0),
-    ):
-        value = columns.get(name.format(axes))
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)):
+        value = columns.get(name.format(axes[i] if i == j else axes[i] + axes[j]))
         if value is not None:
-            P[:, i, j] = P[:, j, i] = sign * value * np.abs(value)
+            P[:, i, j] = P[:, j, i] = signs[i] * signs[j] * value * np.abs(value)
     return P
 
 

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.earth import C_en, ecef_to_lla
 from hybrid_ins.ros.trajectory import Array
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
 GPS_EPOCH = 315_964_800  # 1980-01-06T00:00:00Z [s since 1970]
-LEAP_SECONDS = 18  # GPS time minus UTC, since 2017
+WEEK = 604_800  # s
+LEAPS = (  # from when on GPS time is ahead of UTC by one second more
+    *("1981-07", "1982-07", "1983-07", "1985-07", "1988-01", "1990-01", "1991-01", "1992-07"),
+    *("1993-07", "1994-07", "1996-01", "1997-07", "1999-01", "2006-01", "2009-01", "2012-07"),
+    *("2015-07", "2017-01"),
+)
+GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +48,21 @@ class GnssLog:
     is_dated: bool = True  # else: the clock is that of the IMU in the same log
 
 
+def head_of(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file, decompressed where it is compressed by gzip."""
+    with path.open("rb") as stream:
+        if stream.read(2) != GZIP:
+            stream.seek(0)
+            return stream.read(size)
+    with gzip.open(path) as stream:
+        return stream.read(size)
+
+
+def text_of(path: Path) -> str:
+    """Return a text file's content, see `head_of`."""
+    return head_of(path, -1).decode("utf-8-sig", errors="replace")
+
+
 def diagonal(std: Array) -> Array:
     """Return covariances (M, 3, 3) of standard deviations (M, 3)."""
     return np.asarray(std)[..., None] ** 2 * np.eye(3)
@@ -47,4 +70,35 @@ def diagonal(std: Array) -> Array:
 
 def utc_from_gps(seconds: Array | float) -> Array:
     """Return UTC [s since 1970] of GPS time [s since 1980-01-06]."""
-    return np.asarray(seconds) + GPS_EPOCH - LEAP_SECONDS
+    continuous = np.asarray(seconds) + GPS_EPOCH
+    starts = np.array(LEAPS, "datetime64[s]").astype(np.int64) + np.arange(1, len(LEAPS) + 1)
+    return continuous - np.searchsorted(starts, continuous, side="right")
+
+
+def from_ecef(ecef: Array, covariance: Array, *vectors: Array) -> tuple[Array, Array, list[Array]]:
+    """
+    Convert Earth-fixed positions, and what is given along the Earth's axes with them.
+
+    Parameters
+    ----------
+    ecef : ndarray, shape (M, 3)
+        Positions [m].
+    covariance : ndarray, shape (M, 3, 3)
+        Theirs [m²].
+    *vectors : ndarray, shape (M, 3) or (M, 3, 3)
+        Further vectors and covariances.
+
+    Returns
+    -------
+    lla, covariance_n, list of ndarray
+        The same, in NED.
+    """
+    lla = ecef_to_lla(ecef)
+    C_ne = np.array([C_en(row).T for row in lla])
+
+    def turned(rows: Array) -> Array:
+        if rows.ndim == 2:
+            return np.asarray(np.einsum("kij,kj->ki", C_ne, rows))
+        return np.asarray(C_ne @ rows @ np.swapaxes(C_ne, 1, 2))
+
+    return lla, turned(covariance), [turned(rows) for rows in vectors]

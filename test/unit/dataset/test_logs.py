@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
+import gzip
 import struct
+import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.core.earth import C_en, LocalFrame, lla_to_ecef
 from hybrid_ins.dataset.convert_logs import convert_logs
-from hybrid_ins.dataset.logs import formats, imu_text, nmea, rtklib, ubx, ulog
+from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, nmea, rtklib, ubx, ulog
 from hybrid_ins.dataset.logs.clock_match import clock_offset
-from hybrid_ins.dataset.logs.series import GBAS_FIX, GnssLog, ImuLog, diagonal
+from hybrid_ins.dataset.logs.plausibility import check_imu, turn_factor
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    GPS_EPOCH,
+    NO_FIX,
+    SBAS_FIX,
+    GnssLog,
+    ImuLog,
+    diagonal,
+    utc_from_gps,
+)
 from hybrid_ins.errors import InputError
 
 NOON = 1_700_049_600.0  # 2023-11-15T12:00:00Z
@@ -44,6 +62,159 @@ def test_rtklib_solution(tmp_path: Path, time: str) -> None:
     assert log.velocity_n is not None and log.velocity_covariance_n is not None
     assert log.velocity_n[0].tolist() == [1.0, 2.0, -3.0]
     assert np.diag(log.velocity_covariance_n[0]) == pytest.approx([0.16, 0.25, 0.36])
+
+
+def test_rtklib_solution_in_earth_fixed_coordinates(tmp_path: Path) -> None:
+    x, y, z = lla_to_ecef(np.array(LLA))
+    C_ne = C_en(np.array(LLA)).T
+    path = tmp_path / "solution.pos"
+    path.write_text(
+        "%  UTC   x-ecef(m) y-ecef(m) z-ecef(m) Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) "
+        "age(s) ratio vx vy vz sdvx sdvy sdvz sdvxy sdvyz sdvzx\n"
+        f"2023/11/15 12:00:00.000 {x:.4f} {y:.4f} {z:.4f} 2 9 0.1 0.2 0.3 -0.05 0.04 0.03 0 1 "
+        "1 2 3 0.1 0.1 0.1 0 0 0\n"
+    )
+
+    log = rtklib.read_gnss(path)
+
+    assert log.t.tolist() == [NOON]
+    assert log.lla[0, :2] == pytest.approx(LLA[:2], abs=1e-10)
+    assert log.lla[0, 2] == pytest.approx(LLA[2], abs=1e-3)
+    P = np.array([[0.01, -0.0025, 0.0009], [-0.0025, 0.04, 0.0016], [0.0009, 0.0016, 0.09]])
+    assert log.covariance_n[0] == pytest.approx(C_ne @ P @ C_ne.T)
+    assert log.velocity_n is not None and log.velocity_covariance_n is not None
+    assert log.velocity_n[0] == pytest.approx(C_ne @ [1.0, 2.0, 3.0])
+    assert log.velocity_covariance_n[0] == pytest.approx(0.01 * np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("utc", "ahead"), [(362_793_599, 0), (362_793_600, 1), (1_483_228_799, 17), (NOON, 18)]
+)
+def test_gps_time_is_ahead_of_utc_by_the_leap_seconds(utc: float, ahead: int) -> None:
+    assert utc_from_gps(utc + ahead - GPS_EPOCH) == utc
+
+
+def table(path: Path, header: str, *rows: str) -> GnssLog:
+    path.write_text(header + "\n" + "\n".join(rows) + "\n")
+    assert formats.format_of(path) is gnss_text
+    return gnss_text.read_gnss(path)
+
+
+PLACE = "lat,lon,height"
+THERE = "32.1,34.8,50.0"
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("time", "2023-11-15T12:00:00.000Z"),
+        ("time [UTC]", "2023-11-15 12:00:00"),
+        ("timestamp", f"{NOON:.3f}"),
+        ("gps_week,tow", "2288,302418.000"),
+        ("week,iTOW(ms)", "2288,302418000"),
+        ("date,time", "2023/11/15,12:00:00.000"),
+        ("GPS date;GPS time", "15.11.2023;12:00:18"),
+        ("gpst(s)", f"{NOON - GPS_EPOCH + 18:.1f}"),
+    ],
+)
+def test_times_of_a_table_of_fixes(tmp_path: Path, header: str, row: str) -> None:
+    mark = ";" if ";" in row else ","
+    later = row.replace("12:00:00", "12:00:01").replace("12:00:18", "12:00:19")
+    later = later.replace("302418", "302419").replace(f"{NOON:.0f}", f"{NOON + 1:.0f}")
+    later = later.replace(f"{NOON - GPS_EPOCH + 18:.0f}", f"{NOON - GPS_EPOCH + 19:.0f}")
+    rows = [(words + "," + THERE).replace(",", mark) for words in (row, later)]
+
+    log = table(tmp_path / "fixes.csv", (header + "," + PLACE).replace(",", mark), *rows)
+
+    assert log.t.tolist() == [NOON, NOON + 1.0]
+    assert log.is_dated
+
+
+def test_a_receivers_own_clock_is_not_utc(tmp_path: Path) -> None:
+    log = table(tmp_path / "fixes.csv", "t_ms," + PLACE, "7000," + THERE, "7200," + THERE)
+    assert log.t.tolist() == [7.0, 7.2]
+    assert not log.is_dated
+
+
+def test_table_of_fixes_with_preamble_and_what_else_it_knows(tmp_path: Path) -> None:
+    path = tmp_path / "fixes.csv"
+    names = "sd_n[m],sd_e[m],sd_u[m],vn(m/s),ve(m/s),vu(m/s),sd_vn,sd_ve,sd_vu,fix_type"
+    path.write_text(
+        "# a receiver\nrecorded by somebody\n"
+        f"timestamp,latitude (deg),longitude (deg),altitude (m),{names}\n"
+        f"{NOON},{THERE},0.1,0.2,0.3,1,2,3,0.4,0.5,0.6,6\n"
+        f"{NOON + 1},{THERE},0.1,0.2,0.3,1,2,3,0.4,0.5,0.6,4\n"
+        f"{NOON + 2},{THERE},0.1,0.2,0.3,1,2,3,0.4,0.5,0.6,1\n"
+        f"{NOON + 3},32.1,"
+    )
+
+    assert formats.format_of(path) is gnss_text
+    log = gnss_text.read_gnss(path)
+
+    assert log.lla[0] == pytest.approx(LLA)
+    assert log.status.tolist() == [GBAS_FIX, SBAS_FIX]  # the third is no fix
+    assert np.diag(log.covariance_n[0]) == pytest.approx([0.01, 0.04, 0.09])
+    assert log.velocity_n is not None and log.velocity_covariance_n is not None
+    assert log.velocity_n[0].tolist() == [1.0, 2.0, -3.0]
+    assert np.diag(log.velocity_covariance_n[0]) == pytest.approx([0.16, 0.25, 0.36])
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "expected"),
+    [
+        ("status", ["2", "0", "-1"], [GBAS_FIX, FIX]),
+        ("quality", ["4", "2", "0"], [GBAS_FIX, SBAS_FIX]),
+        ("Q", ["1", "5", "9"], [GBAS_FIX, FIX, FIX]),
+        ("fix", ["RTK fixed", "DGPS", "no fix"], [GBAS_FIX, SBAS_FIX]),
+        ("fix", ["1", "2", "3"], [FIX, FIX, FIX]),  # whose numbers?
+    ],
+)
+def test_status_in_a_table_of_fixes(
+    tmp_path: Path, name: str, words: list[str], expected: list[int]
+) -> None:
+    rows = [f"{NOON + k},{THERE},{word}" for k, word in enumerate(words)]
+    log = table(tmp_path / "fixes.csv", f"time,{PLACE},{name}", *rows)
+    assert log.status.tolist() == expected
+    assert NO_FIX not in log.status
+
+
+def test_covariances_and_accuracies_of_a_table_of_fixes(tmp_path: Path) -> None:
+    rows = [f"{NOON + k},{THERE},0.01,0.04,0.09,0.001,0.002,0.003" for k in range(2)]
+    names = "cov_nn,cov_ee,cov_uu,cov_ne,cov_eu,cov_nu"
+    log = table(tmp_path / "fixes.csv", f"time,{PLACE},{names}", *rows)
+    expected = [[0.01, 0.001, -0.003], [0.001, 0.04, -0.002], [-0.003, -0.002, 0.09]]
+    assert log.covariance_n[0] == pytest.approx(np.array(expected))
+
+    rows = [f"{NOON + k},{THERE},0.2,0.3,2.0,90" for k in range(2)]
+    log = table(tmp_path / "fixes.csv", f"time,{PLACE},hacc,vacc,speed,course", *rows)
+    assert np.diag(log.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09])
+    assert log.velocity_n is not None
+    assert log.velocity_n[0, :2] == pytest.approx([0.0, 2.0], abs=1e-12)
+
+    log = table(tmp_path / "fixes.csv", f"time,{PLACE}", *(f"{NOON + k},{THERE}" for k in (0, 1)))
+    assert np.isnan(log.covariance_n[0]).any()  # the node's default is used
+
+
+def test_earth_fixed_and_local_tables_of_fixes(tmp_path: Path) -> None:
+    x, y, z = lla_to_ecef(np.array(LLA))
+    place = f"{x:.4f},{y:.4f},{z:.4f}"
+    log = table(tmp_path / "a.csv", "time,X,Y,Z", *(f"{NOON + k},{place}" for k in (0, 1)))
+    assert log.lla[0, :2] == pytest.approx(LLA[:2], abs=1e-10)
+
+    path = tmp_path / "b.csv"
+    path.write_text(f"time,east,north,up\n{NOON},3.0,4.0,5.0\n{NOON + 1},3.0,4.0,5.0\n")
+    with pytest.raises(InputError, match="local coordinates: give their origin, --origin"):
+        gnss_text.read_gnss(path)
+    log = gnss_text.read_gnss(path, np.array(LLA))
+    assert LocalFrame(np.array(LLA)).position(log.lla[0]) == pytest.approx([4.0, 3.0, -5.0])
+
+
+def test_compressed_tables_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "fixes.csv.gz"
+    with gzip.open(path, "wt") as stream:
+        stream.write(f"time,{PLACE}\n{NOON},{THERE}\n{NOON + 1},{THERE}\n")
+    assert formats.format_of(path) is gnss_text
+    assert gnss_text.read_gnss(path).t.tolist() == [NOON, NOON + 1.0]
 
 
 def sentence(body: str) -> str:
@@ -153,6 +324,102 @@ def test_ulog(tmp_path: Path) -> None:
     assert np.diag(gnss.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09], rel=1e-5)
 
 
+def dataflash(path: Path) -> None:
+    """Write a dataflash log with two IMU samples and a fix, by the format's description."""
+    formats_of = {  # type, format, columns
+        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
+        "IMU": (129, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+        "GPS": (130, "QBBIHLLefff", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,Spd,GCrs,VZ"),
+        "GPA": (131, "QBfffff", "TimeUS,I,VDop,HAcc,VAcc,SAcc,Und"),
+    }
+    codes = {"n": "4s", "N": "16s", "Z": "64s", "L": "i", "e": "i"}
+
+    def message(name: str, *values: object) -> bytes:
+        kind, layout, _ = formats_of[name]
+        return (
+            b"\xa3\x95"
+            + bytes([kind])
+            + struct.pack("<" + "".join(codes.get(code, code) for code in layout), *values)
+        )
+
+    parts = [
+        message(
+            "FMT",
+            kind,
+            3 + struct.calcsize("<" + "".join(codes.get(code, code) for code in layout)),
+            name.encode(),
+            layout.encode(),
+            columns.encode(),
+        )
+        for name, (kind, layout, columns) in formats_of.items()
+    ]
+    for t_us in (1_000_000, 1_020_000):
+        parts.append(message("IMU", t_us, 0, 0.1, 0.2, 0.3, 1.0, 2.0, -9.8))
+        parts.append(message("IMU", t_us, 1, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0))
+    fix = (321_000_000, 348_000_000, 7000, 2.0, 90.0, -3.0)
+    parts.append(message("GPS", 1_010_000, 0, 6, 302_418_000, 2288, *fix))
+    parts.append(message("GPA", 1_010_000, 0, 1.0, 0.2, 0.3, 0.5, 20.0))
+    path.write_bytes(b"".join(parts))
+
+
+def telemetry(path: Path) -> None:
+    """Write a telemetry log with two IMU samples and a fix."""
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    link = mavlink.MAVLink(None)
+    messages = [
+        mavlink.MAVLink_raw_imu_message(t_us, 102, 204, -1000, 100, 200, 300, 0, 0, 0)
+        for t_us in (1_000_000, 1_020_000)
+    ]
+    messages.append(
+        mavlink.MAVLink_gps_raw_int_message(
+            1_010_000, 6, 321_000_000, 348_000_000, 70_000, 80, 90, 200, 9000, 12,
+            alt_ellipsoid=50_000, h_acc=200, v_acc=300, vel_acc=500,
+        )
+    )  # fmt: skip
+    stamp = struct.pack(">Q", round(NOON * 1e6))
+    path.write_bytes(b"".join(stamp + message.pack(link) for message in messages))
+
+
+@pytest.mark.parametrize("write", [dataflash, telemetry])
+def test_ardupilot(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    pytest.importorskip("pymavlink")
+    path = tmp_path / "log"
+    write(path)
+
+    assert formats.format_of(path) is ardupilot
+    imu, gnss = formats.read_logs([path])
+
+    assert imu.t.tolist() == pytest.approx([1.0, 1.02])
+    assert imu.specific_force[0] == pytest.approx([1.0, -2.0, 9.8], rel=1e-3)  # FRD becomes FLU
+    assert imu.angular_rate[0] == pytest.approx([0.1, -0.2, -0.3], rel=1e-6)
+    assert gnss.t.tolist() == pytest.approx([1.01])
+    assert gnss.lla[0] == pytest.approx(LLA)  # above the ellipsoid
+    assert gnss.status.tolist() == [GBAS_FIX]
+    assert np.diag(gnss.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09], rel=1e-5)
+    assert gnss.velocity_n is not None
+    assert gnss.velocity_n[0, :2] == pytest.approx([0.0, 2.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("module", "needed", "content"),
+    [
+        (ulog, "pyulog", b"ULog\x01\x12\x35\x01"),
+        (ardupilot, "pymavlink", b"\xa3\x95\x80\x80"),
+        (ubx, "pyubx2", b"\xb5\x62\x01\x07"),
+        (nmea, "pynmeagps", b"$GNGGA,120000.00,3206.0,N,03448.0,E,4,12,0.8,30.0,M,20.0,M,,*00"),
+    ],
+)
+def test_a_missing_library_is_named(
+    module: ModuleType, needed: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, needed, None)
+    path = tmp_path / "log"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"need {needed}: pip install {needed}"):
+        module.read_gnss(path)
+
+
 @pytest.mark.parametrize(
     ("force", "rate", "unit_of_time"),
     [(1.0, 1.0, 1.0), (1 / 9.80665, np.degrees(1.0), 1e3), (1e3 / 9.80665, np.degrees(1.0), 1e6)],
@@ -197,6 +464,25 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, text: str, told: 
     assert "\n" not in str(caught.value)
 
 
+def test_damaged_tables_never_end_in_a_traceback(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    names = f"date,time,{PLACE},sd_n,sd_e,sd_u,status\n"
+    rows = (f"2023/11/15,12:00:{k:02d}.0,{THERE},0.1,0.2,0.3,fixed\n" for k in range(30))
+    sound = (names + "".join(rows)).encode()
+    path, read = tmp_path / "fixes.csv", 0
+    for _ in range(200):
+        damaged = bytearray(sound)
+        for at in rng.integers(len(damaged), size=rng.integers(1, 40)):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged[: rng.integers(len(damaged))])
+        with contextlib.suppress(InputError):
+            if formats.format_of(path) is gnss_text:
+                log = gnss_text.read_gnss(path)
+                read += 1
+                assert np.isfinite(log.lla[:, :2]).all()
+    assert read > 50
+
+
 def walk(offset: float) -> tuple[ImuLog, GnssLog]:
     """Return logs of a walk with turns, the IMU's clock ``offset`` behind."""
     rng = np.random.default_rng(3)
@@ -228,6 +514,40 @@ def test_clock_offset_is_found_by_turns() -> None:
     offset, correlation = clock_offset(imu, gnss)
     assert offset == pytest.approx(NOON + 37.4, abs=0.15)
     assert correlation > 0.8
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [
+        (1.0, ""),
+        (np.degrees(1.0), "by the course the rates are in deg/s: converted"),
+        (np.radians(1.0), "by the course the rates are in rad/s: not converted"),
+        (-1.0, "turns against the course"),
+        (2.0, "turns 2"),
+    ],
+)
+def test_wrong_units_and_signs_of_rates_are_seen(
+    factor: float, told: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    imu, gnss = walk(-NOON)
+    found = check_imu(replace(imu, angular_rate=imu.angular_rate * factor), gnss)
+    assert told in caplog.text
+    assert bool(told) == bool(caplog.text)
+    corrected = turn_factor(found, gnss)
+    assert corrected is not None
+    assert (0.7 < corrected < 1.4) == (factor not in (-1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("axes", "told"), [([0, 1, 2], ""), ([2, 1, 0], "not up"), ([0, 1, -3], "along +z")]
+)
+def test_wrong_axes_are_seen(axes: list[int], told: str, caplog: pytest.LogCaptureFixture) -> None:
+    imu, gnss = walk(-NOON)
+    turned = [-readings if axes[2] < 0 else readings[:, axes]
+              for readings in (imu.specific_force, imu.angular_rate)]  # fmt: skip
+    check_imu(replace(imu, specific_force=turned[0], angular_rate=turned[1]), gnss)
+    assert told in caplog.text
+    assert bool(told) == bool(caplog.text)
 
 
 def test_straight_motion_shows_no_clock_offset() -> None:

@@ -1,0 +1,174 @@
+"""
+Logs of ArduPilot: dataflash (``*.bin``) and telemetry (``*.tlog``). Needs `pymavlink`.
+
+References
+----------
+ArduPilot documentation, "Onboard message log messages": IMU, GPS, GPA. MAVLink common message
+set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, ImuLog, diagonal
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import FLIP
+
+DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
+MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2
+YEARS_US = 978_307_200_000_000, 4_102_444_800_000_000  # 2001 to 2100, of telemetry stamps
+STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
+GRAVITY = 9.80665
+IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
+    "HIGHRES_IMU": (1.0, 1.0),
+    "RAW_IMU": (1e-3 * GRAVITY, 1e-3),
+    "SCALED_IMU": (1e-3 * GRAVITY, 1e-3),
+}
+UNKNOWN = 65_535  # of speed and course in GPS_RAW_INT
+
+
+def recognise(head: bytes) -> bool:
+    """Tell whether a file begins as a dataflash or telemetry log."""
+    return head.startswith(DATAFLASH) or _is_telemetry(head)
+
+
+def _is_telemetry(head: bytes) -> bool:
+    if len(head) < 9 or head[8] not in MAVLINK:
+        return False
+    [stamp_us] = struct.unpack(">Q", head[:8])
+    return bool(YEARS_US[0] < stamp_us < YEARS_US[1])
+
+
+def read_imu(path: Path) -> ImuLog:
+    """
+    Read the first IMU, by the autopilot's clock.
+
+    Raises
+    ------
+    InputError
+        `pymavlink` is not installed, or the log cannot be read or holds no IMU.
+    """
+    if _is_dataflash(path):
+        rows: list[tuple[float, ...]] = [
+            (m.TimeUS * 1e-6, m.AccX, m.AccY, m.AccZ, m.GyrX, m.GyrY, m.GyrZ)
+            for m in _messages(path, "IMU")
+            if getattr(m, "I", 0) == 0
+        ]
+        hint = "set LOG_BITMASK to log the IMU"
+    else:
+        found: dict[str, list[tuple[float, ...]]] = {name: [] for name in IMU_MESSAGES}
+        for m in _messages(path, *IMU_MESSAGES):
+            name = m.get_type()
+            unit_f, unit_w = IMU_MESSAGES[name]
+            t = m.time_boot_ms * 1e-3 if name == "SCALED_IMU" else m.time_usec * 1e-6
+            force = (m.xacc * unit_f, m.yacc * unit_f, m.zacc * unit_f)
+            found[name].append((t, *force, m.xgyro * unit_w, m.ygyro * unit_w, m.zgyro * unit_w))
+        rows = next((part for part in found.values() if part), [])
+        hint = "raise the stream rate of the raw sensors, or use the dataflash log"
+    if not rows:
+        raise InputError(f"{path}: holds no IMU message; {hint}")
+    table = np.array(rows, float)
+    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    return ImuLog(path, table[:, 0], table[:, 1:4] @ FLIP, table[:, 4:7] @ FLIP, False)
+
+
+def read_gnss(path: Path) -> GnssLog:
+    """
+    Read the first receiver's fixes, by the autopilot's clock.
+
+    Heights are above the ellipsoid where the log has the geoid's, else above sea level.
+
+    Raises
+    ------
+    InputError
+        `pymavlink` is not installed, or the log cannot be read or holds no fix.
+    """
+    rows = _dataflash_fixes(path) if _is_dataflash(path) else _telemetry_fixes(path)
+    if not rows:
+        raise InputError(f"{path}: holds no three-dimensional fix")
+    table = np.array(rows, float)
+    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    t, status, lla, velocity, accuracy = np.split(table, [1, 2, 5, 8], axis=1)
+    accuracy[accuracy <= 0.0] = np.nan
+    horizontal, vertical, speed = accuracy.T
+    return GnssLog(
+        path,
+        t[:, 0],
+        np.column_stack((np.radians(lla[:, :2]), lla[:, 2])),
+        diagonal(np.column_stack((horizontal / 2**0.5, horizontal / 2**0.5, vertical))),
+        np.array([STATUS[int(kind)] for kind in status[:, 0]], np.int8),
+        velocity,
+        diagonal(np.column_stack([speed / 3**0.5] * 3)),
+        is_dated=False,
+    )
+
+
+def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:
+    """Return rows: time, kind, latitude, longitude, height, velocity NED, three accuracies."""
+    rows: list[tuple[float, ...]] = []
+    accuracy: dict[int, Any] = {}
+    fixes = []
+    for m in _messages(path, "GPS", "GPA"):
+        if getattr(m, "I", 0) == 0:
+            if m.get_type() == "GPA":
+                accuracy[m.TimeUS] = m
+            elif m.Status in STATUS:
+                fixes.append(m)
+    for m in fixes:
+        own = accuracy.get(m.TimeUS)
+        course = np.radians(m.GCrs)
+        height = m.Alt - (getattr(own, "Und", 0.0) if own is not None else 0.0)
+        place = (m.Lat, m.Lng, height)
+        velocity = (m.Spd * np.cos(course), m.Spd * np.sin(course), m.VZ)
+        told = (own.HAcc, own.VAcc, own.SAcc) if own is not None else (np.nan,) * 3
+        rows.append((m.TimeUS * 1e-6, m.Status, *place, *velocity, *told))
+    return rows
+
+
+def _telemetry_fixes(path: Path) -> list[tuple[float, ...]]:
+    """Return rows as `_dataflash_fixes`."""
+    rows: list[tuple[float, ...]] = []
+    for m in _messages(path, "GPS_RAW_INT"):
+        if m.fix_type not in STATUS:
+            continue
+        is_moving_known = UNKNOWN not in (m.vel, m.cog)
+        speed = m.vel * 1e-2 if is_moving_known else np.nan
+        course = np.radians(m.cog * 1e-2)
+        height = (getattr(m, "alt_ellipsoid", 0) or m.alt) * 1e-3
+        place = (m.lat * 1e-7, m.lon * 1e-7, height)
+        velocity = (speed * np.cos(course), speed * np.sin(course), np.nan)
+        accuracy = (getattr(m, name, 0) * 1e-3 for name in ("h_acc", "v_acc", "vel_acc"))
+        rows.append((m.time_usec * 1e-6, m.fix_type, *place, *velocity, *accuracy))
+    return rows
+
+
+def _is_dataflash(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(3) == DATAFLASH
+
+
+def _messages(path: Path, *types: str) -> Iterator[Any]:
+    try:
+        from pymavlink import mavutil
+        from pymavlink.DFReader import DFReader_binary
+    except ImportError:
+        raise InputError(f"{path}: ArduPilot logs need pymavlink: pip install pymavlink") from None
+    log = None
+    try:
+        log = DFReader_binary(str(path)) if _is_dataflash(path) else None
+        log = log or mavutil.mavlink_connection(str(path))
+        while (message := log.recv_match(type=list(types))) is not None:
+            yield message
+    except InputError:
+        raise
+    except Exception as error:  # the library raises what the damage leads to
+        raise InputError(f"{path}: no readable log of ArduPilot: {error}") from None
+    finally:
+        if log is not None:
+            log.close()

@@ -1,0 +1,351 @@
+"""
+Tables of fixes in text, with a line of names: latitude and longitude, Earth-fixed, or local.
+
+Columns are found by their names, in any order and in the usual spellings (``NAMES``); a unit may
+follow in brackets or after an underscore. Time is one column (seconds, milliseconds, microseconds
+or nanoseconds, or ISO 8601), a date and a time, or a GPS week and its seconds; it is UTC unless
+the name says GPS. Standard deviations, covariances, status and velocity are used where they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    GPS_EPOCH,
+    NO_FIX,
+    SBAS_FIX,
+    WEEK,
+    GnssLog,
+    diagonal,
+    from_ecef,
+    text_of,
+    utc_from_gps,
+)
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.trajectory import Array
+
+NAMES = {  # quantity: what its column may be called, unit and punctuation taken off
+    "week": "week|gpsweek|gwk|wn",
+    "tow": "tow|itow|sow|gpstow|secondsofweek|gpsseconds|timeofweek|gms",
+    "date": "date|gpsdate|utcdate|day",
+    "clock": "time|utc|utctime|gpstime|gpst|timeofday|clock",
+    "t": "t|time|timestamp|stamp|utc|utctime|gpst|gpstime|unixtime|datetime|epoch|sec|seconds",
+    "lat": "lat|latitude",
+    "lon": "lon|lng|long|longitude",
+    "height": "h|height|hgt|alt|altitude|hell|ellipsoidalheight|heightellipsoid|altellipsoid",
+    "x": "x|ecefx|xecef|posx",
+    "y": "y|ecefy|yecef|posy",
+    "z": "z|ecefz|zecef|posz",
+    "east": "e|east|easting|localx",
+    "north": "n|north|northing|localy",
+    "up": "u|up|localz",
+    "sdn": "(sd|sigma|std|stdev)_?(n|north|lat|latitude)",
+    "sde": "(sd|sigma|std|stdev)_?(e|east|lon|longitude)",
+    "sdu": "(sd|sigma|std|stdev)_?(u|up|h|height|alt|altitude|d)",
+    "sdx": "(sd|sigma|std|stdev)_?x",
+    "sdy": "(sd|sigma|std|stdev)_?y",
+    "sdz": "(sd|sigma|std|stdev)_?z",
+    "hacc": "hacc|eph|horizontalaccuracy|accuracy|accuracyh|sigmah|horizontalstd",
+    "vacc": "vacc|epv|verticalaccuracy|accuracyv|sigmav|verticalstd",
+    "covnn": "(cov|var)_?(nn|n)",
+    "covee": "(cov|var)_?(ee|e)",
+    "covuu": "(cov|var)_?(uu|u|dd|d)",
+    "covne": "cov_?(ne|en)",
+    "coveu": "cov_?(eu|ue)",
+    "covnu": "cov_?(nu|un)",
+    "vn": "vn|veln|vnorth|velnorth|velocitynorth|northvelocity",
+    "ve": "ve|vele|veast|veleast|velocityeast|eastvelocity",
+    "vu": "vu|velu|vup|velup|velocityup|upvelocity",
+    "vd": "vd|veld|vdown|veldown|velocitydown|downvelocity",
+    "speed": "speed|groundspeed|gspeed|sog|spd",
+    "course": "course|cog|headmot|headingofmotion|track|gcrs",
+    "sdvn": "(sd|sigma|std)_?(vn|veln|velnorth)",
+    "sdve": "(sd|sigma|std)_?(ve|vele|veleast)",
+    "sdvu": "(sd|sigma|std)_?(vu|vd|velu|veld|velup|veldown)",
+    "sacc": "sacc|speedaccuracy|accuracyspeed",
+    "Q": "q|rtklibq|solutionquality",
+    "gga": "quality|gga|ggaquality|fixquality|gpsquality|qual",
+    "fixtype": "fixtype|gpsfixtype",
+    "status": "status|navsatstatus|fix|fixstatus|solution|solutionstatus|mode|carrsoln|type",
+}
+WORDS = {  # that a status may contain
+    GBAS_FIX: r"rtk|fixed|float|int|narrow|carrier|ppp",
+    SBAS_FIX: r"sbas|dgps|dgnss|diff|waas|egnos",
+    NO_FIX: r"no|none|invalid|lost",
+    FIX: r"fix|3d|single|spp|gps|valid|ok|autonomous|standalone",
+}
+CODES = {  # numbers of a status, by whose they are
+    "Q": {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX},
+    "gga": {0: NO_FIX, 1: FIX, 2: SBAS_FIX, 3: FIX, 4: GBAS_FIX, 5: GBAS_FIX, 9: SBAS_FIX},
+    "fixtype": {0: NO_FIX, 1: NO_FIX, 2: FIX, 3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX},
+}
+UNIT = r"[\[(].*?[\])]|_(deg|rad|m|mm|s|ms|us|ns|mps|m_s|utc|degrees|meters|metres|seconds)$"
+DATES = ("%Y/%m/%d", "%Y-%m-%d", "%d.%m.%Y", "%Y%m%d", "%d/%m/%Y")
+EARTH = (6.3e6, 6.4e6)  # m, distances of Earth-fixed positions from the centre
+DEGREES_1E7 = 1e4  # a latitude beyond it counts in 1e-7 degrees
+
+
+def recognise(head: bytes) -> bool:
+    """Tell whether a file has a line of names with a position and a time, and rows below."""
+    return _table(head.decode("utf-8", "replace").splitlines()[:-1]) is not None
+
+
+def read_gnss(path: Path, origin: Array | None = None) -> GnssLog:
+    """
+    Read a table of fixes.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    origin : ndarray, shape (3,), optional
+        Of local coordinates: latitude, longitude [rad], height [m].
+
+    Raises
+    ------
+    InputError
+        A column is missing or cannot be understood, or local coordinates have no origin.
+    """
+    found = _table(text_of(path).splitlines())
+    assert found is not None
+    table = _Columns(path, *found)
+    t, is_dated = table.time()
+    status = table.status()
+    velocity, velocity_covariance = table.velocity()
+    if "lat" in table.at:
+        lla = np.column_stack((table.angle("lat"), table.angle("lon"), table.height()))
+        covariance = table.covariance()
+    elif "x" in table.at:
+        ecef = np.column_stack([table["x"], table["y"], table["z"]])
+        lla, covariance, _ = from_ecef(ecef, table.covariance_of(("sdx", "sdy", "sdz")))
+        if not np.isfinite(covariance).any():
+            covariance = table.covariance()
+    else:
+        if origin is None:
+            raise InputError(f"{path}: holds local coordinates: give their origin, --origin")
+        enu = np.column_stack([table["east"], table["north"], table["up"]])
+        lla = LocalFrame(origin).lla(enu[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+        covariance = table.covariance()
+    good = np.isfinite(t) & np.isfinite(lla[:, :2]).all(axis=1) & (status >= 0)
+    good[good] &= np.append(True, np.diff(np.maximum.accumulate(t[good])) > 0.0)
+    if not good.any():
+        raise InputError(f"{path}: no row holds a fix")
+    return GnssLog(
+        path,
+        t[good],
+        lla[good],
+        covariance[good],
+        status[good],
+        None if velocity is None else velocity[good],
+        None if velocity_covariance is None else velocity_covariance[good],
+        is_dated,
+    )
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line, without quotes."""
+    for separator in ",;\t":
+        if separator in line:
+            return [word.strip() for word in next(csv.reader([line], delimiter=separator))]
+    return line.split()
+
+
+def _quantities(names: list[str]) -> dict[str, int]:
+    """Return the column of each quantity."""
+    plain = [re.sub(r"[^a-z_]", "", re.sub(UNIT, "", name.lower())) for name in names]
+    at: dict[str, int] = {}
+    for what, pattern in NAMES.items():
+        for column, name in enumerate(plain):
+            if re.fullmatch(pattern, name) or re.fullmatch(pattern, name.replace("_", "")):
+                at.setdefault(what, column)
+    if at.get("date", at.get("clock")) == at.get("clock"):  # one column alone is no date and time
+        at.pop("clock", None)
+    return at
+
+
+def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
+    """Return the names and the rows of a table, or None: preamble and cut lines are left out."""
+    for number, line in enumerate(lines[:200]):
+        names = _words(line.lstrip("#% "))
+        at = _quantities(names)
+        is_timed = "t" in at or {"week", "tow"} <= at.keys() or {"date", "clock"} <= at.keys()
+        places = ({"lat", "lon"}, {"x", "y", "z"}, {"east", "north", "up"})
+        if is_timed and any(place <= at.keys() for place in places):
+            rows = [_words(row) for row in lines[number + 1 :] if row[:1] not in "#%"]
+            rows = [row for row in rows if len(row) == len(names)]
+            if not rows or ("lat" not in at and "x" in at and not _is_on_earth(rows[0], at)):
+                return None
+            return names, rows
+    return None
+
+
+def _is_on_earth(row: list[str], at: dict[str, int]) -> bool:
+    distance = np.linalg.norm([_number(row[at[axis]]) for axis in "xyz"])
+    return bool(EARTH[0] < distance < EARTH[1])
+
+
+class _Columns:
+    """The columns of a table by the quantities that they hold."""
+
+    def __init__(self, path: Path, names: list[str], rows: list[list[str]]) -> None:
+        self.path, self.names = path, names
+        self.at = _quantities(names)
+        self._text = list(zip(*rows, strict=True))
+
+    def __getitem__(self, what: str) -> Array:
+        """Return a column as numbers; NaN where there is none, and everywhere without it."""
+        if what not in self.at:
+            return np.full(len(self._text[0]), np.nan)
+        return np.array([_number(word) for word in self.text(what)])
+
+    def text(self, what: str) -> tuple[str, ...]:
+        """Return a column's words."""
+        return self._text[self.at[what]]
+
+    def name(self, what: str) -> str:
+        """Return a column's name in lower case, with its unit."""
+        return self.names[self.at[what]].lower()
+
+    def angle(self, what: str) -> Array:
+        """Return latitude or longitude [rad]: degrees, 1e-7 degrees, or as the name says."""
+        values = self[what]
+        if "rad" in self.name(what):
+            return values
+        large = np.nanmax(np.abs(self["lat"]), initial=0.0) > DEGREES_1E7
+        return np.radians(values * (1e-7 if large else 1.0))
+
+    def height(self) -> Array:
+        """Return the height [m]; NaN where there is none."""
+        is_mm = "height" in self.at and "mm" in self.name("height")
+        return self["height"] * (1e-3 if is_mm else 1.0)
+
+    def time(self) -> tuple[Array, bool]:
+        """Return the times [s], and whether they are UTC; else the clock is one of its own."""
+        if {"week", "tow"} <= self.at.keys():
+            tow = self["tow"]
+            tow = tow * (1e-3 if np.nanmax(tow) > WEEK else 1.0)
+            return utc_from_gps(self["week"] * WEEK + tow), True
+        if "clock" in self.at:
+            words = zip(self.text("date"), self.text("clock"), strict=True)
+            t = np.array([_date(day) + _time_of_day(clock) for day, clock in words])
+            return self._utc(t, self.name("date") + self.name("clock")), True
+        t = self["t"]
+        if np.isnan(t).mean() > 0.5:
+            t = np.array([_iso(word) for word in self.text("t")])
+            return self._utc(t, self.name("t")), True
+        steps = np.diff(t[np.isfinite(t)])
+        step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
+        unit = next((u for u in (1.0, 1e-3, 1e-6, 1e-9) if 0.009 <= step * u <= 60.0), None)
+        if unit is None:
+            raise InputError(
+                f"{self.path}: steps of {step:g} are those of a receiver in no unit from s to ns"
+            )
+        t = t * unit
+        if np.nanmax(t) < 3e8:
+            return t, False
+        if "gps" in self.name("t") and np.nanmax(t) < 1.6e9:
+            return utc_from_gps(t), True
+        return self._utc(t, self.name("t")), True
+
+    def _utc(self, t: Array, name: str) -> Array:
+        """Return UTC of a calendar's seconds since 1970 in the time scale of a column's name."""
+        return utc_from_gps(t - GPS_EPOCH) if "gps" in name else t
+
+    def status(self) -> NDArray[np.int8]:
+        """Return the NavSatStatus of each row; FIX where nothing tells it."""
+        for what, codes in CODES.items():
+            if what in self.at:
+                return self._coded(what, lambda code, codes=codes: codes.get(code, FIX))  # type: ignore[misc]
+        if "status" in self.at:
+            # Of other numbers only those below zero have one meaning: no fix.
+            is_ros = set(np.unique(self["status"]).tolist()) <= {-2.0, -1.0, 0.0, 1.0, 2.0}
+            is_ros &= "status" in self.name("status")
+            return self._coded("status", lambda code: code if is_ros or code < 0 else FIX)
+        return np.full(len(self._text[0]), FIX, np.int8)
+
+    def _coded(self, what: str, meaning: Callable[[int], int]) -> NDArray[np.int8]:
+        codes = []
+        for word in self.text(what):
+            number = _number(word)
+            if np.isfinite(number):
+                codes.append(meaning(int(number)))
+            else:
+                matches = (s for s, text in WORDS.items() if re.search(text, word.lower()))
+                codes.append(next(matches, FIX))
+        return np.array(codes, np.int8)
+
+    def covariance_of(self, names: tuple[str, str, str]) -> Array:
+        """Return covariances (M, 3, 3) of three columns of standard deviations."""
+        return diagonal(np.column_stack([self[name] for name in names]))
+
+    def covariance(self) -> Array:
+        """Return (M, 3, 3), NED, by covariances, deviations, or a horizontal and a vertical one."""
+        if "covnn" in self.at:
+            P = np.zeros((len(self._text[0]), 3, 3))
+            for i, j, what, sign in (
+                *((0, 0, "covnn", 1.0), (1, 1, "covee", 1.0), (2, 2, "covuu", 1.0)),
+                *((0, 1, "covne", 1.0), (1, 2, "coveu", -1.0), (0, 2, "covnu", -1.0)),
+            ):
+                if i == j or what in self.at:
+                    P[:, i, j] = P[:, j, i] = sign * self[what]
+            return P
+        if "sdn" in self.at:
+            return self.covariance_of(("sdn", "sde", "sdu"))
+        horizontal = self["hacc"] / 2**0.5
+        vertical = self["vacc"] if "vacc" in self.at else 1.5 * horizontal
+        return diagonal(np.column_stack((horizontal, horizontal, vertical)))
+
+    def velocity(self) -> tuple[Array | None, Array | None]:
+        """Return velocities (M, 3), NED, and their covariances, where there are any."""
+        down = -self["vu"] if "vu" in self.at else self["vd"]
+        if {"vn", "ve"} <= self.at.keys():
+            velocity = np.column_stack((self["vn"], self["ve"], down))
+        elif {"speed", "course"} <= self.at.keys():
+            course = np.radians(self["course"])
+            speed = self["speed"]
+            velocity = np.column_stack((speed * np.cos(course), speed * np.sin(course), down))
+        else:
+            return None, None
+        if "sdvn" in self.at:
+            return velocity, self.covariance_of(("sdvn", "sdve", "sdvu"))
+        return velocity, diagonal(np.column_stack([self["sacc"] / 3**0.5] * 3))
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return np.nan
+
+
+def _date(word: str) -> float:
+    for form in DATES:
+        try:
+            return datetime.strptime(word, form).replace(tzinfo=timezone.utc).timestamp()
+        except ValueError:
+            continue
+    return np.nan
+
+
+def _time_of_day(word: str) -> float:
+    parts = [_number(part) for part in word.rstrip("Z").split(":")]
+    if len(parts) == 3:
+        return 3600.0 * parts[0] + 60.0 * parts[1] + parts[2]
+    [number] = parts if len(parts) == 1 else [np.nan]  # hhmmss.ss
+    return 3600.0 * (number // 1e4) + 60.0 * (number // 100 % 100) + number % 100.0
+
+
+def _iso(word: str) -> float:
+    day, _, clock = word.strip().replace("T", " ").partition(" ")
+    return _date(day) + _time_of_day(re.sub(r"(Z|\+00:?00)$", "", clock.strip()))
