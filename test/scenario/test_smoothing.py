@@ -63,6 +63,22 @@ def test_smoothed_outage_is_a_fraction_of_the_filtered_one(tmp_path: Path) -> No
     assert 0.3 < after.nees_position.per_dof < 3.0
 
 
+def test_verdicts_of_a_smoothed_run_have_the_clock_offset_that_was_found(tmp_path: Path) -> None:
+    # GIVEN a flight whose fixes are stamped 0.2 s late, of which the filter is not told
+    source = simulated(tmp_path / "flight.mcap", "--time-offset", "0.2", "--gnss-rate", "5")
+    unknown = {"gnss.time_offset.estimate": True}
+    filtered, _ = replayed(source, tmp_path / "filtered.mcap", smooth=False, **unknown)
+    # WHEN it is smoothed
+    smooth, _ = replayed(source, tmp_path / "smoothed.mcap", smooth=True, **unknown)
+    # THEN the offset of the first fixes is that which the later ones confirmed
+    before, after = (read_run(bag).verdicts.time_offset for bag in (filtered, smooth))
+    truth = before[-1]
+    assert abs(before[0] - truth) > 0.1
+    assert np.abs(after - truth).max() < 0.02
+    # AND the errors are those of the track, not of the clock that the filter believed in
+    assert judged(smooth, 5.0).prmse < 0.6 * judged(filtered, 5.0).prmse
+
+
 def test_smoothing_is_repeatable(tmp_path: Path) -> None:
     source = simulated(tmp_path / "flight.mcap", "--duration", "20")
     one, _ = replayed(source, tmp_path / "one.mcap", smooth=True)
