@@ -45,6 +45,7 @@ MOST_RUNS = len(COLOURS)
 _SIZE = (16.0, 9.0)  # inches
 _MARGINS = {"left": 0.045, "right": 0.99, "bottom": 0.055, "wspace": 0.14, "hspace": 0.28}
 _LEGEND_COLUMNS = 2
+_LONGEST_GAP_NS = 500_000_000  # between estimates that are interpolated
 
 
 def comparison(runs: Sequence[tuple[str, Run, Result]]) -> Figure:
@@ -69,24 +70,28 @@ def comparison(runs: Sequence[tuple[str, Run, Result]]) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=_SIZE, dpi=DPI)
         rows = -(-len(views) // _LEGEND_COLUMNS)
-        grid = figure.add_gridspec(4, 2, width_ratios=(2, 3), top=0.95 - 0.025 * rows, **_MARGINS)
-        track = figure.add_subplot(grid[0:3, 0])
+        panels = 5 if len(views) == 2 else 4  # two runs also have a separation
+        top = 0.95 - 0.025 * rows
+        grid = figure.add_gridspec(panels, 2, width_ratios=(2, 3), top=top, **_MARGINS)
+        track = figure.add_subplot(grid[:-1, 0])
         box = track.get_position()  # leaves room for its x label above the next panel's title
         track.set_position((box.x0, box.y0 + 0.02, box.width, box.height - 0.02))
-        height = figure.add_subplot(grid[3, 0])
-        timed = [height, *(figure.add_subplot(grid[i, 1], sharex=height) for i in range(4))]
+        height = figure.add_subplot(grid[-1, 0])
+        timed = [height, *(figure.add_subplot(grid[i, 1], sharex=height) for i in range(panels))]
         _draw_tracks(track, views)
         _draw_heights(height, views)
         _draw_errors(timed[1], views, "position", slice(0, 3), "position error", "m")
         _draw_errors(timed[2], views, "velocity", slice(0, 3), "velocity error", "m/s")
         _draw_errors(timed[3], views, "attitude", slice(2, 3), "heading error", "deg")
         _draw_errors(timed[4], views, "attitude", slice(0, 2), "tilt error", "deg")
+        if panels == 5:
+            _draw_separation(timed[5], *views)
         for axes in timed:
             for start, stop in views[0].outages():
                 axes.axvspan(start, stop, color=SHADE, zorder=0, lw=0)
-            axes.tick_params(labelbottom=axes in (timed[0], timed[4]))
+            axes.tick_params(labelbottom=axes in (timed[0], timed[-1]))
         shaded = f"; shaded: no accepted fix in {runs[0][0]}" if runs[0][2].outages else ""
-        for axes in (timed[0], timed[4]):
+        for axes in (timed[0], timed[-1]):
             axes.set_xlabel("time [s]" + shaded)
         figure.legend(
             handles=[track.lines[k] for k in range(len(views))],
@@ -170,6 +175,32 @@ def _draw_errors(
         axes.set_yscale("log")
     elif top > 0.0:
         axes.set_ylim(0.0, 1.2 * top)
+
+
+def _draw_separation(axes: Axes, first: RunView, second: RunView) -> None:
+    """
+    Draw how far two runs are apart, with the bound that holds for a filter and its smoother.
+
+    Their difference has the covariance P - P_s: beyond three deviations of it, what the filter
+    knew and what came later contradict each other.
+    """
+    axes.set(ylabel="m", title="separation of the two (dotted: 3 × σ of smoothed minus filtered)")
+    one, other = first.estimate, second.estimate
+    gap_ns = one.bracket_ns(other.stamp_ns)
+    other = other.rows((gap_ns >= 0) & (gap_ns <= _LONGEST_GAP_NS))
+    if not len(other):
+        mark_missing(axes, "no common time")
+        return
+    one = one.at(other.stamp_ns)
+    at = second.since(other.stamp_ns)
+    apart = _length(other.position_enu - one.position_enu)
+    axes.plot(*thin(at, apart), color=BLACK)
+    if one.position_cov is not None and other.position_cov is not None:
+        difference = one.position_cov - other.position_cov
+        bound = 3.0 * np.sqrt(np.abs(np.trace(difference, axis1=1, axis2=2)))
+        axes.plot(*thin(at, bound), color=BLACK, lw=0.9, ls=":")
+    if np.nanmax(apart) > 8.0 * np.nanmedian(apart) > 0.0:  # outages would flatten the rest
+        axes.set_yscale("log")
 
 
 def _length(rows: Array) -> Array:

@@ -6,16 +6,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import ticker
 from scipy import signal
 
-from hybrid_ins.plotting.style import BLUE, ORANGE
+from hybrid_ins.plotting.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from hybrid_ins.ros.trajectory import enu_from_lla
 from tools.field.flights import Fixes, Flight, Flown
 from tools.paper.figures import _axes, _save
 
 COLOURS = (BLUE, ORANGE)
 SPECTRUM_WINDOW = 240  # samples
+GROUPS = {  # title of a panel: how the names of its methods begin
+    "learned noise": "HB-AEKF",
+    "noise adapted to the innovations": "MB-EKF-AQ",
+    "constant noise": "",
+}
+OTHERS = (VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
 
 def path_and_levels(
@@ -124,20 +130,27 @@ def spectra(
 
 
 def distributions(file: Path, prmse: Mapping[str, np.ndarray]) -> None:
-    """Draw the share of runs with at most an error, for each method."""
-    figure, axes = _axes(1)
-    axis = np.atleast_1d(axes)[0]
-    colours = plt.get_cmap("tab20").colors
-    for k, (name, values) in enumerate(prmse.items()):
-        values = np.sort(values)
-        axis.step(
-            values,
-            (np.arange(len(values)) + 1) / len(values),
-            where="post",
-            label=name,
-            color=colours[k % len(colours)],
-            linewidth=2.4 if k == 0 else 1.2,
-        )
-    axis.set(xscale="log", xlabel="PRMSE of a run [m]", ylabel="share of runs")
-    figure.legend(loc="outside right center")
+    """
+    Draw the share of runs with at most an error, for each method.
+
+    A panel each for learned, adaptive and constant noise; the first method is in all of them.
+    """
+    first = next(iter(prmse))
+    figure, axes = _axes(len(GROUPS), sharex=True, sharey=True)
+    grouped: set[str] = set()
+    for axis, (title, prefix) in zip(np.atleast_1d(axes), GROUPS.items(), strict=True):
+        names = [name for name in prmse if name.startswith(prefix) and name not in grouped]
+        grouped.update(names)
+        others = [name for name in names if name != first]
+        for name, colour in zip((first, *others), (BLUE, *OTHERS, *OTHERS), strict=False):
+            values = np.sort(prmse[name])
+            share = (np.arange(len(values)) + 1) / len(values)
+            width = 2.4 if name == first else 1.2
+            axis.step(values, share, where="post", label=name, color=colour, linewidth=width)
+        axis.set(xscale="log", xlabel="PRMSE of a run [m]", title=title, ylim=(0.0, 1.0))
+        axis.xaxis.set_major_locator(ticker.LogLocator(subs=(0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.24), fontsize=7, frameon=False)
+    axes[0].set(ylabel="share of runs")
     _save(figure, file)

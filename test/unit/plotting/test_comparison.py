@@ -58,6 +58,23 @@ def test_every_run_has_its_name_figures_track_and_errors() -> None:
     )
 
 
+def test_two_runs_are_shown_with_their_separation_and_its_bound() -> None:
+    forward = complete_run()
+    assert forward.estimate.position_cov is not None
+    better = replace(
+        shifted(forward.estimate, [0.3, 0.4, 0.0]),
+        position_cov=0.36 * forward.estimate.position_cov,
+    )
+
+    figure = drawn(forward, replace(forward, name="smoothed", estimate=better))
+
+    apart, bound = panel(figure, "separation of the two").lines
+    assert np.median(apart.get_ydata()) == pytest.approx(0.5, abs=1e-6)
+    assert np.median(bound.get_ydata()) == pytest.approx(3 * 0.8 * 0.5 * 3**0.5, abs=1e-6)
+    three = drawn(*(replace(forward, name=name) for name in "abc"))
+    assert "separation" not in texts(three)
+
+
 def test_runs_of_different_datums_lie_on_one_map_and_one_time_axis() -> None:
     here = complete_run()
     there = LocalFrame(DATUM).lla(np.array([500.0, 300.0, 0.0]))
