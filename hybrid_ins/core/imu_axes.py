@@ -1,0 +1,381 @@
+"""
+Axes and units of an IMU, checked against the motion that fixes show.
+
+Where the readings fit the motion with other axes or units, and do not with those given, these are
+wrong, see `hybrid_ins.core.imu_axes_fit`. Where they fit as given, the mount may be wrong:
+specific force points up on average, and a vehicle that keeps one angle to its course moves along
+its nose.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter, deque
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.imu_axes_fit import (
+    CLOCK_OFFSETS,
+    INTERVALS,
+    STEP,
+    Fit,
+    Motion,
+    attitudes,
+    fit,
+    triples_of,
+)
+
+Array = NDArray[np.float64]
+
+WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
+LEAST_CHANGE = (1.0, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
+FEWEST = 8  # changes of velocity
+FITS, FITS_OTHER = 0.1, 0.3  # shares of the changes' squares left over as given, by other axes
+BETTER = 4.0  # times less is left over by other axes
+REFINED = 3  # hypotheses, the best of all
+PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
+ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
+TURN = 0.5  # rad, about an axis or of the course, that is a kind of motion
+CONFIRMATIONS = 2  # checks in a row that find the same
+MOST_OTHERS = 2  # explanations besides the most ordinary one
+UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
+LEAST_SPEED = 1.5  # m/s, of a course
+NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
+DEGREES = np.pi / 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class AxesFault:
+    """
+    What is wrong with an IMU's axes or units, in the IMU's own axes.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : ndarray, shape (3, 3)
+        What the readings are to be multiplied by.
+    mount : ndarray, shape (3, 3)
+        Rotation from the IMU's axes to b, after that.
+    turned : bool
+        The mount is not the one given.
+    by_course : bool
+        The mount was found from the course: it holds for a vehicle that moves along its nose.
+    no_turns : bool
+        The gyroscope shows no turns; nothing else is found.
+    at_rest : bool
+        Found from gravity alone: the accelerations may be reversed instead.
+    others : tuple of (ndarray, ndarray)
+        Accelerometer and gyroscope of other explanations that fit as well.
+    """
+
+    accelerometer: Array
+    gyroscope: Array
+    mount: Array
+    turned: bool = False
+    by_course: bool = False
+    no_turns: bool = False
+    at_rest: bool = False
+    others: tuple[tuple[Array, Array], ...] = ()
+
+    def same(self, other: AxesFault) -> bool:
+        """Return whether another check found the same."""
+        return (self.turned, self.by_course, self.no_turns, self.at_rest) == (
+            other.turned,
+            other.by_course,
+            other.no_turns,
+            other.at_rest,
+        ) and all(
+            np.allclose(getattr(self, name), getattr(other, name))
+            for name in ("accelerometer", "gyroscope", "mount")
+        )
+
+
+def _signed_permutations() -> Array:
+    """Return all (48, 3, 3), those with the fewest changes of axes and signs first."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            found.append(matrix)
+    moved = [3 * sum(m.diagonal() == 0) + sum(m.sum(axis=1) < 0) for m in found]
+    return np.array(found)[np.argsort(moved, kind="stable")]
+
+
+PERMUTATIONS = _signed_permutations()
+ROTATIONS = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]
+SCALES = (DEGREES, 1.0 / DEGREES)
+
+
+def _explanations() -> list[tuple[Array, Array]]:
+    """Return what may be wrong with accelerometer and gyroscope, the most ordinary first."""
+    one = np.eye(3)
+    reversals = [np.diag(d) for d in ((1.0, 1.0, -1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0))]
+    exchanges = [one[list(order)] for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1))]
+    half_turns = [-m for m in reversals]
+    return [
+        *((one, scale * one) for scale in SCALES),
+        (-one, one),
+        *((one, m) for m in (*reversals, -one)),
+        *((m, m) for m in (*exchanges, *reversals, -one)),
+        *((one, m) for m in (*exchanges, *half_turns)),
+        *((m, one) for m in (*reversals, *exchanges, *half_turns)),
+    ]
+
+
+EXPLANATIONS = _explanations()
+
+
+def _hypothesis(accelerometer: Array, gyroscope: Array) -> tuple[float, Array]:
+    """Return the sign and the gyroscope's factor that fit the motion like an explanation."""
+    sign = float(np.linalg.det(accelerometer))
+    return sign, (sign * accelerometer).T @ gyroscope
+
+
+HYPOTHESES: list[Fit] = []
+for _pair in EXPLANATIONS:
+    _sign, _factor = _hypothesis(*_pair)
+    if not any(f.sign == _sign and np.allclose(f.gyroscope, _factor) for f in HYPOTHESES):
+        HYPOTHESES.append(Fit(_sign, _factor))
+
+
+class ImuAxesCheck:
+    """
+    Gathers the last seconds of motion, and finds out whether the IMU's axes and units fit it.
+
+    Parameters
+    ----------
+    mount : ndarray, shape (3, 3)
+        From the IMU's own axes to b, as given.
+
+    Attributes
+    ----------
+    fault : AxesFault or None
+        What is wrong.
+    """
+
+    def __init__(self, mount: Array) -> None:
+        self._mount = mount
+        self.fault: AxesFault | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the motion so far."""
+        self._last: NDArray[np.void] | None = None
+        self._sums = np.zeros(6)  # at the last sample
+        self._grid = np.empty((0, 7))  # s since the first sample, integrals of the readings
+        self._fixes: deque[tuple[int, Array]] = deque(maxlen=1024)
+        self._start_ns = self._next_ns = self._rare_ns = 0
+        self._checked: Counter[str] = Counter()
+        self._work: Generator[None, None, AxesFault | bool] | None = None
+        self._found: AxesFault | None = None
+        self._times = 0
+
+    def add_samples(self, samples: NDArray[np.void]) -> None:
+        """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
+        if not len(samples):
+            return
+        if self._last is None:
+            self._start_ns = int(samples["t_ns"][0])
+            self._grid = np.zeros((1, 7))
+        else:
+            samples = np.concatenate((self._last, samples))
+        self._last = samples[-1:].copy()
+        t = (samples["t_ns"] - self._start_ns) * 1e-9
+        readings = np.hstack((samples["w"] @ self._mount, samples["f"] @ self._mount))
+        sums = np.zeros((len(t), 6))
+        sums[0] = self._sums
+        steps = 0.5 * (readings[1:] + readings[:-1]) * np.diff(t)[:, None]
+        sums[1:] = self._sums + np.cumsum(steps, axis=0)
+        self._sums = sums[-1]
+        first = round(self._grid[-1, 0] / STEP) + 1
+        grid = STEP * np.arange(first, int(t[-1] / STEP + 1e-9) + 1)
+        columns = [np.interp(grid, t, sums[:, k]) for k in range(6)]
+        rows = np.column_stack((grid, *columns))
+        most = round((WINDOW + 2.0) / STEP)
+        self._grid = np.concatenate((self._grid, rows))[-most:]
+
+    def add_fix(self, t_ns: int, lla: Array) -> None:
+        """Add a position fix: stamp [ns], latitude, longitude [rad] and height [m], (3,)."""
+        if not self._fixes or t_ns > self._fixes[-1][0]:
+            self._fixes.append((t_ns, lla))
+
+    def advance(self, t_ns: int) -> None:
+        """Do a share of the work that is due at a stamp [ns]: some milliseconds at most."""
+        if self._work is None:
+            if t_ns < self._next_ns:
+                return
+            self._next_ns = t_ns + PERIOD_NS
+            motion = self._motion()
+            if motion is None:
+                self._on_found(self._by_gravity())
+                return
+            kinds = _kinds(motion)
+            if t_ns < self._rare_ns and all(self._checked[kind] >= ENOUGH for kind in kinds):
+                return
+            self._rare_ns = t_ns + LONGEST_PERIOD_NS
+            self._checked.update(kinds)
+            self._work = self._compare(motion)
+        try:
+            next(self._work)
+        except StopIteration as end:
+            self._work = None
+            if isinstance(end.value, AxesFault) and self.fault is None:
+                self._checked.clear()
+            self._on_found(end.value)
+
+    def _on_found(self, found: AxesFault | bool) -> None:
+        """Take the result of a check: what is found several times in a row counts."""
+        if not isinstance(found, AxesFault):
+            self._times, self._found = 0, None
+            self.fault = None if found else self.fault
+            return
+        same = self._found is not None and self._found.same(found)
+        self._times = self._times + 1 if same else 1
+        self._found = found
+        if self._times >= CONFIRMATIONS and (self.fault is None or not self.fault.same(found)):
+            self.fault = found
+
+    def _compare(self, motion: Motion) -> Generator[None, None, AxesFault | bool]:
+        """
+        Return what is wrong by a motion; see `advance`.
+
+        True: nothing is. False: no hypothesis fits.
+        """
+        one = np.eye(3)
+        change = float(np.sum(motion.change_n[:, :2] ** 2))
+        as_given = yield from fit(motion, Fit(1.0, one))
+        if as_given.left < FITS * change:
+            return self._mount_fault(motion, one, one, as_given) or True
+        if not np.any(np.ptp(motion.turn, axis=0)):
+            return AxesFault(one, one, self._mount, no_turns=True)
+        fits: list[Fit] = []
+        for hypothesis in HYPOTHESES:
+            fits.append((yield from fit(motion, hypothesis, 0)))
+        fits.sort(key=lambda one: one.left)
+        for k in range(REFINED):
+            fits[k] = yield from fit(motion, fits[k])
+        best = min(one.left for one in fits)
+        if best > min(FITS_OTHER * change, as_given.left / BETTER):
+            return self._by_gravity()
+        fitting = [one for one in fits if one.left < max(2.0 * best, best + 0.05 * change)]
+        return self._explain(motion, fitting) or self._by_gravity()
+
+    def _by_gravity(self) -> AxesFault | bool:
+        """Return how the IMU lies by its mean specific force, if it does not lie as given."""
+        grid = self._grid
+        if len(grid) < SHORTEST / STEP:
+            return False
+        mount = _mount_upright(self._mount, grid[-1, 4:] - grid[0, 4:])
+        one = np.eye(3)
+        return False if mount is None else AxesFault(one, one, mount, turned=True, at_rest=True)
+
+    def _motion(self) -> Motion | None:
+        """Return the last seconds, if there is enough motion in them."""
+        grid, fixes = self._grid, self._fixes
+        if len(grid) < SHORTEST / STEP or len(fixes) < 3:
+            return None
+        fix_t = np.array([(t_ns - self._start_ns) * 1e-9 for t_ns, _ in fixes])
+        lla = np.array([place for _, place in fixes])
+        reach = CLOCK_OFFSETS[-1]
+        begin = max(grid[0, 0] + reach, grid[-1, 0] - WINDOW)
+        inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
+        fix_t, lla = fix_t[inside], lla[inside]
+        if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
+            return None
+        position_n = np.nan_to_num((lla - lla[0]) * curvature_scale(lla[0]))
+        steps = np.diff(grid[:, 1:], axis=0)
+        for interval, least in zip(INTERVALS, LEAST_CHANGE, strict=True):
+            triples = triples_of(fix_t, interval)
+            motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
+            changes = np.sum(motion.change_n[:, :2] ** 2)
+            if len(triples) >= FEWEST and changes > least**2 * len(triples):
+                return motion
+        return None
+
+    def _explain(self, motion: Motion, fitting: list[Fit]) -> AxesFault | None:
+        """Return the most ordinary explanation of hypotheses that fit, by gravity and course."""
+        with_mount: list[AxesFault] = []
+        plain: list[tuple[Array, Array]] = []
+        for accelerometer, gyroscope in EXPLANATIONS:
+            sign, factor = _hypothesis(accelerometer, gyroscope)
+            found = [f for f in fitting if f.sign == sign and np.allclose(f.gyroscope, factor)]
+            if not found:
+                continue
+            fault = self._mount_fault(motion, accelerometer, gyroscope, found[0])
+            if fault is None:
+                plain.append((accelerometer, gyroscope))
+            else:
+                with_mount.append(fault)
+        if plain:
+            others = tuple(plain[1 : 1 + MOST_OTHERS])
+            return AxesFault(*plain[0], self._mount, others=others)
+        return with_mount[0] if with_mount else None
+
+    def _mount_fault(
+        self, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
+    ) -> AxesFault | None:
+        """Return the fault if the mount given does not fit gravity or course."""
+        upright = _mount_upright(self._mount, accelerometer @ motion.impulse.sum(axis=0))
+        mount = self._mount if upright is None else upright
+        along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
+        if upright is None and along is None:
+            return None
+        chosen = mount if along is None else along
+        by_course = along is not None
+        return AxesFault(accelerometer, gyroscope, chosen, turned=True, by_course=by_course)
+
+
+def _mount_upright(mount: Array, mean_force: Array) -> Array | None:
+    """Return the mount with which a mean specific force points up; None: the given one."""
+    up = mean_force / max(float(np.linalg.norm(mean_force)), 1e-9)
+    if -(mount @ up)[2] > UP:
+        return None
+    heights = [-(mount @ rotation @ up)[2] for rotation in ROTATIONS]
+    for rotation, height in zip(ROTATIONS, heights, strict=True):  # the least turned first
+        if height > max(heights) - 1e-3:
+            return np.asarray(mount @ rotation)
+    return None
+
+
+def _courses(motion: Motion) -> tuple[Array, Array]:
+    """Return the courses [rad from north] where there is speed, and their times [s]."""
+    first, _, last = motion.triples.T
+    t = motion.fix_t
+    velocity = (motion.position_n[last] - motion.position_n[first])[:, :2]
+    velocity /= (t[last] - t[first])[:, None]
+    fast = np.hypot(*velocity.T) > LEAST_SPEED
+    course = np.arctan2(velocity[fast, 1], velocity[fast, 0])
+    return course, 0.5 * (t[first] + t[last])[fast]
+
+
+def _kinds(motion: Motion) -> list[str]:
+    """Return what kinds of motion there are: turns about the IMU's axes, and of the course."""
+    turned = np.ptp(np.cumsum(motion.turn, axis=0), axis=0) > TURN
+    course = np.unwrap(_courses(motion)[0])
+    bends = len(course) > 0 and float(np.ptp(course)) > TURN
+    turns = [f"turn about {axis}" for axis, is_seen in zip("xyz", turned, strict=True) if is_seen]
+    return ["speed", *turns, *(["course"] if bends else [])]
+
+
+def _mount_along_course(
+    motion: Motion, mount: Array, accelerometer: Array, gyroscope: Array, fitted: Fit
+) -> Array | None:
+    """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
+    course, t = _courses(motion)
+    if len(course) < 10 or abs(np.mean(np.exp(1j * course))) > 0.9:
+        return None  # a straight run: the wind, or a drone that flies sideways
+    rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
+    k = np.clip(((t - motion.t[0]) / STEP).astype(np.intp), 0, len(motion.turn) - 1)
+    C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)[k]
+    nose_n = np.einsum("ij,kjl,lm,m->ki", fitted.C_ni, C, rotation.T, mount.T[:, 0])
+    angle = course - np.arctan2(nose_n[:, 1], nose_n[:, 0])
+    mean = np.mean(np.exp(1j * angle))
+    if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:
+        return None
+    quarter = round(float(np.angle(mean)) / (0.5 * np.pi)) * 0.5 * np.pi
+    c, s = np.cos(quarter), np.sin(quarter)
+    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)

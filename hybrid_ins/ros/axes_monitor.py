@@ -1,0 +1,157 @@
+"""
+The check of the IMU's axes and units while the estimator runs, and its words for the user.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.imu_axes import SCALES, AxesFault, ImuAxesCheck
+from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
+from hybrid_ins.ros.conversions import FLIP, Refused
+from hybrid_ins.ros.input_log import InputLog
+
+Array = NDArray[np.float64]
+
+SAMPLES_NS = 500_000_000  # between two looks at the IMU's ring buffer
+LONGEST_GAP_NS = 500_000_000  # between samples, over which nothing is integrated
+ACCELERATION, RATE = "linear_acceleration", "angular_velocity"
+
+
+class AxesMonitor:
+    """
+    Gives the check what the navigator is given, and warns of what it finds.
+
+    Parameters
+    ----------
+    navigator : Navigator
+        Its samples are checked.
+    mount : ndarray, shape (3, 3)
+        From the IMU message's axes to b.
+    inputs : InputLog
+        Warns.
+    """
+
+    def __init__(self, navigator: Navigator, mount: Array, inputs: InputLog) -> None:
+        self._navigator = navigator
+        self._inputs = inputs
+        self.set_mount(mount)
+
+    def set_mount(self, mount: Array) -> None:
+        """Start anew with another mount (3, 3)."""
+        self._check = ImuAxesCheck(mount)
+        self._taken_ns = self._next_ns = 0
+        self._reported: AxesFault | None = None
+
+    @property
+    def fault(self) -> Refused | None:
+        """What is wrong, as a name and a text."""
+        return None if self._check.fault is None else describe(self._check.fault)
+
+    def observe(self, measurement: Measurement) -> None:
+        """Use a position fix; other measurements are ignored."""
+        if isinstance(measurement, PositionFix):
+            self._check.add_fix(measurement.t_ns, measurement.lla)
+
+    def run_periodic(self) -> None:
+        """Do what is due; call it some times a second."""
+        t_ns = self._navigator.last_ns
+        if t_ns < self._taken_ns:  # a new time base
+            self._check.reset()
+            self._taken_ns = self._next_ns = 0
+        if t_ns >= self._next_ns:
+            self._next_ns = t_ns + SAMPLES_NS
+            self._take_samples()
+        self._check.advance(t_ns)
+        if self._check.fault is not self._reported:
+            self._reported = self._check.fault
+            if self._reported is not None:
+                self._inputs.count_and_warn("imu/data", describe(self._reported))
+
+    def _take_samples(self) -> None:
+        samples = self._navigator.ring.after(self._taken_ns)
+        if not len(samples):
+            return
+        stamps = samples["t_ns"]
+        gaps = np.flatnonzero(np.diff(stamps) > LONGEST_GAP_NS)
+        first = int(gaps[-1]) + 1 if len(gaps) else 0
+        if len(gaps) or stamps[0] - self._taken_ns > LONGEST_GAP_NS:
+            self._check.reset()
+        self._taken_ns = int(stamps[-1])
+        self._check.add_samples(samples[first:])
+
+
+def describe(fault: AxesFault) -> Refused:
+    """Return what is wrong with axes, units or mount, and the remedy."""
+    one = np.eye(3)
+    if fault.no_turns:
+        return Refused(
+            "imu: no rates",
+            f"{RATE} does not change while the vehicle moves: check that the driver fills it",
+        )
+    factor = fault.gyroscope[0, 0]
+    if np.allclose(fault.gyroscope, SCALES[0] * one):
+        return Refused(
+            "imu: wrong unit",
+            f"{RATE} fits the motion only if it is divided by 57.3: it is in degrees per second; "
+            "let the driver publish radians per second",
+        )
+    if np.allclose(fault.gyroscope, SCALES[1] * one):
+        return Refused(
+            "imu: wrong unit",
+            f"{RATE} is {factor:.1f} times too small for the motion: multiply it by {factor:.1f} "
+            "(degrees converted to radians twice?)",
+        )
+    if fault.turned and np.allclose(fault.accelerometer, one) and np.allclose(fault.gyroscope, one):
+        return Refused("imu: wrong mount", _describe_mount(fault))
+    ways = [(fault.accelerometer, fault.gyroscope), *fault.others]
+    text = "the axes do not fit the motion: " + ", or ".join(_describe_axes(*way) for way in ways)
+    if fault.turned:
+        text += f"; then {_remount(fault)}"
+    return Refused("imu: wrong axes", f"{text}; correct the driver")
+
+
+def _describe_mount(fault: AxesFault) -> str:
+    if fault.by_course:
+        return (
+            "the vehicle moves at one angle to base_frame's x axis, which is not forward: if it "
+            f"moves along its nose, {_remount(fault)}"
+        )
+    text = f"gravity is not along base_frame's z axis: {_remount(fault)}"
+    if np.allclose(fault.mount[2], [0.0, 0.0, 1.0], atol=0.1):  # FRD axes
+        text += ", or let the driver publish forward-left-up axes"
+    if fault.at_rest:
+        text += f"; if {RATE} has the right axes, negate {ACCELERATION} instead"
+    return text
+
+
+def _remount(fault: AxesFault) -> str:
+    """Return the remedy of a wrong mount."""
+    rpy = rpy_from_quat(quat_from_matrix(FLIP @ fault.mount))
+    angles = ", ".join(f"{angle + 0.0:.4g}" for angle in np.where(np.abs(rpy) < 1e-6, 0.0, rpy))
+    return f"set imu.mount_rpy to [{angles}]"
+
+
+def _describe_axes(accelerometer: Array, gyroscope: Array) -> str:
+    """Return what to do with readings, by the factors (3, 3) that they need."""
+    if np.allclose(accelerometer, gyroscope):
+        return _describe_matrix(accelerometer, f"{ACCELERATION} and {RATE}")
+    parts = [
+        _describe_matrix(matrix, name)
+        for matrix, name in ((accelerometer, ACCELERATION), (gyroscope, RATE))
+        if not np.allclose(matrix, np.eye(3))
+    ]
+    return " and ".join(parts)
+
+
+def _describe_matrix(matrix: Array, name: str) -> str:
+    """Return what a signed permutation (3, 3) does to a vector of the message."""
+    diagonal = matrix.diagonal()
+    if np.all(np.abs(diagonal) > 0.5):
+        axes = [axis for axis, d in zip("xyz", diagonal, strict=True) if d < 0.0]
+        return f"{' and '.join(axes) if len(axes) < 3 else 'all axes'} of {name} reversed"
+    off = [axis for axis, d in zip("xyz", diagonal, strict=True) if abs(d) < 0.5]
+    return f"{' and '.join(off)} of {name} exchanged"
