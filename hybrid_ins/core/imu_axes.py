@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
 LEAST_CHANGE = (1.0, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
 FEWEST = 8  # changes of velocity
-FITS, FITS_OTHER = 0.1, 0.3  # shares of the changes' squares left over as given, by other axes
+FITS, FITS_OTHER = 0.03, 0.3  # shares of the changes' squares left over as given, by other axes
 BETTER = 4.0  # times less is left over by other axes
 REFINED = 3  # hypotheses, the best of all
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
@@ -173,6 +173,12 @@ class ImuAxesCheck:
         self._work: Generator[None, None, AxesFault | bool] | None = None
         self._found: AxesFault | None = None
         self._times = 0
+        self._concluded = False
+
+    @property
+    def doubtful(self) -> bool:
+        """Something seems wrong, or nothing is known yet."""
+        return self._found is not None or not self._concluded
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
@@ -222,16 +228,16 @@ class ImuAxesCheck:
         try:
             next(self._work)
         except StopIteration as end:
-            self._work = None
+            self._work, self._concluded = None, True
             if isinstance(end.value, AxesFault) and self.fault is None:
                 self._checked.clear()
             self._on_found(end.value)
 
     def _on_found(self, found: AxesFault | bool) -> None:
         """Take the result of a check: what is found several times in a row counts."""
+        if found is True:
+            self._times, self._found, self.fault = 0, None, None
         if not isinstance(found, AxesFault):
-            self._times, self._found = 0, None
-            self.fault = None if found else self.fault
             return
         same = self._found is not None and self._found.same(found)
         self._times = self._times + 1 if same else 1
@@ -249,7 +255,12 @@ class ImuAxesCheck:
         change = float(np.sum(motion.change_n[:, :2] ** 2))
         as_given = yield from fit(motion, Fit(1.0, one))
         if as_given.left < FITS * change:
-            return self._mount_fault(motion, one, one, as_given) or True
+            fault = self._mount_fault(motion, one, one, as_given)
+            if fault is not None and not fault.by_course:
+                reversed_force = yield from fit(motion, Fit(-1.0, one))
+                if reversed_force.left < BETTER * as_given.left:
+                    return self._by_gravity() or True
+            return fault or True
         if not np.any(np.ptp(motion.turn, axis=0)):
             return AxesFault(one, one, self._mount, no_turns=True)
         fits: list[Fit] = []

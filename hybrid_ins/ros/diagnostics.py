@@ -18,6 +18,7 @@ from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
+from hybrid_ins.ros.conversions import Refused
 from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
@@ -112,9 +113,13 @@ def _alignment_status(navigator: Navigator) -> Status:
     return status("filter", 1, f"aligning, {state}: it needs {waiting}", values)
 
 
-def input_status(navigator: Navigator, counts: Mapping[str, int]) -> Status:
+def input_status(
+    navigator: Navigator, counts: Mapping[str, int], axes_fault: Refused | None = None
+) -> Status:
     """Return what was refused so far, and what is wrong with the IMU now."""
     fault, values = navigator.monitor.fault, dict(sorted(counts.items()))
+    if fault is None and axes_fault is not None:
+        return status("input", 2, f"{axes_fault.name}: {axes_fault.text}", values)
     if fault is not None:
         text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
         return status("input", 2, text, values)

@@ -23,6 +23,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, diagnostics, wording
+from hybrid_ins.ros.axes_monitor import AxesMonitor
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
@@ -86,6 +87,7 @@ class Estimator:
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self._odometry = OdometrySource()
         self._imu = ImuInput(values, self.navigator, self._placement, self._odometry, self.inputs)
+        self._axes = AxesMonitor(self.navigator, self._placement.mount, self.inputs)
         self._reporter = Reporter(values, self.navigator, self.inputs)
         self._flood = FloodGuard()
         self._noise = NoiseInput(self.navigator, log)
@@ -167,7 +169,7 @@ class Estimator:
             diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused
             ),
-            diagnostics.input_status(self.navigator, self.counts),
+            diagnostics.input_status(self.navigator, self.counts, self._axes.fault),
             diagnostics.noise_status(self.navigator, self._noise.reader, mode),
             self.clock.status(),
         ]
@@ -238,6 +240,7 @@ class Estimator:
 
     def _on_moved_sensors(self) -> None:
         self._convert_gnss()
+        self._axes.set_mount(self._placement.mount)
         self._noise.configure(self.values, self._placement.mount)
         if self.navigator.ring.count:
             self._discard_state()
@@ -340,6 +343,7 @@ class Estimator:
         self.inputs.count_and_warn(topic, measurement)
 
     def _fuse(self, measurement: Measurement) -> None:
+        self._axes.observe(measurement)
         self.navigator.measure(measurement)
         self._handle_events()
         self.clock.run_periodic()
@@ -358,6 +362,7 @@ class Estimator:
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
             self.navigator.check_imu()
+            self._axes.run_periodic()
             self.navigator.find_clock()
             self._handle_events()
             self._reporter.report_state(t_ns, self._placement.arm_b)
