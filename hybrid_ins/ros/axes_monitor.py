@@ -51,6 +51,11 @@ class AxesMonitor:
         """What is wrong, as a name and a text."""
         return None if self._check.fault is None else describe(self._check.fault)
 
+    @property
+    def are_plausible(self) -> bool:
+        """Nothing seems wrong, and the axes have been compared with the motion."""
+        return not self._check.doubtful
+
     def observe(self, measurement: Measurement) -> None:
         """Use a position fix; other measurements are ignored."""
         if isinstance(measurement, PositionFix):

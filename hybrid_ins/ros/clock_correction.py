@@ -52,6 +52,7 @@ class ClockCorrection:
         self._estimate = values["gnss.time_offset.estimate"]
         self._moved = 0.0  # s, by estimation
         self._settled: float | None = None  # s, offset once it was known well
+        self._axes_are_plausible = True
         self.restart()
         navigator.open_clock(self._estimate)
 
@@ -82,8 +83,13 @@ class ClockCorrection:
             f"clock offset found: {self.offset + found.missing:+.3f} ± {found.sigma:.3f} s",
         )
 
-    def run_periodic(self) -> None:
-        """Correct the offset once a second, or warn that it is wrong; call after each fix."""
+    def run_periodic(self, axes_are_plausible: bool = True) -> None:
+        """
+        Correct the offset once a second, or warn that it is wrong; call after each fix.
+
+        Wrong axes of the IMU look like a wrong offset: there is no warning of it then.
+        """
+        self._axes_are_plausible = axes_are_plausible
         running = self._navigator.filter
         if running is None or running.t_ns < self._next_ns:
             return
@@ -121,7 +127,7 @@ class ClockCorrection:
     def _fault(self) -> str:
         """Return what is wrong with the offset, and the remedy; empty where nothing is."""
         running = self._navigator.filter
-        if running is None:
+        if running is None or not self._axes_are_plausible:
             return ""
         missing, sigma = running.clock.residual, running.clock.sigma
         total, limit = self.offset + missing, max(WRONG, 5.0 * sigma)

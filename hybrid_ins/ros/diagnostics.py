@@ -68,15 +68,18 @@ def verdict_status(verdict: Verdict) -> Status:
     )
 
 
-def filter_status(navigator: Navigator, t_ns: int, fused_ns: int, fixes_fused: int) -> Status:
+def filter_status(
+    navigator: Navigator, t_ns: int, fused_ns: int, fixes_fused: int, waiting_for: str
+) -> Status:
     """
     Return how the filter is at a stamp [ns].
 
-    ``fused_ns`` is the stamp of the last fix that was fused, 0 before the first.
+    ``fused_ns`` is the stamp of the last fix that was fused, 0 before the first; ``waiting_for``
+    tells what alignment lacks.
     """
     running = navigator.filter
     if running is None:
-        return _alignment_status(navigator)
+        return _alignment_status(navigator, waiting_for)
     since = (t_ns - fused_ns) * 1e-9 if fused_ns else math.inf
     sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
     outage = since > DEAD_RECKONING_AFTER
@@ -102,8 +105,8 @@ def filter_status(navigator: Navigator, t_ns: int, fused_ns: int, fixes_fused: i
     )
 
 
-def _alignment_status(navigator: Navigator) -> Status:
-    state, waiting = wording.state_of(navigator), wording.waiting_for(navigator)
+def _alignment_status(navigator: Navigator, waiting: str) -> Status:
+    state = wording.state_of(navigator)
     values: dict[str, object] = {"state": state, "waiting_for": waiting}
     bank = navigator.phase.bank
     if bank is not None:

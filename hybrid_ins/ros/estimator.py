@@ -28,6 +28,7 @@ from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
 from hybrid_ins.ros.filter_factory import FilterFactory
+from hybrid_ins.ros.fix_refusals import FixRefusals
 from hybrid_ins.ros.flood_guard import MOST, FloodGuard
 from hybrid_ins.ros.imu_input import NO_READING, ImuInput
 from hybrid_ins.ros.input_log import InputLog
@@ -90,6 +91,7 @@ class Estimator:
         self._axes = AxesMonitor(self.navigator, self._placement.mount, self.inputs)
         self._reporter = Reporter(values, self.navigator, self.inputs)
         self._flood = FloodGuard()
+        self._refusals = FixRefusals(self.navigator, self.inputs)
         self._noise = NoiseInput(self.navigator, log)
         self._noise.configure(values, self._placement.mount)
         self._restart_schedule()
@@ -151,7 +153,10 @@ class Estimator:
     @property
     def waiting_for(self) -> str:
         """What alignment lacks, in words for the user; empty once the filter runs."""
-        return wording.waiting_for(self.navigator)
+        waiting = wording.waiting_for(self.navigator)
+        fault, refusals = self._axes.fault, self._refusals.dominant
+        causes = [refusals, *([] if fault is None else [fault.text])]
+        return "; ".join([waiting, *filter(None, causes)]) if waiting else ""
 
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""
@@ -167,7 +172,7 @@ class Estimator:
         mode, reporter = self.values["noise.mode"], self._reporter
         return [
             diagnostics.filter_status(
-                self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused
+                self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
             diagnostics.input_status(self.navigator, self.counts, self._axes.fault),
             diagnostics.noise_status(self.navigator, self._noise.reader, mode),
@@ -322,6 +327,7 @@ class Estimator:
         fix = self._gnss.position(message, self._by_receipt(received_ns))
         if not isinstance(fix, Refused) and self._odometry.map is None:
             self._set_datum(np.nan_to_num(fix.lla), fix.t_ns)
+        self._refusals.note(fix)
         self._measure("gnss/fix", fix)
 
     def handle_velocity(self, message: Message, received_ns: int | None = None) -> None:
@@ -346,7 +352,7 @@ class Estimator:
         self._axes.observe(measurement)
         self.navigator.measure(measurement)
         self._handle_events()
-        self.clock.run_periodic()
+        self.clock.run_periodic(self._axes.are_plausible)
         if self.clock.offset != self._gnss.time_offset:
             self._convert_gnss()
 

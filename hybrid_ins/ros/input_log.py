@@ -40,6 +40,12 @@ class InputLog:
             so_far = f" ({count} so far)" if count > 1 else ""
             self.log("warn", f"{topic}: {refused.text}{so_far}")
 
+    def warn_once(self, name: str, text: str) -> None:
+        """Warn of something that lasts, the first time; it is not counted as odd."""
+        self._informed[name] += 1
+        if self._informed[name] == 1:
+            self.log("warn", text)
+
     def inform(self, name: str, text: str) -> None:
         """Log the first, tenth, hundredth... information of a name; it is not counted as odd."""
         self._informed[name] += 1

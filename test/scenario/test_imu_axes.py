@@ -1,0 +1,133 @@
+"""Wrong axes and units of an IMU are named from motion; right ones never are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.imu_axes import AxesFault, ImuAxesCheck
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.ros.axes_monitor import describe
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.simulation.motions import Motion, quadrotor_flight, random_motion
+from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
+from hybrid_ins.simulation.vehicles import VEHICLES, city_car, record
+from tools.vehicles.drives import from_simulation
+
+ONE = np.eye(3)
+FRD = np.diag([1.0, -1.0, -1.0])
+ON_ITS_SIDE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+ABOUT_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+EXCHANGED = ONE[[1, 0, 2]]
+DEGREES = 180.0 / np.pi
+
+CAR, QUADROTOR = "car", "quadrotor"
+Readings = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def readings(motion: Motion, duration: float, offset: float = 0.0) -> Readings:
+    """Return t, specific force and rate (FLU), times and places of fixes."""
+    rng = np.random.default_rng(3)
+    truth = sample(motion, sample_times(duration, 100.0))
+    imu = corrupt(truth, ImuErrors(), rng)
+    gnss = fixes(sample(motion, sample_times(duration, 5.0)), rng)
+    return imu.t, imu.specific_force @ FLIP, imu.angular_rate @ FLIP, gnss.t - offset, gnss.lla
+
+
+@pytest.fixture(scope="module")
+def drives() -> dict[str, Readings]:
+    return {
+        CAR: readings(city_car(90.0, 1), 90.0),
+        QUADROTOR: readings(quadrotor_flight(60.0, 3), 60.0),
+    }
+
+
+def check(
+    run: Readings, accelerometer: np.ndarray = ONE, gyroscope: np.ndarray = ONE
+) -> Iterator[tuple[float, AxesFault | None]]:
+    """Yield times and what is found by them, of readings multiplied by matrices (3, 3)."""
+    t, force, rate, fix_t, places = run
+    checked = ImuAxesCheck(FLIP)
+    samples = np.empty(len(t), SAMPLE_DTYPE)
+    samples["t_ns"] = np.round((t + 100.0) * 1e9)
+    samples["f"] = force @ accelerometer.T @ FLIP
+    samples["w"] = rate @ gyroscope.T @ FLIP
+    at = k = 0
+    for i, stop in enumerate(np.arange(0.1, t[-1], 0.1)):
+        if i % 5 == 0:
+            end = int(np.searchsorted(t, stop))
+            checked.add_samples(samples[at:end])
+            at = end
+        while k < len(fix_t) and fix_t[k] <= stop:
+            checked.add_fix(round((fix_t[k] + 100.0) * 1e9), places[k])
+            k += 1
+        checked.advance(round((stop + 100.0) * 1e9))
+        yield float(stop), checked.fault
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "accelerometer", "gyroscope", "words"),
+    [
+        (CAR, ONE, DEGREES * ONE, "divided by 57.3"),
+        (QUADROTOR, ONE, DEGREES * ONE, "divided by 57.3"),
+        (CAR, ONE, ONE / DEGREES, "57.3 times too small"),
+        (QUADROTOR, ONE, ONE / DEGREES, "57.3 times too small"),
+        (CAR, ONE, 0.0 * ONE, "does not change while the vehicle moves"),
+        (QUADROTOR, ONE, 0.0 * ONE, "does not change while the vehicle moves"),
+        (CAR, ONE, np.diag([1.0, 1.0, -1.0]), ": z of angular_velocity reversed"),
+        (QUADROTOR, ONE, np.diag([-1.0, 1.0, 1.0]), ": x of angular_velocity reversed;"),
+        (QUADROTOR, ONE, np.diag([1.0, -1.0, 1.0]), ": y of angular_velocity reversed"),
+        (QUADROTOR, ONE, np.diag([1.0, 1.0, -1.0]), ": z of angular_velocity reversed;"),
+        (CAR, FRD, FRD, "imu.mount_rpy to [3.142, 0, 0], or let the driver publish forward-left"),
+        (QUADROTOR, FRD, FRD, "imu.mount_rpy to [3.142, 0, 0]"),
+        (CAR, ON_ITS_SIDE, ON_ITS_SIDE, "imu.mount_rpy to [-1.571, 0, 0]"),
+        (QUADROTOR, -ONE, ONE, ": all axes of linear_acceleration reversed"),
+        (CAR, -ONE, ONE, "negate linear_acceleration|all axes of linear_acceleration reversed"),
+        (CAR, EXCHANGED, EXCHANGED, ": x and y of linear_acceleration and angular_velocity exch"),
+        (QUADROTOR, ONE, EXCHANGED, ": x and y of angular_velocity exchanged;"),
+        (QUADROTOR, ONE, ONE[[0, 2, 1]], ": y and z of angular_velocity exchanged;"),
+        (CAR, ABOUT_UP, ABOUT_UP, "moves along its nose, set imu.mount_rpy to [0, 0, -1.571]"),
+        (CAR, ABOUT_UP.T, ABOUT_UP.T, "moves along its nose, set imu.mount_rpy to [0, 0, 1.571]"),
+    ],
+)
+def test_wrong_axes_and_units_are_named_with_the_remedy(
+    drives: dict[str, Readings],
+    vehicle: str,
+    accelerometer: np.ndarray,
+    gyroscope: np.ndarray,
+    words: str,
+) -> None:
+    found = [fault for _, fault in check(drives[vehicle], accelerometer, gyroscope)]
+
+    assert found[-1] is not None
+    text = describe(found[-1]).text
+    assert any(word in text for word in words.split("|"))
+    assert len(text) < 350
+
+
+def test_what_a_quadrotor_shows_is_named_within_30_seconds_of_motion(
+    drives: dict[str, Readings],
+) -> None:
+    for gyroscope in (DEGREES * ONE, ONE / DEGREES, np.diag([1.0, 1.0, -1.0])):
+        motion = 4.0  # s, when it takes off
+        first = next(t for t, fault in check(drives[QUADROTOR], ONE, gyroscope) if fault)
+        assert first < motion + 30.0
+
+
+@pytest.mark.parametrize("name", sorted(VEHICLES))
+def test_a_healthy_vehicle_is_never_accused(name: str) -> None:
+    drive = from_simulation(record(VEHICLES[name], 1))
+    t = (drive.imu_ns - drive.imu_ns[0]) * 1e-9
+    fix_t = (drive.fix_ns - drive.imu_ns[0]) * 1e-9
+
+    found = [f for _, f in check((t, drive.force, drive.rate, fix_t, drive.fix_lla)) if f]
+
+    assert not found, describe(found[0]).text
+
+
+@pytest.mark.parametrize("offset", [-1.5, -0.4, 0.2, 0.9, 5.0, 18.0])
+def test_a_wrong_clock_is_not_taken_for_wrong_axes(offset: float) -> None:
+    for motion in (random_motion(60.0, 2), quadrotor_flight(60.0, 5), city_car(60.0, 2)):
+        assert not any(fault for _, fault in check(readings(motion, 60.0, offset)))

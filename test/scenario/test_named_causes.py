@@ -1,0 +1,91 @@
+"""What the estimator says where a flight does not start, or the IMU's axes are wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.drive import Drive
+
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.ros.conversions import set_stamp
+
+
+class Spoiled(Drive):
+    """A flight whose fixes are stamped by another clock, or refused for another reason."""
+
+    def __init__(self, ahead: float = 0.0, status: int = 0, **values: Any) -> None:
+        super().__init__(**values)
+        self.ahead_ns, self.status_of_fixes = round(ahead * 1e9), status
+
+    def fix(self, k: int) -> None:
+        message = new_message("sensor_msgs/msg/NavSatFix")
+        set_stamp(message.header.stamp, self.stamp(float(self.fix_t[k])) + self.ahead_ns)
+        message.latitude, message.longitude = np.degrees(self.fix_lla[k, :2]).tolist()
+        message.altitude = float(self.fix_lla[k, 2])
+        message.status.status = self.status_of_fixes
+        message.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
+        message.position_covariance_type = 2
+        self.estimator.handle_fix(message)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "words"),
+    [
+        (18.0, "18.0 s ahead of the IMU's (one driver stamps in GPS time, the other in UTC: 18 s)"),
+        (-18.0, "18.0 s behind the IMU's (one driver stamps in GPS time, the other in UTC: 18 s)"),
+        (5.0, "5.0 s ahead of the IMU's (two clocks that were set differently)"),
+        (-7200.0, "0.1 days behind"),
+        (-1.7e9 + 60.0, "53.9 years behind the IMU's (one clock counts from its start"),
+    ],
+)
+def test_fixes_by_another_clock_are_named_with_the_remedy(ahead: float, words: str) -> None:
+    drive = Spoiled(ahead)
+    drive.play(0.0, 6.0)
+
+    assert not drive.estimator.aligned
+    [line] = [text for text in drive.warnings() if "of no use" in text]
+    for text in (line, drive.estimator.waiting_for, drive.status("filter").text):
+        assert words in text and "use_receive_time: true" in text
+
+
+def test_fixes_without_a_position_are_named_as_what_it_waits_for() -> None:
+    drive = Spoiled(status=-1)
+    drive.play(0.0, 6.0)
+
+    assert "fixes are of no use: status -1 means no fix" in drive.status("filter").text
+    assert sum("of no use" in text for text in drive.warnings()) == 1
+
+
+def test_usable_fixes_are_not_blamed() -> None:
+    drive = Drive()
+    drive.play(0.0, 3.5)
+
+    assert "of no use" not in drive.estimator.waiting_for
+    assert not any("of no use" in text for text in drive.warnings())
+
+
+def test_wrong_axes_are_an_error_and_no_clock_offset() -> None:
+    """
+    GIVEN an IMU whose x and y axes are exchanged
+    WHEN it flies
+    THEN log and diagnostics name the axes, and no line blames the clock before.
+    """
+    drive = Drive()
+    drive.force, drive.rate = drive.force[:, [1, 0, 2]], drive.rate[:, [1, 0, 2]]
+    drive.play(0.0, 45.0)
+
+    status = drive.status("input")
+    assert status.level == 2
+    assert "imu: wrong axes: the axes do not fit the motion: x and y of linear" in status.text
+    assert sum("axes do not fit the motion" in text for text in drive.warnings()) == 1
+    assert not any("time_offset" in text for text in drive.warnings())
+
+
+def test_a_sound_flight_is_not_accused() -> None:
+    drive = Drive()
+    drive.play(0.0, 59.0)
+
+    assert not any("axes" in text or "mount" in text for text in drive.warnings())
+    assert not [name for name in drive.estimator.counts if name.startswith("imu:")]
