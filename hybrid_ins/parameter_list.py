@@ -414,6 +414,59 @@ _NOISE = (
     ),
 )
 
+_VEHICLE = (
+    Parameter(
+        "vehicle.kind",
+        "auto",
+        "Whether the vehicle moves along its nose, which constrains the velocity in outages of "
+        "GNSS. ground: it does, until its motion shows otherwise; auto: once its motion has shown "
+        "it, and as long as it does; others: it does not",
+        choices=("auto", "ground", "fixed_wing", "multirotor", "other"),
+    ),
+    Parameter(
+        "vehicle.axle_position",
+        [0.0, 0.0, 0.0],
+        "Point that does not slip sideways, the centre of the rear axle, in base_frame (forward, "
+        "left, up)",
+        **_METRES,
+    ),
+    Parameter(
+        "vehicle.axle_position_std",
+        1.5,
+        "Standard deviation of that point's position along the nose; the motion determines it",
+        unit="m",
+        low=1e-3,
+        high=100.0,
+    ),
+    Parameter(
+        "vehicle.nose",
+        [0.0, 0.0],
+        "Direction of the nose in base_frame: yaw to the left, pitch up",
+        unit="rad",
+        lengths=(2,),
+        low=-6.3,
+        high=6.3,
+    ),
+    Parameter(
+        "vehicle.nose_std",
+        0.05,
+        "Standard deviation of both; the motion determines them",
+        unit="rad",
+        low=1e-5,
+        high=3.2,
+    ),
+    Parameter(
+        "vehicle.slip_std",
+        [0.1, 0.1],
+        "Standard deviation of that point's velocity across the nose (left, up): slip of the "
+        "tyres, travel of the springs",
+        unit="m/s",
+        lengths=(2,),
+        low=1e-3,
+        high=10.0,
+    ),
+)
+
 _OUTPUT = (
     Parameter(
         "autostart",
@@ -442,5 +495,5 @@ _OUTPUT = (
 )
 
 PARAMETERS: dict[str, Parameter] = {
-    p.name: p for p in (*_FRAMES, *_OUTPUT, *_IMU, *_GNSS, *_ALIGNMENT, *_NOISE)
+    p.name: p for p in (*_FRAMES, *_OUTPUT, *_IMU, *_GNSS, *_ALIGNMENT, *_VEHICLE, *_NOISE)
 }

@@ -36,6 +36,7 @@ GROUPS = {
     "imu": "IMU",
     "gnss": "GNSS",
     "alignment": "Alignment",
+    "vehicle": "Vehicle",
     "noise": "Process noise",
 }
 EXPERIMENTS = "Experiments"

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.events import NoiseChange
+from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
@@ -37,6 +39,7 @@ from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import Reporter
 from hybrid_ins.ros.reports import Odometry, OdometryBlock, Report, Status
 from hybrid_ins.ros.sensor_placement import SensorPlacement
+from hybrid_ins.ros.vehicle_input import VehicleInput
 
 Array = NDArray[np.float64]
 
@@ -94,6 +97,9 @@ class Estimator:
         self._refusals = FixRefusals(self.navigator, self.inputs)
         self._noise = NoiseInput(self.navigator, log)
         self._noise.configure(values, self._placement.mount)
+        self._fixes = FixWatch()
+        self._vehicle = VehicleInput(self.values, self.navigator, self._fixes, log)
+        self._vehicle.configure(self._placement.arm_b)
         self._restart_schedule()
         self._convert_gnss()
         if values["datum"]:
@@ -177,6 +183,7 @@ class Estimator:
             diagnostics.input_status(self.navigator, self.counts, self._axes.fault),
             diagnostics.noise_status(self.navigator, self._noise.reader, mode),
             self.clock.status(),
+            self._vehicle.status(),
         ]
 
     def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
@@ -217,6 +224,7 @@ class Estimator:
         self._reporter.restart()
         self.clock.restart()
         self._noise.restart()
+        self._vehicle.restart()
         self._restart_schedule()
 
     def handle_initial_pose(self, message: Message) -> None:
@@ -247,6 +255,7 @@ class Estimator:
         self._convert_gnss()
         self._axes.set_mount(self._placement.mount)
         self._noise.configure(self.values, self._placement.mount)
+        self._vehicle.configure(self._placement.arm_b)
         if self.navigator.ring.count:
             self._discard_state()
 
@@ -367,6 +376,7 @@ class Estimator:
         self._noise.run_periodic(t_ns)
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
+            self._vehicle.run_periodic(t_ns)
             self.navigator.check_imu()
             self._axes.run_periodic()
             self.navigator.find_clock()
@@ -382,7 +392,9 @@ class Estimator:
 
     def _on_event(self, event: Event) -> None:
         self._reporter.on_event(event)
-        if isinstance(event, Restarted):
+        if isinstance(event, Verdict):
+            self._fixes.on_verdict(event)
+        elif isinstance(event, Restarted):
             self._restart()
         elif isinstance(event, ClockOffsetFound):
             self.clock.on_found(event)

@@ -122,6 +122,15 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
 
 def city_car(duration: float, seed: int, rest: float = 10.0) -> Motion:
     """Stand, then drive streets that cross at right angles, with stops."""
+    t, speed, course = streets(duration, seed, rest)
+    slope = slope_along(speed)
+    velocity_n = velocity_of(speed, course, speed * np.tan(slope))
+    roll = -0.01 * speed * np.gradient(course, t)  # the body leans out of the turn
+    return motion_through(t, velocity_n, np.stack((roll, slope, course), axis=-1), START_LLA)
+
+
+def streets(duration: float, seed: int, rest: float) -> tuple[Array, Array, Array]:
+    """Return times [s], speed [m/s] and course [rad], each (N,), of a drive through a town."""
     t = time_grid(duration)
     rng = np.random.default_rng(seed)
     speed, course_rate = np.zeros_like(t), np.zeros_like(t)
@@ -143,11 +152,12 @@ def city_car(duration: float, seed: int, rest: float = 10.0) -> Motion:
         _set(course_rate, t, begin + 0.5 * (corner - turn), turn, side * 0.5 * np.pi / turn)
         begin += corner
     speed = smoothed(speed, 5.0)
-    course = rng.uniform(-np.pi, np.pi) + integral(smoothed(course_rate, 1.0))
-    slope = 0.03 * np.sin(2.0 * np.pi * integral(speed) / 400.0)
-    velocity_n = velocity_of(speed, course, speed * np.tan(slope))
-    roll = -0.01 * speed * np.gradient(course, t)  # the body leans out of the turn
-    return motion_through(t, velocity_n, np.stack((roll, slope, course), axis=-1), START_LLA)
+    return t, speed, rng.uniform(-np.pi, np.pi) + integral(smoothed(course_rate, 1.0))
+
+
+def slope_along(speed: Array) -> Array:
+    """Return the slope [rad] of a gently rolling road, (N,), by the speed along it [m/s]."""
+    return 0.03 * np.sin(2.0 * np.pi * integral(speed) / 400.0)
 
 
 def fixed_wing(duration: float, seed: int, rest: float = 60.0) -> Motion:

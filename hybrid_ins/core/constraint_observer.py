@@ -1,0 +1,205 @@
+"""
+Whether a vehicle moves along its nose, and where the nose points: from the filter's own motion.
+
+While fixes bound its errors, a filter knows the velocity in the vehicle without assuming anything
+about it. The velocity across the nose is compared by two models, [1]_: that of a vehicle on wheels,
+whose nose and point without slip are estimated along the way, and that of one which moves freely.
+What is predicted before each observation counts, so that a nose fitted to one straight leg proves
+nothing.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, section 11.6 (multiple models).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
+from hybrid_ins.core.state import BIAS_G, covariance
+
+Array = NDArray[np.float64]
+
+MIN_SPEED = 2.0  # m/s, from which the velocity across the nose says anything
+FREE_ANGLE = 0.1  # rad: of the velocity against the nose, where a vehicle moves freely
+SLIP_TIME = 1.0  # s, correlation time of slip and bumps
+STATE_TIME = 10.0  # s, of the errors of the filter's velocity and heading
+NOSE_TIME = 5.0  # s: an error of the nose is constant, but heading takes up most of it
+EVIDENCE_TIME = 2.0  # s for which motion shows the same
+MEMORY, RECENT = 120.0, 8.0  # s over which evidence is remembered
+MOST_EVIDENCE = 30.0  # nats
+SHOWN = 10.0  # nats that prove the constraint
+BROKEN = -4.0  # nats over ``RECENT`` that disprove it
+TURNED = 2.0 * math.pi  # rad that the vehicle must have turned by: a straight leg fits any nose
+KNOWN = math.radians(1.0)  # σ of the nose: a filter that knows little agrees with anything
+REPEATED = 2.0  # factor on that angle each time that the constraint was disproven
+OUTLIER = 16.0  # NIS of an observation that teaches nothing about the nose
+
+
+@dataclass(frozen=True, slots=True)
+class ConstraintSettings:
+    """
+    What is known of a vehicle before it moves.
+
+    Attributes
+    ----------
+    nose : Nose
+        Nominal.
+    nose_std : float
+        Of its yaw and pitch [rad].
+    point_std : float
+        Of the place along the nose that does not slip [m].
+    std : ndarray, shape (2,)
+        Velocity across the nose, to the right and down [m/s]: slip, bumps.
+    assumed : bool
+        The vehicle moves along its nose until its motion shows otherwise; else motion must show it.
+    """
+
+    nose: Nose
+    nose_std: float
+    point_std: float
+    std: Array
+    assumed: bool
+
+
+class ConstraintObserver:
+    """
+    Compares both models, and estimates the nose.
+
+    Parameters
+    ----------
+    settings : ConstraintSettings
+
+    Attributes
+    ----------
+    nose : Nose
+        As estimated.
+    evidence : float
+        Logarithm of the likelihood ratio over the last minutes [nats]; positive for the constraint.
+    recent : float
+        The same over the last seconds.
+    turned : float
+        Angle turned by while it held [rad].
+    holds : bool
+        The constraint is proven, or assumed, and not disproven.
+    """
+
+    def __init__(self, settings: ConstraintSettings) -> None:
+        self._settings = settings
+        self.nose = settings.nose
+        self._P = np.diag([settings.nose_std, settings.nose_std, settings.point_std]) ** 2
+        self.evidence = self.recent = self.turned = 0.0
+        self.holds = settings.assumed
+        self._to_turn = TURNED
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of yaw [rad], pitch [rad] and place [m] of the nose, (3,)."""
+        return np.asarray(np.sqrt(np.diag(self._P)))
+
+    def observe(self, nav: Array, rate_b: Array, interval: float, *, fused: bool) -> None:
+        """
+        Take the motion at an instant into account.
+
+        Parameters
+        ----------
+        nav : ndarray, shape (N_NAV,) or longer
+            Flat state with nothing pending.
+        rate_b : ndarray, shape (3,)
+            The gyroscopes' reading [rad/s].
+        interval : float
+            Time since the last observation [s].
+        fused : bool
+            The filter fuses the constraint: agreement then proves nothing.
+        """
+        z, J, state, speed = self._innovation(nav, rate_b)
+        if abs(speed) < MIN_SPEED:
+            return
+        S = state + J @ self._P @ J.T
+        held, nis = _log_density(z, S + self._slip)
+        free, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
+        gain = min(interval / EVIDENCE_TIME, 1.0) * (held - free)
+        if fused:
+            gain = min(gain, 0.0)
+        self.evidence = _faded(self.evidence, gain, interval / MEMORY)
+        self.recent = _faded(self.recent, gain, interval / RECENT)
+        if nis < OUTLIER and not fused:
+            self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
+            self._learn(z, J, inflated(state, STATE_TIME, interval) + self.noise(interval))
+        self._decide()
+
+    @property
+    def _slip(self) -> Array:
+        return np.diag(self._settings.std**2)
+
+    def noise(self, interval: float) -> Array:
+        """Return the covariance (2, 2) of slip with errors ``interval`` [s] apart as if white."""
+        return inflated(self._slip, SLIP_TIME, interval)
+
+    def measurement(self, t_ns: int, nav: Array, rate_b: Array, interval: float) -> NonHolonomic:
+        """Return the constraint at a stamp [ns], for one every ``interval`` [s]."""
+        _, J, _, _ = self._innovation(nav, rate_b)
+        nose = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
+        return NonHolonomic(t_ns, rate_b, self.nose, self.noise(interval) + nose)
+
+    def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
+        """Innovation (2,), its derivative by the nose (2, 3), the state's part of S, the speed."""
+        nose = self.nose
+        velocity_b, by_error = point_velocity(nav, rate_b, nose.point_b)
+        axes, forward = nose.axes, nose.forward
+        speed = float(forward @ velocity_b)
+        J = np.zeros((2, 3))
+        J[0, 0], J[1, 1] = -speed, speed
+        J[:, 2] = axes @ np.cross(rate_b - nav[BIAS_G], forward)
+        H = axes @ by_error
+        return -axes @ velocity_b, J, H @ covariance(nav) @ H.T, speed
+
+    def _learn(self, z: Array, J: Array, R: Array) -> None:
+        """Correct the nose by an innovation."""
+        K = np.linalg.solve(J @ self._P @ J.T + R, J @ self._P).T
+        A = np.eye(3) - K @ J
+        self._P = A @ self._P @ A.T + K @ R @ K.T
+        yaw, pitch, along = K @ z
+        nose = self.nose
+        point_b = nose.point_b + along * nose.forward
+        self.nose = replace(nose, yaw=nose.yaw + yaw, pitch=nose.pitch + pitch, point_b=point_b)
+
+    def _decide(self) -> None:
+        """Set ``holds``."""
+        if self.recent < BROKEN:
+            if self.holds:
+                self._to_turn *= REPEATED
+            self.holds, self.turned = False, 0.0
+            self.evidence = min(self.evidence, 0.0)
+        elif self.recent > 0.0:
+            shown = self.evidence > SHOWN and self.turned > self._to_turn
+            shown = shown and max(self.sigma[:2]) < KNOWN
+            self.holds = self.holds or self._settings.assumed or shown
+
+
+def _log_density(z: Array, S: Array) -> tuple[float, float]:
+    """Return the logarithm of a normal density, but for a constant, and the NIS."""
+    nis = float(z @ np.linalg.solve(S, z))
+    return -0.5 * (nis + math.log(np.linalg.det(S))), nis
+
+
+def _faded(total: float, gain: float, share: float) -> float:
+    """Return evidence with what is new; the old fades."""
+    total = total * math.exp(-share) + gain
+    return max(-MOST_EVIDENCE, min(MOST_EVIDENCE, total))
+
+
+def inflated(R: Array, time: float, interval: float) -> Array:
+    """
+    Return the covariance under which errors of a correlation time [s] may count as white.
+
+    The mean of many has the same variance then.
+    """
+    decay = math.exp(-interval / time)
+    return R * (1.0 + decay) / (1.0 - decay)

@@ -1,0 +1,169 @@
+"""
+The constraint of a vehicle on wheels into the navigator, where fixes are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core import propagation
+from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.fix_watch import FixWatch
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.nonholonomic import Nose
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.reports import Status
+
+Array = NDArray[np.float64]
+
+PERIOD_NS = 500_000_000  # between two observations
+RATE_NS = 60_000_000  # of samples whose mean is the angular rate
+CONSTRAINED = ("auto", "ground")  # values of vehicle.kind
+
+
+class VehicleInput:
+    """
+    Observes whether the vehicle moves along its nose, and constrains the filter in outages.
+
+    Fixes alone determine the motion while they come: what they show of the vehicle is free of what
+    is assumed about it.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    fixes : FixWatch
+    log : callable
+        Called with a level (info, warn, error) and a line for the user.
+
+    Attributes
+    ----------
+    observer : ConstraintObserver or None
+        None where ``vehicle.kind`` excludes the constraint.
+    fused : bool
+        The constraint was fused at the last observation.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        fixes: FixWatch,
+        log: Callable[[str, str], None],
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._fixes = fixes
+        self._log = log
+        self.observer: ConstraintObserver | None = None
+
+    def configure(self, arm_b: Array) -> None:
+        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
+        values = self._values
+        self.restart()
+        if values["vehicle.kind"] not in CONSTRAINED:
+            return
+        yaw, pitch = values["vehicle.nose"]
+        point_b = FLIP @ np.array(values["vehicle.axle_position"]) - arm_b
+        self.observer = ConstraintObserver(
+            ConstraintSettings(
+                Nose(-yaw, pitch, point_b),
+                values["vehicle.nose_std"],
+                values["vehicle.axle_position_std"],
+                np.array(values["vehicle.slip_std"]),
+                values["vehicle.kind"] == "ground",
+            )
+        )
+
+    def restart(self) -> None:
+        """Restart, as the filter did; the vehicle is the same."""
+        self._next_ns = 0
+        self.fused = False
+
+    def run_periodic(self, t_ns: int) -> None:
+        """Observe the motion at a stamp [ns], and constrain it, where that is due."""
+        if self.observer is None or t_ns < self._next_ns:
+            return
+        self._next_ns = t_ns + PERIOD_NS
+        running = self._navigator.filter
+        self.fused = False
+        if running is None or self._navigator.monitor.standing or not self._fixes.started:
+            return
+        self._observe(running, t_ns)
+
+    def _observe(self, running: InsFilter, t_ns: int) -> None:
+        observer = self.observer
+        assert observer is not None
+        nav = running.nav.copy()
+        propagation.propagate_covariance(nav)
+        rate_b = self._navigator.ring.after(t_ns - RATE_NS)["w"].mean(axis=0)
+        held = observer.holds
+        fused = not self._fixes.settled(t_ns)
+        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=fused)
+        if observer.holds != held:
+            self._tell()
+        self.fused = self._fixes.outage(t_ns) and observer.holds
+        if self.fused:
+            self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9))
+
+    def _tell(self) -> None:
+        observer = self.observer
+        assert observer is not None
+        if observer.holds:
+            self._log(
+                "info",
+                f"vehicle: it moves along its nose ({_nose(observer)}): this constrains the "
+                "velocity in outages",
+            )
+        else:
+            self._log(
+                "warn",
+                "vehicle: it moves across its nose: the constraint is off until the motion shows "
+                "it again",
+            )
+
+    def status(self) -> Status:
+        """Return the status on ``/diagnostics``."""
+        kind, observer = self._values["vehicle.kind"], self.observer
+        if observer is None:
+            return status("vehicle", 0, f"{kind}: no constraint", {"kind": kind})
+        if self.fused:
+            text = "outage: the velocity is constrained to the nose"
+        elif observer.holds:
+            text = "moves along its nose"
+        else:
+            text = "no motion along the nose shown"
+        yaw_std, pitch_std, along_std = observer.sigma.tolist()
+        along = float(observer.nose.forward @ observer.nose.point_b)
+        return status(
+            "vehicle",
+            0,
+            text,
+            {
+                "kind": kind,
+                "constraint": "fused" if self.fused else "holds" if observer.holds else "off",
+                "evidence": observer.evidence,
+                "evidence_recent": observer.recent,
+                "nose_yaw_deg": -math.degrees(observer.nose.yaw),
+                "nose_yaw_std_deg": math.degrees(yaw_std),
+                "nose_pitch_deg": math.degrees(observer.nose.pitch),
+                "nose_pitch_std_deg": math.degrees(pitch_std),
+                "axle_ahead_of_imu": along,
+                "axle_std": along_std,
+            },
+        )
+
+
+def _nose(observer: ConstraintObserver) -> str:
+    """Return the nose's direction as text."""
+    yaw, pitch = -math.degrees(observer.nose.yaw), math.degrees(observer.nose.pitch)
+    sigma = math.degrees(max(observer.sigma[:2]))
+    return f"yaw {yaw:+.1f}°, pitch {pitch:+.1f}°, each ± {sigma:.1f}° in base_frame"

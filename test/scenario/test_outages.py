@@ -1,0 +1,115 @@
+"""Outages of GNSS on wheels: the constraint bridges them, and only where the motion shows it."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.ros.vehicle_input import VehicleInput
+from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
+from hybrid_ins.simulation.vehicles import record
+from tools.vehicles.drives import Drive, from_simulation
+from tools.vehicles.judge import run
+from tools.vehicles.outages import End, ends, every_vehicle
+
+CALIBRATED = {
+    "imu.gyroscope_bias_std": [0.004],
+    "imu.accelerometer_bias_std": [0.08],
+    "noise.mode": "constant",
+    "noise.q_accelerometer": 0.02,
+    "noise.q_gyroscope": 1e-4,
+}
+
+
+@cache
+def drive(name: str, seed: int, duration: float) -> Drive:
+    vehicle = replace(every_vehicle()[name], duration=duration, imu_rate=50.0)
+    return from_simulation(record(vehicle, seed))
+
+
+def values(kind: str) -> dict[str, Any]:
+    return {**parameters.check_all(CALIBRATED), "vehicle.kind": kind}
+
+
+@cache
+def found(name: str, kind: str) -> tuple[End, ...]:
+    return tuple(ends(drive(name, 2, 230.0), values(kind)))
+
+
+def test_constraint_bridges_an_outage() -> None:
+    """
+    GIVEN a car whose axle slips and whose springs travel, and two minutes of fixes
+    WHEN fixes are missing for 60 s
+    THEN the error stays below 3 % of the distance, a fifth of that without the constraint.
+    """
+    with_it, without = found("road car", "auto"), found("road car", "other")
+
+    assert [end.after for end in with_it] == [30.0, 60.0]
+    assert all(end.error < 0.03 * end.distance for end in with_it)
+    assert all(end.nees < 4.0 for end in with_it)
+    assert with_it[-1].error < 0.2 * without[-1].error
+
+
+def states(name: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, bool, bool]]:
+    """Return time [s], whether the constraint holds, and whether it is fused."""
+    seen: list[tuple[float, bool, bool]] = []
+    run_periodic = VehicleInput.run_periodic
+    whole = drive(name, 2, 230.0)
+    start_ns = int(whole.imu_ns[0])
+
+    def observed(self: VehicleInput, t_ns: int) -> None:
+        run_periodic(self, t_ns)
+        if self.observer is not None:
+            seen.append(((t_ns - start_ns) * 1e-9, self.observer.holds, self.fused))
+
+    monkeypatch.setattr(VehicleInput, "run_periodic", observed)
+    run(whole, values(kind))
+    return seen
+
+
+def test_constraint_is_not_used_where_the_motion_does_not_show_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """
+    GIVEN a car that slides on ice all the time
+    WHEN it is navigated with the default of vehicle.kind
+    THEN the constraint never holds.
+    """
+    assert parameters.defaults()["vehicle.kind"] == "auto"
+
+    assert not any(holds for _, holds, _ in states("car on ice", "auto", monkeypatch))
+
+
+@pytest.mark.parametrize("name", ["car, then on a ferry", "car, later on ice"])
+def test_constraint_ends_when_the_motion_contradicts_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """
+    GIVEN a car that has shown the constraint
+    WHEN it is carried by a ferry, or slides, from 150 s on
+    THEN the constraint is off some seconds after that has begun.
+    """
+    seen = states(name, "auto", monkeypatch)
+    before = [holds for t, holds, _ in seen if 130.0 < t < 150.0]
+    after = [holds for t, holds, _ in seen if t > 205.0]
+
+    assert np.mean(before) > 0.9
+    assert np.mean(after) < 0.2
+    assert not any(fused for *_, fused in seen)  # no outage
+
+
+def test_the_new_vehicles_move_as_they_say() -> None:
+    """The axle of a car slips by centimetres a second, on ice by decimetres; it turns about it."""
+    across = {}
+    for name in ("road car", "car on ice"):
+        vehicle = replace(ROAD_VEHICLES[name], duration=120.0)
+        truth = record(vehicle, 3).truth
+        velocity_b = np.einsum("nji,nj->ni", truth.C_nb, truth.velocity_n)
+        velocity_b += np.cross(truth.angular_rate_eb_b, [-1.2, -0.1, 0.3])
+        across[name] = velocity_b[np.abs(velocity_b[:, 0]) > 3.0, 1].std()
+
+    assert 0.01 < across["road car"] < 0.1
+    assert across["car on ice"] > 0.4

@@ -1,0 +1,173 @@
+"""The non-holonomic constraint: its Jacobian, its evidence, and its nose."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.analytic_motion import EARTH_RATE_E
+
+from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.kalman import inject
+from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
+from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.core.state import BIAS_G, EPS, LAST_W, N_ERROR, QUAT, VELOCITY, Array, NavState
+
+POINT_B = np.array([-1.2, 0.3, 0.5])
+STEP = np.repeat([30.0, 1.0, 1e-4, 0.1, 0.01], 3)
+INTERVAL = 0.5
+
+
+def flat_state(velocity_n: Array, rpy: Array, rate_b: Array, std: float = 1.0) -> Array:
+    nav = NavState(
+        np.array([0.6, 0.6, 800.0]),
+        np.asarray(velocity_n, float),
+        quat_from_rpy(*rpy),
+        np.zeros(3),
+        np.array([0.01, -0.02, 0.005]),
+        np.eye(N_ERROR) * std**2,
+    ).to_flat()
+    nav[LAST_W] = rate_b
+    return nav
+
+
+vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+@settings(max_examples=40, deadline=None)
+@given(vectors, vectors, vectors, st.floats(-0.5, 0.5), st.floats(-0.3, 0.3))
+def test_H_is_the_derivative_of_the_innovation(
+    velocity: Array, rpy: Array, rate: Array, yaw: float, pitch: float
+) -> None:
+    """By every element of the error, to the swing of the point at the Earth's rate."""
+    nav = flat_state(20.0 * velocity, rpy, rate)
+    constraint = NonHolonomic(0, rate, Nose(yaw, pitch, POINT_B), np.eye(2))
+    columns = []
+    for size, step in zip(STEP, np.diag(STEP), strict=True):
+        up, down = nav.copy(), nav.copy()
+        inject(up, step)
+        inject(down, -step)
+        change = constraint.linearise(down)[0] - constraint.linearise(up)[0]
+        columns.append(change / (2.0 * size))
+
+    H = constraint.linearise(nav)[1]
+
+    left_out = float(np.linalg.norm(EARTH_RATE_E) * np.linalg.norm(POINT_B))
+    np.testing.assert_allclose(H, np.stack(columns, axis=1), atol=1.01 * left_out, rtol=1e-5)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
+def test_axes_are_across_the_nose_and_right_handed(yaw: float, pitch: float) -> None:
+    nose = Nose(yaw, pitch, np.zeros(3))
+
+    C = np.vstack((nose.forward, nose.axes))
+
+    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(C) == pytest.approx(1.0)
+    np.testing.assert_allclose(C.T, matrix_from_quat(quat_from_rpy(0.0, pitch, yaw)), atol=1e-12)
+
+
+def test_by_hand() -> None:
+    """Nose north, 10 m/s towards 0.1 rad east of it; the axle 2 m behind swings in a turn."""
+    nav = flat_state(
+        10.0 * np.array([np.cos(0.1), np.sin(0.1), 0.0]), np.zeros(3), np.array([0.0, 0.0, 0.3])
+    )
+    nav[BIAS_G] = 0.0
+    nose = Nose(0.0, 0.0, np.array([-2.0, 0.0, 0.0]))
+
+    z, H, _ = NonHolonomic(0, nav[LAST_W], nose, np.eye(2)).linearise(nav)
+
+    np.testing.assert_allclose(z, [-(10.0 * np.sin(0.1) - 0.6), 0.0], atol=1e-3)
+    # C_true = (I - [eps x]) C: with eps_D > 0 the nose is really further left, the velocity right.
+    assert H[0, EPS][2] == pytest.approx(10.0 * np.cos(0.1))
+
+
+def car(observer: ConstraintObserver, seconds: float, seed: int, **motion: float) -> None:
+    """Show an observer a drive with turns, at 8 to 12 m/s."""
+    yaw, pitch, along = (motion.get(name, 0.0) for name in ("yaw", "pitch", "along"))
+    rng = np.random.default_rng(seed)
+    nose = Nose(yaw, pitch, np.array([along, 0.0, 0.0]))
+    for k in range(int(seconds / INTERVAL)):
+        t = INTERVAL * k
+        rate = np.array([0.0, 0.0, 0.5 * np.sin(0.4 * t)])
+        speed = 10.0 + 2.0 * np.sin(0.13 * t)
+        slip = motion.get("slip", 0.05) * rng.standard_normal(2)
+        if motion.get("free"):
+            slip += motion["free"] * np.array([np.sin(0.5 * t), np.cos(0.31 * t)])
+        point_velocity_b = speed * nose.forward + slip @ nose.axes
+        velocity_b = point_velocity_b - np.cross(rate, nose.point_b)
+        nav = flat_state(velocity_b, np.zeros(3), rate, std=0.01)
+        nav[BIAS_G] = 0.0
+        observer.observe(nav, rate, INTERVAL, fused=False)
+
+
+def new_observer(assumed: bool = False) -> ConstraintObserver:
+    nominal = Nose(0.0, 0.0, np.zeros(3))
+    return ConstraintObserver(ConstraintSettings(nominal, 0.05, 1.5, np.full(2, 0.1), assumed))
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_nose_and_axle_are_found_from_the_motion(seed: int) -> None:
+    observer = new_observer()
+
+    car(observer, 180.0, seed, yaw=0.04, pitch=-0.03, along=-1.2)
+
+    assert observer.holds
+    found = np.array([observer.nose.yaw, observer.nose.pitch, observer.nose.point_b[0]])
+    error = found - [0.04, -0.03, -1.2]
+    assert np.all(np.abs(error) < 3.0 * observer.sigma + [0.002, 0.002, 0.02])
+    assert np.all(observer.sigma < [0.006, 0.006, 0.15])
+    assert np.all(np.abs(error) < [0.005, 0.005, 0.1])
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_free_motion_is_never_constrained(seed: int) -> None:
+    observer = new_observer()
+
+    car(observer, 300.0, seed, free=2.0)
+
+    assert not observer.holds
+    assert observer.evidence < 0.0
+
+
+def test_a_straight_leg_fits_any_nose_and_proves_nothing() -> None:
+    observer = new_observer()
+    for _ in range(600):
+        nav = flat_state(np.array([10.0, 0.5, 0.0]), np.zeros(3), np.zeros(3), std=0.02)
+        nav[BIAS_G] = 0.0
+        observer.observe(nav, np.zeros(3), INTERVAL, fused=False)
+
+    assert not observer.holds
+
+
+@pytest.mark.parametrize("assumed", [False, True])
+def test_constraint_ends_soon_when_it_is_broken_and_comes_back(assumed: bool) -> None:
+    observer = new_observer(assumed)
+    car(observer, 120.0, 1)
+    assert observer.holds
+
+    car(observer, 6.0, 2, free=3.0)
+    assert not observer.holds
+
+    car(observer, 120.0, 3)
+    assert observer.holds
+
+
+def test_what_is_fused_cannot_confirm_itself() -> None:
+    observer = new_observer()
+    nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.02)
+    nav[BIAS_G] = 0.0
+    for _ in range(600):
+        observer.observe(nav, np.array([0.0, 0.0, 0.3]), INTERVAL, fused=True)
+
+    assert observer.evidence <= 0.0
+    assert not observer.holds
+
+
+def test_point_velocity_is_that_of_a_turning_body() -> None:
+    nav = flat_state(np.array([3.0, -2.0, 1.0]), np.array([0.2, -0.1, 1.0]), np.zeros(3))
+    rate = np.array([0.1, 0.2, -0.4])
+    velocity_b, _ = point_velocity(nav, rate, POINT_B)
+
+    expected = matrix_from_quat(nav[QUAT]).T @ nav[VELOCITY]
+    expected = expected + np.cross(rate - nav[BIAS_G], POINT_B)
+    np.testing.assert_allclose(velocity_b, expected, atol=2e-4)

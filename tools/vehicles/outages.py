@@ -1,0 +1,173 @@
+"""
+Outages of GNSS cut into drives of simulated and real vehicles: error at their ends, consistency.
+
+Each outage lasts 60 s and is judged after 30 s and at its end. A vehicle is calibrated by what
+``ins_calibrate`` finds in two drives of odd seeds; drives of even seeds judge. Variants of the
+parameters are compared on the same drives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import Recording as Calibrating
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.ros.conversions import SWAP
+from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
+from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, record
+from tools.vehicles.drives import Drive, from_simulation
+from tools.vehicles.judge import run
+
+SETTLED, BETWEEN, LENGTH = 120.0, 60.0, 60.0  # s before the first outage, between two, of each
+JUDGED = (30.0, 60.0)  # s after an outage begins
+SHORTEST = 30.0  # m: less distance says nothing per distance
+CALIBRATION_SEEDS = (101, 103)
+VARIANTS: dict[str, dict[str, Any]] = {
+    "none": {"vehicle.kind": "other"},
+    "auto": {"vehicle.kind": "auto"},
+    "ground": {"vehicle.kind": "ground"},
+}
+
+
+@dataclass(frozen=True)
+class End:
+    """The error of position a time [s] into an outage."""
+
+    after: float  # s
+    error: float  # m, three-dimensional
+    distance: float  # m, travelled since the outage began
+    nees: float  # of the position, over 3
+
+
+def every_vehicle() -> dict[str, Vehicle]:
+    """Return all simulated vehicles by name."""
+    return {**VEHICLES, **ROAD_VEHICLES}
+
+
+def calibrated(vehicle: Vehicle) -> dict[str, Any]:
+    """Return the parameters that ``ins_calibrate`` finds in drives of this vehicle."""
+    drives = [as_recording(record(vehicle, seed)) for seed in CALIBRATION_SEEDS]
+    return dict(calibrate(drives, parameters.defaults()).values)
+
+
+def as_recording(drive: Recording) -> Calibrating:
+    """Return a simulated drive as a recording to calibrate with."""
+    count = len(drive.fix_stamp)
+    samples = np.hstack((drive.imu.specific_force, drive.imu.angular_rate))
+    R = np.diag(np.asarray(drive.vehicle.receiver.claimed_std) ** 2)
+    return Calibrating(
+        drive.vehicle.name,
+        drive.imu.t,
+        np.ascontiguousarray(samples),
+        drive.fix_stamp,
+        np.full(count, POSITION, np.int64),
+        drive.fix_lla,
+        np.tile(R, (count, 1, 1)),
+    )
+
+
+def begins(drive: Drive) -> Array:
+    """Return when outages begin [s after the first sample]."""
+    first = (drive.motion_ns - drive.imu_ns[0]) * 1e-9 + SETTLED
+    last = (drive.imu_ns[-1] - drive.imu_ns[0]) * 1e-9 - LENGTH - 5.0
+    return np.arange(first, last, LENGTH + BETWEEN)
+
+
+def ends(drive: Drive, values: Mapping[str, Any], log: Any = lambda *_: None) -> list[End]:
+    """Return the errors in the outages of one drive."""
+    t = (drive.arrival_ns - drive.imu_ns[0]) * 1e-9
+    starts = begins(drive)
+    out = np.any([(t > start) & (t < start + LENGTH) for start in starts], axis=0)
+    estimator, t_ns, rows = run(drive.thinned(~out), values, log)
+    if len(t_ns) < 2 or estimator.map_frame is None:
+        return []
+    truth = LocalFrame(estimator.map_frame.datum_lla).position(drive.truth_lla) @ SWAP
+    found = []
+    truth_t = (drive.truth_ns - drive.imu_ns[0]) * 1e-9
+    for start in starts:
+        for after in JUDGED:
+            stop = int(np.searchsorted(truth_t, start + after))
+            begin = int(np.searchsorted(truth_t, start))
+            at = int(np.searchsorted(t_ns, drive.truth_ns[stop]))
+            if at >= len(t_ns) or abs(t_ns[at] - drive.truth_ns[stop]) > 20_000_000:
+                continue
+            error = rows[at, :3] - truth[stop]
+            P = rows[at, 7:43].reshape(6, 6)[:3, :3]
+            steps = np.diff(truth[begin : stop + 1], axis=0)
+            found.append(
+                End(
+                    after,
+                    float(np.linalg.norm(error)),
+                    float(np.sum(np.linalg.norm(steps, axis=1))),
+                    float(error @ np.linalg.solve(P, error)) / 3.0,
+                )
+            )
+    return found
+
+
+def summary(found: Sequence[End], after: float) -> tuple[float, float, float, float]:
+    """Return median error [m], 90th percentile [m], median % of distance, mean NEES/3."""
+    here = [end for end in found if end.after == after]
+    if not here:
+        return (np.nan,) * 4
+    error = np.array([end.error for end in here])
+    share = [100.0 * end.error / end.distance for end in here if end.distance > SHORTEST]
+    return (
+        float(np.median(error)),
+        float(np.quantile(error, 0.9)),
+        float(np.median(share)) if share else np.nan,
+        float(np.mean([end.nees for end in here])),
+    )
+
+
+HEADER = "| vehicle | variant | after | outages | median, 90 % [m] | % of distance | NEES/3 |\n"
+HEADER += "|---" * 7 + "|"
+
+
+def table(
+    name: str, seeds: Sequence[int], variants: Sequence[str], duration: float
+) -> Iterator[str]:
+    """Yield the rows of one vehicle."""
+    vehicle = every_vehicle()[name]
+    base = calibrated(vehicle)
+    drives = [from_simulation(record(replace(vehicle, duration=duration), s)) for s in seeds]
+    for variant in variants:
+        found: list[End] = []
+        for drive in drives:
+            found += ends(drive, {**base, **VARIANTS[variant]})
+        for after in JUDGED:
+            median, most, share, nees = summary(found, after)
+            count = sum(end.after == after for end in found)
+            yield (
+                f"| {name} | {variant} | {after:.0f} s | {count} | {median:.1f}, {most:.1f} "
+                f"| {share:.2f} % | {nees:.2f} |"
+            )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=["road car"], metavar="NAME")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4, 6, 8], metavar="N")
+    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS)
+    parser.add_argument("--duration", type=float, default=600.0, metavar="S")
+    args = parser.parse_args(argv)
+    print(HEADER)
+    for name in args.names:
+        for row in table(name, args.seeds, args.variants, args.duration):
+            print(row, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
