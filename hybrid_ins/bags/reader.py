@@ -9,8 +9,9 @@ accept them with or without the leading slash. Times are integer nanoseconds.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
+IMU_BLOCK = 16_384  # messages that are in memory at a time
 INPUT_TOPICS = ("/imu/data", "/gnss/fix")  # where the input is expected
 
 _log = logging.getLogger(__name__)
@@ -57,6 +59,20 @@ class ImuTable:
     def frame_id(self) -> str:
         """The first message's; empty where there is none."""
         return self.frames[0][1] if self.frames else ""
+
+    @classmethod
+    def joined(cls, parts: Sequence[ImuTable]) -> ImuTable:
+        """Return consecutive parts as one table."""
+        frames: list[tuple[int, str]] = []
+        first = 0
+        for part in parts:
+            for row, name in part.frames:
+                if not frames or frames[-1][1] != name:
+                    frames.append((first + row, name))
+            first += len(part.stamp_ns)
+        arrays = (name.name for name in fields(cls) if name.name != "frames")
+        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in arrays)
+        return cls(*columns, tuple(frames))
 
 
 def _changes(names: NDArray[np.bytes_]) -> list[int]:
@@ -207,9 +223,15 @@ class BagReader:
 
         """
         topic = self.require(topic, IMU, option)
-        messages = list(self._records([topic]))
-        if not messages:
+        records = self._records([topic])
+        parts = []
+        while messages := list(islice(records, IMU_BLOCK)):
+            parts.append(self._imu_part(messages))
+        if not parts:
             raise InputError(f"{self.path}: no message on {topic} can be read: record it again")
+        return ImuTable.joined(parts)
+
+    def _imu_part(self, messages: list[Record]) -> ImuTable:
         log_ns = np.array([record[0] for record in messages], np.int64)
         try:
             table = imu_records([record[2] for record in messages])

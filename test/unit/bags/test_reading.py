@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from support.bags import FIX, TYPES, imu_message, serialised, stamp_ns, write_flight
 
+from hybrid_ins.bags import reader
 from hybrid_ins.bags.messages import IMU, Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
@@ -216,6 +217,22 @@ def test_imu_table(tmp_path: Path, encode: Callable[[int], bytes]) -> None:
     np.testing.assert_array_equal(table.specific_force, np.c_[0.1 * k, 0 * k, 9.8 + 0 * k])
     np.testing.assert_array_equal(table.angular_rate, np.c_[0 * k, -0.01 * k, 0 * k])
     assert table.stamp_ns.dtype == table.log_ns.dtype == np.int64
+
+
+def test_imu_table_of_many_blocks_is_that_of_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for k in range(50):
+            name = "imu_a" if k < 20 else "imu_b"
+            bag.write_raw("/imu/data", IMU, serialised(imu_message(k, name)), stamp_ns(k))
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        whole = bag.imu()
+        monkeypatch.setattr(reader, "IMU_BLOCK", 8)
+        blocks = bag.imu()
+    assert whole.frames == blocks.frames == ((0, "imu_a"), (20, "imu_b"))
+    np.testing.assert_array_equal(whole.stamp_ns, blocks.stamp_ns)
+    np.testing.assert_array_equal(whole.specific_force, blocks.specific_force)
 
 
 def test_ten_minutes_at_200_hz_are_read_whole(tmp_path: Path) -> None:
