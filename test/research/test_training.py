@@ -10,11 +10,14 @@ import onnx
 import torch
 
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.cli import replay, simulate
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import Regressor
 from tools.regressor import networks
 from tools.regressor import train as training
+from tools.regressor.tracks import track_readings
 
 
 def white(variance: float) -> np.ndarray:
@@ -117,6 +120,45 @@ def test_backgrounds_are_windows_of_the_recordings(tmp_path):
     assert rows[0] == pytest.approx(np.sin(0.1 * np.arange(200)), abs=1e-6)
     with pytest.raises(InputError, match="no window"):
         training.background_windows([str(tmp_path / "flight.mcap")], "/imu/data", 1000)
+
+
+def test_a_smoothed_track_is_the_truth_for_training_on_ones_own_robot(tmp_path):
+    """GIVEN a flight WHEN smoothed and trained on THEN the model gives the filter's noise."""
+    flight, smoothed, out = (tmp_path / f"{name}.mcap" for name in ("flight", "smoothed", "out"))
+    duration = ["--duration", "40", "--imu-rate", "100", "--seed", "2"]
+    assert simulate.main([str(flight), *duration]) == 0
+    assert replay.main([str(flight), str(smoothed), "--smooth"]) == 0
+
+    options = ["--model", "paper", "--quick", "--name", "own", "--out", str(tmp_path)]
+    assert training.main([*options, "--tracks", str(smoothed)]) == 0
+
+    card = (tmp_path / "own.md").read_text()
+    assert "--tracks smoothed.mcap" in card
+    assert "own tracks, random fifth" in card
+    model = ["-p", f"noise.model:={tmp_path / 'own.onnx'}"]
+    assert replay.main([str(flight), str(out), *model]) == 0
+    with BagReader(out) as bag:
+        statuses = [s for _, _, m in bag.messages("/diagnostics") for s in m.status]
+    assert any(value.value == "learned" for s in statuses for value in s.values)
+
+
+def test_readings_of_a_smoothed_track_are_those_of_the_motion(tmp_path):
+    flight, smoothed = tmp_path / "flight.mcap", tmp_path / "smoothed.mcap"
+    duration = ["--duration", "40", "--imu-rate", "100", "--seed", "2"]
+    assert simulate.main([str(flight), *duration]) == 0
+    assert replay.main([str(flight), str(smoothed), "--smooth"]) == 0
+    with BagReader(flight) as bag:
+        imu = bag.imu()
+    true = np.hstack((imu.specific_force, imu.angular_rate))
+
+    (readings,) = track_readings(smoothed, 100.0)
+
+    first = len(true) - len(readings) - 1
+    own, true = readings[100:-100], true[first + 100 : first + len(readings) - 100]
+    for column in range(6):
+        assert np.corrcoef(own[:, column], true[:, column])[0, 1] > 0.9
+    # Most of the noise is gone: what differs between samples is the motion.
+    assert np.all(np.diff(own, axis=0).std(axis=0) < 0.5 * np.diff(true, axis=0).std(axis=0))
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):

@@ -23,7 +23,7 @@ section III-B (data set) and appendix B (eq. 29-37).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -253,17 +253,40 @@ def paper_set(
         Six trajectories x 15 variances x 6 channels x 200 windows = 108 000 rows with the paper's
         numbers; `group` is the index in `PAPER_TRAJECTORIES`.
     """
+    ideals = {
+        PAPER_TRAJECTORIES.index(name): ideal_readings(name, duration_s=duration_s)
+        for name in trajectories
+    }
+    return noisy_windows(seed, ideals, window, variances)
+
+
+def noisy_windows(
+    seed: int,
+    ideals: Mapping[int, Array],
+    window: int = 200,
+    variances: Array | Sequence[float] = PAPER_VARIANCES,
+) -> Windows:
+    """
+    Return windows of ideal readings (N, 6) under every noise variance; by the number of a group.
+
+    Parameters
+    ----------
+    seed, window, variances
+        See `paper_set`.
+    ideals : mapping
+        Readings of an ideal IMU, by the group of their windows.
+    """
     rng = np.random.default_rng(seed)
     readings, labels, groups = [], [], []
-    for name in trajectories:
-        ideal = ideal_readings(name, duration_s=duration_s).T
+    for group, table in ideals.items():
+        ideal = table.T
         count = ideal.shape[1] // window
         ideal = ideal[:, : count * window]
         for variance in variances:
             noisy = ideal + rng.normal(0.0, np.sqrt(variance), ideal.shape)
             readings.append(noisy.reshape(-1, window).astype(np.float32))
             labels.append(np.full(6 * count, float(variance)))
-            groups.append(np.full(6 * count, PAPER_TRAJECTORIES.index(name)))
+            groups.append(np.full(6 * count, group))
     return Windows(np.concatenate(readings), np.concatenate(labels), np.concatenate(groups))
 
 

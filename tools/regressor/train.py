@@ -28,6 +28,8 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
 from tools.regressor import model_card, networks, noise_data, noise_randomised
 
+TRACK_RATE_HZ = 100.0
+
 Loss = Callable[[Sequence[Tensor]], Tensor]
 
 PAPER_TEXT = """\
@@ -231,7 +233,14 @@ def export(network: nn.Module, path: Path, args: argparse.Namespace) -> None:
 
 
 def paper_data(args: argparse.Namespace) -> tuple[noise_data.Windows, noise_data.Windows]:
-    """Return the paper's training and test windows."""
+    """Return training and test windows: of the paper's trajectories, or of one's own."""
+    if args.tracks:
+        # Only here: training without recordings needs no bag reader.
+        from tools.regressor.tracks import track_readings
+
+        parts = [part for bag in args.tracks for part in track_readings(bag, TRACK_RATE_HZ)]
+        own = noise_data.noisy_windows(args.seed, dict(enumerate(parts)), args.window)
+        return noise_data.random_split(own, args.seed)
     duration = 8.0 if args.quick else noise_data.PAPER_DURATION_S
     data = noise_data.paper_set(args.seed, args.window, duration_s=duration)
     return noise_data.random_split(data, args.seed)
@@ -279,6 +288,8 @@ def train(args: argparse.Namespace) -> int:
         export(recipe.network, path, args)
         checkpoint.unlink(missing_ok=True)
     regressor: NoiseRegressor
+    if args.tracks and test is not None:
+        unseen, test = [("own tracks, random fifth", Regressor.load(path), test)], None
     if args.model == "spectral":
         regressor, title = SpectralRegressor(args.window), "spectral"
     else:
@@ -307,8 +318,9 @@ def _command(args: argparse.Namespace) -> str:
     for switch in ("leave_one_out", "quick"):
         if getattr(args, switch):
             words.append("--" + switch.replace("_", "-"))
-    if args.background:
-        words.append("--background " + " ".join(Path(bag).name for bag in args.background))
+    for option, bags in (("--background", args.background), ("--tracks", args.tracks)):
+        if bags:
+            words.append(f"{option} " + " ".join(Path(bag).name for bag in bags))
     return " ".join(words)
 
 
@@ -321,6 +333,7 @@ def _parser() -> argparse.ArgumentParser:
 examples:
   python -m tools.regressor.train --model plateau
   python -m tools.regressor.train --model plateau --name my_robot --background flight1.mcap drive2/
+  python -m tools.regressor.train --model paper --name my_robot --tracks smoothed.mcap
 needs: tools/setup.sh train""",
     )
     parser.add_argument("--model", choices=tuple(TEXTS), required=True)
@@ -352,6 +365,14 @@ needs: tools/setup.sh train""",
         metavar="BAG",
         help="recordings whose motion and vibration to train on (plateau)",
     )
+    parser.add_argument(
+        "--tracks",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="BAG",
+        help="smoothed runs (ins_replay --smooth) in place of the paper's trajectories (paper)",
+    )
     parser.add_argument("--topic", default="/imu/data", help="IMU topic in the recordings")
     return parser
 
@@ -361,6 +382,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if args.model != "plateau" and args.background:
         _parser().error("--background is for --model plateau")
+    if args.tracks and (args.model != "paper" or args.leave_one_out):
+        _parser().error("--tracks is for --model paper without --leave-one-out")
     if args.window < SHORTEST[args.model]:
         _parser().error(f"--window: --model {args.model} needs {SHORTEST[args.model]} samples")
     if args.threads < 1:
