@@ -1,9 +1,9 @@
 """
-Logs of PX4, ``*.ulg``: sensor_combined and sensor_gps (or vehicle_gps_position). Needs `pyulog`.
+Logs of PX4, ``*.ulg``: sensor_combined or vehicle_imu, and the receiver's. Needs `pyulog`.
 
 References
 ----------
-PX4 user guide, "ULog file format"; message definitions SensorCombined and SensorGps.
+PX4 user guide, "ULog file format"; message definitions SensorCombined, VehicleImu and SensorGps.
 """
 
 from __future__ import annotations
@@ -28,19 +28,28 @@ def recognise(head: bytes) -> bool:
 
 def read_imu(path: Path) -> ImuLog:
     """
-    Read ``sensor_combined``, by the autopilot's clock.
+    Read ``sensor_combined``, or ``vehicle_imu`` where that is logged, by the autopilot's clock.
 
     Raises
     ------
     InputError
         `pyulog` is not installed, or the log lacks the topic.
     """
-    data = _topic(path, ("sensor_combined",))
+    data = _topic(path, ("sensor_combined", "vehicle_imu"))
+    names, lengths = ("accelerometer_m_s2", "gyro_rad"), (1.0, 1.0)
+    if "delta_angle[0]" in data:  # integrals, and how long [µs]
+        names = ("delta_velocity", "delta_angle")
+        lengths = tuple(data[f"{name}_dt"] * 1e-6 for name in names)
+        data = {name: values[lengths[0] * lengths[1] > 0.0] for name, values in data.items()}
+        lengths = tuple(data[f"{name}_dt"] * 1e-6 for name in names)
     force, rate = (
-        np.column_stack([data[f"{name}[{axis}]"] for axis in range(3)]).astype(float) @ FLIP
-        for name in ("accelerometer_m_s2", "gyro_rad")
+        np.column_stack([data[f"{name}[{axis}]"] / dt for axis in range(3)]).astype(float) @ FLIP
+        for name, dt in zip(names, lengths, strict=True)
     )
-    return ImuLog(path, data["timestamp"] * 1e-6, force, rate, False)
+    sampled = np.any(data.get("timestamp_sample", 0))
+    return ImuLog(
+        path, data["timestamp_sample" if sampled else "timestamp"] * 1e-6, force, rate, False
+    )
 
 
 def read_gnss(path: Path) -> GnssLog:

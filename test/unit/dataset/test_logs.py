@@ -283,13 +283,18 @@ def test_ubx(tmp_path: Path) -> None:
     assert log.velocity_n[0].tolist() == [1.0, 2.0, -3.0]
 
 
-def ulog_file(path: Path) -> None:
+def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
     """Write a ULog with two IMU samples and a fix, by the format's description."""
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<Hc", len(body), kind) + body
 
-    imu = "sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+    imu = {
+        "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;",
+        "vehicle_imu": "float[3] delta_angle;float[3] delta_velocity;uint32_t delta_angle_dt;"
+        "uint32_t delta_velocity_dt;",
+    }[topic]
+    imu = f"{topic}:uint64_t timestamp;{imu}"
     gps = (
         "sensor_gps:uint64_t timestamp;double latitude_deg;double longitude_deg;"
         "double altitude_ellipsoid_m;float eph;float epv;float s_variance_m_s;float vel_n_m_s;"
@@ -297,20 +302,24 @@ def ulog_file(path: Path) -> None:
     )
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40))]
     parts += [message(b"F", text.encode()) for text in (imu, gps)]
-    for number, name in enumerate(("sensor_combined", "sensor_gps")):
+    for number, name in enumerate((topic, "sensor_gps")):
         parts.append(message(b"A", struct.pack("<BH", 0, number) + name.encode()))
     for t_us in (1_000_000, 1_005_000):
         readings = struct.pack("<Q6f", t_us, 0.1, 0.2, 0.3, 1.0, 2.0, -9.8)
+        if topic == "vehicle_imu":
+            deltas = (0.1 * 5e-3, 0.2 * 5e-3, 0.3 * 5e-3, 4e-3, 8e-3, -9.8 * 4e-3)
+            readings = struct.pack("<Q6fII", t_us, *deltas, 5000, 4000)
         parts.append(message(b"D", struct.pack("<H", 0) + readings))
     fix = struct.pack("<Q3d6fB", 1_002_000, 32.1, 34.8, 50.0, 0.2, 0.3, 0.5, 1.0, 2.0, -3.0, 6)
     parts.append(message(b"D", struct.pack("<H", 1) + fix))
     path.write_bytes(b"".join(parts))
 
 
-def test_ulog(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topic", ["sensor_combined", "vehicle_imu"])
+def test_ulog(tmp_path: Path, topic: str) -> None:
     pytest.importorskip("pyulog")
     path = tmp_path / "flight.ulg"
-    ulog_file(path)
+    ulog_file(path, topic)
 
     imu, gnss = formats.read_logs([path])
 
