@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,9 @@ from hybrid_ins.calibration.derived import (
     rotations_to_truth,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
-from hybrid_ins.calibration.fit import Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.fit import SIGNIFICANT, Fit, OnStage, filter_passes, fit
 from hybrid_ins.calibration.likelihood import offset_name
+from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
@@ -33,10 +34,13 @@ from hybrid_ins.ros.conversions import FLIP
 
 Array = NDArray[np.float64]
 
-IDENTIFIED = {"offset": 0.015, "lever": 0.05, "mount": math.radians(1.0)}  # largest σ
+IDENTIFIED = {"offset": 0.015, "lever_x": 0.05, "lever_y": 0.05, "lever_z": 0.05}  # largest σ
+IDENTIFIED_MOUNT = math.radians(1.0)  # largest σ
 NOT_IDENTIFIABLE = {"offset": 0.08, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}  # smallest σ
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
+KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
+MISFIT = "does not fit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class Finding:
     label: str
     value: str
     sigma: str
-    verdict: str  # identified, weak, not identifiable
+    verdict: str  # identified, weak, not identifiable, does not fit
     note: str
 
 
@@ -66,6 +70,17 @@ class Findings:
             text = f"{verdict}: {label} {value}{spread}"
             self.notes[name] = text + (f"; {note}" if note else "")
 
+    def withdraw_verdicts(self) -> None:
+        """Call nothing identified: the model is not that of the recordings."""
+        self.rows = [
+            replace(row, verdict=MISFIT) if row.verdict == "identified" else row
+            for row in self.rows
+        ]
+        self.notes = {
+            name: text.replace("identified", MISFIT, 1) if text.startswith("identified") else text
+            for name, text in self.notes.items()
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -77,6 +92,7 @@ class Calibration:
     findings: list[Finding]
     values: dict[str, Any]  # all parameters, by name
     notes: dict[str, str]  # comments on parameters, by name
+    misfits: list[str]  # why the model is not that of the recordings; empty if it may be
 
 
 def calibrate(
@@ -131,6 +147,7 @@ def calibrate(
         own_offsets=own_offsets,
         search=search,
         largest_std=NOT_IDENTIFIABLE,
+        identified_std=IDENTIFIED,
         held=frozenset({"gnss_scale"} if trust_fixes else ()),
         on_stage=on_stage,
     )
@@ -142,9 +159,14 @@ def calibrate(
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     add_biases(found, after, nominal, C_new_old)
     add_noise(found, fitted, period)
-    add_background(found, recordings, log)
+    levels = ordinary_levels(recordings, found.values, log)
+    if levels is not None:
+        add_background(found, levels)
     add_fix_scatter(found, fitted)
-    return Calibration(fitted, before, after, found.rows, found.values, found.notes)
+    reasons = misfits(fitted, after, nominal, levels, period)
+    if reasons:
+        found.withdraw_verdicts()
+    return Calibration(fitted, before, after, found.rows, found.values, found.notes, reasons)
 
 
 def add_clock_offset(
@@ -157,8 +179,10 @@ def add_clock_offset(
         value, sigma = fitted.value(name), fitted.sigma(name)
         profile = fitted.profile[k] if own else fitted.profile.sum(axis=0)
         second = _second_peak(fitted.grid, profile, value)
-        if name in fitted.frozen:
+        if name in fitted.frozen and sigma > NOT_IDENTIFIABLE["offset"]:
             verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
+        elif name in fitted.frozen:
+            verdict, note = "weak", KEPT
         elif abs(value - nominal_offset) > search - 0.15:
             verdict, note = "weak", "at the limit of the search: give a larger --search"
         elif second is not None:
@@ -230,7 +254,7 @@ def _set_mount(found: Findings, fitted: Fit, C_new_old: Array, spread: float, no
         "IMU mount",
         "[" + ", ".join(f"{math.degrees(a):+.1f}" for a in rpy) + "]°",
         f"{math.degrees(sigma):.1f}°",
-        "identified" if sigma < IDENTIFIED["mount"] else "weak",
+        "identified" if sigma < IDENTIFIED_MOUNT else "weak",
         note,
         "imu.mount_rpy",
     )
@@ -250,10 +274,12 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         name = f"lever_{axis}"
         sigma = fitted.sigma(name)
         label = f"{sensor} {AXES[k]}"
-        if name in fitted.frozen:
+        if name in fitted.frozen and sigma > NOT_IDENTIFIABLE[name]:
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
-        elif sigma <= IDENTIFIED["lever"]:
+        elif name in fitted.frozen:
+            verdict, note = "weak", KEPT
+        elif sigma <= IDENTIFIED[name]:
             verdict, note = "identified", ""
         else:
             verdict, note = "weak", "few turns" if axis != "z" else "little roll and pitch"
@@ -306,6 +332,8 @@ def add_noise(found: Findings, fitted: Fit, period: float) -> None:
             verdict, note = "identified", ""
         elif sigma < 0.75 * prior.std:
             verdict, note = "weak", "order of magnitude only"
+            if abs(log_value - prior.mean) < SIGNIFICANT * sigma:
+                note, value = KEPT, math.exp(prior.mean) * scale
         else:
             verdict = "not identifiable"
             note = (
@@ -319,13 +347,8 @@ def add_noise(found: Findings, fitted: Fit, period: float) -> None:
         found.add(label, f"{value:.2g} {unit}", spread, verdict, note, parameter)
 
 
-def add_background(
-    found: Findings, recordings: Sequence[Recording], log: Callable[[str, str], None]
-) -> None:
-    """Add the levels that the regressor rarely exceeds in motion whose noise is now known."""
-    levels = ordinary_levels(recordings, found.values, log)
-    if levels is None:
-        return
+def add_background(found: Findings, levels: Array) -> None:
+    """Add the levels (6,) that the regressor rarely exceeds in motion whose noise is now known."""
     for sensor, unit, background in (
         ("accelerometer", "(m/s²)²", levels[:3]),
         ("gyroscope", "(rad/s)²", levels[3:]),

@@ -12,7 +12,7 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,7 @@ OnStage = Callable[[str], Callable[[], None]]  # given a stage's name, returns w
 
 COARSE_STEP = 0.1  # s
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
+SIGNIFICANT = 3.0  # standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,7 @@ class Fit:
     grid: Array  # (G,) s, offsets of the coarse search
     profile: Array  # (recordings, G) log-likelihood
     nominal_x: Array  # (n,) the nominal parameters
+    converged: bool
 
     def value(self, name: str) -> float:
         """Return one parameter."""
@@ -70,7 +72,8 @@ def fit(
     *,
     own_offsets: bool,
     search: float,
-    largest_std: dict[str, float],
+    largest_std: Mapping[str, float],
+    identified_std: Mapping[str, float],
     held: frozenset[str] = frozenset(),
     on_stage: OnStage,
 ) -> Fit:
@@ -85,8 +88,12 @@ def fit(
         A clock offset for each recording.
     search : float
         Offsets within this of the nominal one are searched [s].
-    largest_std : dict
+    largest_std : mapping
         Standard deviation from which a parameter is held at its nominal value, by name.
+    identified_std : mapping
+        Standard deviation up to which a parameter is identified, by name. Above it, a parameter
+        that differs from its nominal value by less than ``SIGNIFICANT`` standard deviations is
+        held there, too: the others are then those that go with the value that is kept.
     held : frozenset of str
         Parameters that are not estimated.
     on_stage : callable
@@ -123,22 +130,21 @@ def fit(
     x[fine.names.index("psd_g")] = math.log(COARSE_PSD_G)
     fine.choose_yaws(x, math.pi / YAWS)
     fine.frozen = held | {"walk_a", "walk_g"}
-    x = maximise(fine, x)
+    x, _ = maximise(fine, x)
     fine.choose_yaws(x, 0.1)
     fine.frozen = held
-    x = maximise(fine, x)
+    x, converged = maximise(fine, x)
     std = uncertainty(fine, x)
-    limits = np.array(
-        [
-            largest_std.get("offset" if name.startswith("offset") else name, math.inf)
-            for name in fine.names
-        ]
-    )
+    limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
-    while np.any((std > limits) & ~keep):  # holding one parameter may reveal another as weak
-        keep |= std > limits
+    while True:  # holding one parameter may reveal another as weak
+        weak = (std > known) & (np.abs(x - nominal_x) < SIGNIFICANT * std)
+        hold = keep | (std > limits) | weak
+        if np.all(hold == keep):
+            break
+        keep = hold
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
-        x = maximise(fine, np.where(keep, nominal_x, x))
+        x, converged = maximise(fine, np.where(keep, nominal_x, x))
         std = np.where(keep, std, uncertainty(fine, x))
     return Fit(
         fine.names,
@@ -151,12 +157,20 @@ def fit(
         grid,
         profile,
         nominal_x,
+        converged,
     )
 
 
-def maximise(likelihood: Likelihood, x: Array, iterations: int = 15) -> Array:
+def _by_name(names: Sequence[str], limits: Mapping[str, float]) -> Array:
+    """Return a limit for each parameter; infinite where there is none."""
+    return np.array(
+        [limits.get("offset" if n.startswith("offset") else n, math.inf) for n in names]
+    )
+
+
+def maximise(likelihood: Likelihood, x: Array, iterations: int = 40) -> tuple[Array, bool]:
     """
-    Return the parameters of the largest posterior, starting from ``x``.
+    Return the parameters of the largest posterior, starting from ``x``, and whether it is reached.
 
     Scoring with the outer product of the scores as information [2]_, damped until it ascends.
     """
@@ -180,9 +194,9 @@ def maximise(likelihood: Likelihood, x: Array, iterations: int = 15) -> Array:
         if gain > 0.0:
             x, value = y, new_value
         if gain < 0.05:
-            break
+            return x, True
         damping = max(damping, 1e-4)
-    return x
+    return x, False
 
 
 def uncertainty(likelihood: Likelihood, x: Array) -> Array:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from hybrid_ins import kernels, progress
-from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.recording import antenna_is_base, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
+from hybrid_ins.calibration.trial import Comparison, compare, run_trial
 from hybrid_ins.cli import options, program
+from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
@@ -22,8 +25,10 @@ from hybrid_ins.plotting.calibration import figure
 DESCRIPTION = """\
 Estimate from recordings of IMU and GNSS: the offset between their clocks, the lever arm of the
 antenna, the IMU's mount, biases and noise levels, each with its uncertainty and whether the motion
-made it observable. Writes a parameter file for ins_node and ins_replay. Record half a minute or
-more with curves, acceleration and braking."""
+made it observable. The recordings are then replayed with and without what was found, some fixes
+withheld: parameters that do not fit, or are worse at these fixes, are not written. Writes a
+parameter file for ins_node and ins_replay. Record half a minute or more with curves, acceleration
+and braking."""
 
 EXAMPLE = "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot calibration.png"
 
@@ -61,6 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the output files")
+    parser.add_argument(
+        "--force", action="store_true",
+        help="write the parameters even if the recordings do not fit, or are worse with them",
+    )  # fmt: skip
     return program.run(_body, parser.parse_args(argv))
 
 
@@ -94,15 +103,44 @@ def _body(args: argparse.Namespace) -> int:
             on_stage=stages.start,
             log=_log,
         )
-    if args.out:  # before the text: whoever reads that may stop reading
+    comparison = None if args.use_truth else _compare(args, values, found.values)
+    objection = _objection(found, comparison)
+    if args.out and (args.force or not objection):  # before the text: its reader may stop reading
         write_text(args.out, parameter_file(found))
     if args.plot:
         style.save(figure(found), args.plot)
     print(table(found.findings))
     print(innovation_line(found))
+    if comparison is not None:
+        print(comparison.text())
+    if objection and args.out and not args.force:
+        raise InputError(f"{objection}; {args.out} is not written: --force writes it all the same")
+    if objection:
+        _log("warn", objection)
     if args.out:
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")
     return 0
+
+
+def _compare(
+    args: argparse.Namespace, given: Mapping[str, Any], found: Mapping[str, Any]
+) -> Comparison:
+    """Run the estimator over the recordings with the given parameters, and with those found."""
+    with progress.bar("replay", 2 * len(args.bags), "run", leave=False) as bar:
+        trials = []
+        for values in (given, found):
+            for path in args.bags:
+                trials.append(run_trial(path, values, options.topics(args), args.longest))
+                bar.update()
+    return compare(trials[: len(args.bags)], trials[len(args.bags) :])
+
+
+def _objection(found: Calibration, comparison: Comparison | None) -> str:
+    """Return why the parameters should not be used; empty if they may."""
+    if found.misfits:
+        return f"does not fit: check units, axes and mount: {'; '.join(found.misfits)}"
+    worse = "" if comparison is None else comparison.worse
+    return f"worse than the given parameters: {worse}" if worse else ""
 
 
 def _log(level: str, text: str) -> None:

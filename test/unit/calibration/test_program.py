@@ -10,23 +10,28 @@ from support.streams import closed_pipe, latin_1
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
 from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameter_file import load
 from hybrid_ins.parameters import defaults
 
 
-def found() -> Calibration:
+def found(*misfits: str) -> Calibration:
     """Return a calibration without the work."""
     one = FilterPass(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.ones(5), np.empty((0, 1)))
     fitted = Fit(
         ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (), np.zeros(1),
-        np.zeros((1, 1)), np.array([0.0]),
+        np.zeros((1, 1)), np.array([0.0]), True,
     )  # fmt: skip
     values = {**defaults(), "gnss.time_offset.value": 0.1}
     notes = {"gnss.time_offset.value": "identified: clock offset ± 0.01 s"}
     findings = [Finding("clock offset", "+0.1 s", "0.01 s", "identified", "σ")]
-    return Calibration(fitted, [one], [one], findings, values, notes)
+    return Calibration(fitted, [one], [one], findings, values, notes, list(misfits))
+
+
+def trial(error: float) -> Trial:
+    return Trial(np.full(8, error), np.ones(8), 1.0)
 
 
 @pytest.fixture
@@ -38,6 +43,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: None)
     monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
     monkeypatch.setattr(program, "calibrate", lambda *args, **options: found())
+    monkeypatch.setattr(program, "run_trial", lambda *args: trial(0.5))
     monkeypatch.setattr(program.kernels, "prepare", lambda *args, **options: None)
     return lambda *arguments: program.main(list(arguments))
 
@@ -113,3 +119,40 @@ def test_a_first_compilation_is_announced_before_the_work(
     assert run("bag") == 0
     assert order == ["compiled", "calibrated"]
     assert "ins_calibrate: info: compiling" in capsys.readouterr().err
+
+
+def test_what_does_not_fit_is_written_only_by_force(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reason = "the innovations are too large"
+    monkeypatch.setattr(program, "calibrate", lambda *args, **options: found(reason))
+
+    assert run("bag", "--out", "robot.yaml") == 2
+    error = capsys.readouterr().err
+    assert f"does not fit: check units, axes and mount: {reason}" in error
+    assert "robot.yaml is not written" in error
+    assert not Path("robot.yaml").exists()
+
+    assert run("bag", "--out", "robot.yaml", "--force") == 0
+    assert reason in capsys.readouterr().err
+    assert load("robot.yaml")["gnss.time_offset.value"] == 0.1
+
+
+def test_what_makes_withheld_fixes_worse_is_written_only_by_force(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # GIVEN withheld fixes that are 0.5 m off with the given parameters, 0.8 m with those found
+    offsets = {0.0: 0.5, 0.1: 0.8}
+    monkeypatch.setattr(
+        program,
+        "run_trial",
+        lambda path, values, *_: trial(offsets[values["gnss.time_offset.value"]]),
+    )
+
+    assert run("bag", "--out", "robot.yaml") == 2
+    shown = capsys.readouterr()
+    assert "0.500 -> 0.800 m off" in shown.out
+    assert "withheld fixes are 0.800 m off, with the given parameters 0.500 m" in shown.err
+    assert not Path("robot.yaml").exists()
+    assert run("bag", "--out", "robot.yaml", "--force") == 0
+    assert Path("robot.yaml").exists()

@@ -1,0 +1,179 @@
+"""The node's estimator over a recording, some of its fixes withheld: how good parameters are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.bags import messages
+from hybrid_ins.bags.reader import BagReader, InputTopics
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
+from hybrid_ins.ros.estimator import Estimator
+
+Array = NDArray[np.float64]
+
+SPAN = 2.0  # s of fixes that are withheld together
+EVERY = 4  # spans, one of which is withheld
+MAX_STEP = 0.6  # s between two odometry messages that are interpolated
+TRIM = 0.95  # share of the withheld fixes that count: a receiver's outliers are no one's fault
+WORSE = 1.05  # factor on the error at the withheld fixes from which parameters are worse
+LESS_USED = 0.02  # share of the fixes
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What an estimator did with a recording of which some fixes were withheld."""
+
+    error: Array  # (M,) m, at the withheld fixes; NaN where there was no odometry
+    nis: Array  # (M,) their normalised squares over 3
+    used: float  # share of the other fixes that were fused
+
+
+def run_trial(
+    path: Path, values: Mapping[str, Any], topics: InputTopics, longest: float = math.inf
+) -> Trial:
+    """
+    Run the estimator over a bag with some fixes withheld, and compare it with them.
+
+    Parameters
+    ----------
+    path : Path
+        A bag that `recording.read_recording` has read.
+    values : mapping
+        Checked parameters.
+    topics : InputTopics
+        Where the input is.
+    longest : float
+        Use only this much time from the first sample on [s].
+    """
+    estimator = Estimator(values, lambda level, text: None)
+    convert = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
+    antenna = np.asarray(values["gnss.antenna_position"], float)
+    expected: list[tuple[int, Array, Array]] = []  # stamps, IMU clock; lla; covariances, NED
+    t_blocks, row_blocks = [np.empty(0, np.int64)], [np.empty((0, 85))]
+    with BagReader(path) as bag:
+        imu = bag.imu(topics["imu_topic"])
+        end_ns = int(imu.stamp_ns[0]) + round(min(longest, 1e9) * 1e9)
+        fix_topic = bag.require(topics["fix_topic"], messages.FIX, "--fix-topic")
+        velocity_topic = topics["velocity_topic"]
+        has_velocity = bag.topics.get(velocity_topic) == messages.VELOCITY
+        usable = imu.has_reading & (imu.stamp_ns <= end_ns)
+        stamps, log_ns = imu.stamp_ns[usable], imu.log_ns[usable]
+        force, rate = imu.specific_force[usable], imu.angular_rate[usable]
+        estimator.preload(stamps, force, rate)
+        given, start, first_ns = 0, 0, 0
+
+        def advance(stop: int) -> None:
+            nonlocal start
+            part = slice(start, max(start, stop))
+            for block in estimator.handle_imu_block(stamps[part], force[part], rate[part]):
+                t_blocks.append(block.t_ns)
+                row_blocks.append(block.in_map[:, :43].copy())
+            estimator.pop_reports()
+            start = part.stop
+
+        for topic, at_ns, message in bag.messages(fix_topic, *[velocity_topic] * has_velocity):
+            advance(int(np.searchsorted(log_ns, at_ns, side="right")))
+            if start == len(stamps):
+                break
+            first_ns = first_ns or at_ns
+            withheld = int((at_ns - first_ns) * 1e-9 / SPAN) % EVERY == EVERY - 1
+            if topic == velocity_topic and not withheld:
+                estimator.handle_velocity(message)
+            elif topic == fix_topic and withheld:
+                fix = convert.position(message)
+                if not isinstance(fix, Refused):
+                    offset_ns = round(estimator.clock.offset * 1e9)
+                    expected.append((fix.t_ns + offset_ns, fix.lla, fix.covariance_n))
+            elif topic == fix_topic:
+                given += estimator.aligned
+                estimator.handle_fix(message)
+        advance(len(stamps))
+    t_ns, rows = np.concatenate(t_blocks), np.vstack([r[:, :43] for r in row_blocks])
+    error, nis = np.full(len(expected), np.nan), np.full(len(expected), np.nan)
+    frame = estimator.map_frame and LocalFrame(estimator.map_frame.datum_lla)
+    for k, (at_ns, lla, R) in enumerate(expected):
+        i = int(np.searchsorted(t_ns, at_ns))
+        if frame is None or not 0 < i < len(t_ns) or t_ns[i] - t_ns[i - 1] > MAX_STEP * 1e9:
+            continue
+        a = (at_ns - t_ns[i - 1]) / (t_ns[i] - t_ns[i - 1])
+        place = rows[i - 1, :3] + a * (rows[i, :3] - rows[i - 1, :3])
+        away = place + matrix_from_quat(rows[i, 3:7]) @ antenna - frame.position(lla) @ SWAP
+        P = rows[i, 7:43].reshape(6, 6)[:3, :3] + SWAP @ R @ SWAP.T
+        seen = np.isfinite(away) & np.isfinite(np.diag(P))
+        error[k] = np.linalg.norm(away[seen])
+        nis[k] = (
+            away[seen] @ np.linalg.solve(P[np.ix_(seen, seen)], away[seen]) / max(seen.sum(), 1)
+        )
+    return Trial(error, nis, min(estimator.fixes_fused / given, 1.0) if given else 0.0)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two parameter sets on the same recordings: before and after."""
+
+    used: tuple[float, float]  # share of the fixes
+    rms: tuple[float, float]  # m, at withheld fixes for which both have odometry, without the worst
+    nis: tuple[float, float]  # of these, over 3
+    covered: tuple[float, float]  # share of the withheld fixes with odometry
+
+    @property
+    def worse(self) -> str:
+        """Return why the second set is worse than the first; empty where it is not."""
+        if self.covered[1] < self.covered[0] - 0.1:
+            return (
+                f"the filter is aligned for {_percent(self.covered[1])} of the time, with the "
+                f"given parameters for {_percent(self.covered[0])}"
+            )
+        if self.rms[1] > WORSE * self.rms[0]:
+            return (
+                f"withheld fixes are {self.rms[1]:.3f} m off, with the given parameters "
+                f"{self.rms[0]:.3f} m"
+            )
+        if self.used[1] < self.used[0] - LESS_USED:
+            return (
+                f"{_percent(self.used[1])} of the fixes are used, with the given parameters "
+                f"{_percent(self.used[0])}"
+            )
+        return ""
+
+    def text(self) -> str:
+        """Return a line for the user."""
+        return (
+            f"replayed with every fourth 2 s of fixes withheld: these are {self.rms[0]:.3f} -> "
+            f"{self.rms[1]:.3f} m off, NIS/3 {self.nis[0]:.2f} -> {self.nis[1]:.2f} (1 expected); "
+            f"fixes used {_percent(self.used[0])} -> {_percent(self.used[1])}"
+        )
+
+
+def compare(before: Sequence[Trial], after: Sequence[Trial]) -> Comparison:
+    """Compare the trials of the same recordings with two parameter sets."""
+    error = np.array([np.concatenate([t.error for t in s]) for s in (before, after)])
+    nis = np.array([np.concatenate([t.nis for t in s]) for s in (before, after)])
+    both = np.all(np.isfinite(error), axis=0)
+    least = np.min(error[:, both], axis=0)
+    counts = np.flatnonzero(both)[least <= np.quantile(least, TRIM)] if len(least) else []
+    rms = [math.sqrt(np.mean(row[counts] ** 2)) if len(counts) else math.nan for row in error]
+    mean = [float(np.mean(row[counts])) if len(counts) else math.nan for row in nis]
+    return Comparison(
+        (_mean([t.used for t in before]), _mean([t.used for t in after])),
+        (rms[0], rms[1]),
+        (mean[0], mean[1]),
+        (float(np.mean(np.isfinite(error[0]))), float(np.mean(np.isfinite(error[1])))),
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else math.nan
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"

@@ -1,0 +1,71 @@
+"""Parameters are compared at fixes that the filter was not given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.reader import InputTopics
+from hybrid_ins.calibration.trial import Trial, compare, run_trial
+from hybrid_ins.cli import simulate
+
+ARM = [1.5, 0.0, 0.4]
+TOPICS: InputTopics = {
+    "imu_topic": "/imu/data",
+    "fix_topic": "/gnss/fix",
+    "velocity_topic": "/gnss/velocity",
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive with the antenna ahead of the IMU, and fixes of centimetres."""
+    path = tmp_path_factory.mktemp("trial") / "drive"
+    drive = "--trajectory car --duration 60 --seed 2 --imu-rate 50"
+    options = f"{drive} --gnss-rate 5 --gnss-noise 0.02 0.02 0.04"
+    assert simulate.main([str(path), *options.split()]) == 0
+    return path
+
+
+def trial(bag: Path, **values: Any) -> Trial:
+    return run_trial(bag, {**parameters.defaults(), **values}, TOPICS)
+
+
+def test_withheld_fixes_are_met_with_the_right_parameters_and_missed_with_wrong_ones(
+    bag: Path,
+) -> None:
+    right = trial(bag)
+    assert 60 < len(right.error) < 80  # of 300, a quarter
+    assert np.nanmedian(right.error) < 0.15
+    assert 0.4 < np.nanmean(right.nis) < 2.0
+    assert right.used > 0.98
+
+    wrong = trial(bag, **{"gnss.time_offset.value": 0.4})
+    comparison = compare([right], [wrong])
+    assert comparison.rms[1] > 3.0 * comparison.rms[0]
+    assert "withheld fixes are" in comparison.worse
+    assert compare([wrong], [right]).worse == ""
+
+
+def test_a_lever_arm_is_a_part_of_what_is_compared(bag: Path) -> None:
+    """The true arm is zero: one of 1.5 m is wrong where the vehicle turns, and only there."""
+    arm = trial(bag, **{"gnss.antenna_position": ARM})
+    assert compare([trial(bag)], [arm]).rms[1] / compare([trial(bag)], [arm]).rms[0] > 1.2
+    assert np.nanmedian(arm.error) < 1.0  # the antenna is compared with the antenna
+
+
+def test_what_counts_as_worse() -> None:
+    good = Trial(np.full(20, 0.5), np.ones(20), 1.0)
+    late = Trial(np.where(np.arange(20) < 10, np.nan, 0.5), np.ones(20), 1.0)
+    picky = Trial(np.full(20, 0.5), np.ones(20), 0.9)
+    off = Trial(np.where(np.arange(20) < 1, 50.0, 0.5), np.ones(20), 1.0)
+    assert "aligned for 50.0 %" in compare([good], [late]).worse
+    assert "90.0 % of the fixes are used" in compare([good], [picky]).worse
+    assert compare([good], [Trial(np.full(20, 0.52), np.ones(20), 1.0)]).worse == ""
+    assert compare([off], [off]).rms == pytest.approx((0.5, 0.5))  # an outlier is nobody's fault
+    never = Trial(np.full(20, np.nan), np.ones(20), 0.0)
+    assert compare([never], [good]).worse == ""
