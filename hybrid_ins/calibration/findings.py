@@ -173,7 +173,7 @@ def add_clock_offset(
     found: Findings, fitted: Fit, own: bool, nominal_offset: float, search: float
 ) -> None:
     """Add the clock offset, one of all recordings or one of each."""
-    count = len(fitted.recordings)
+    count, ambiguous = len(fitted.recordings), False
     for k in range(count) if own else [0]:
         name = offset_name(k, fitted.names)
         value, sigma = fitted.value(name), fitted.sigma(name)
@@ -185,8 +185,10 @@ def add_clock_offset(
             verdict, note = "weak", KEPT
         elif abs(value - nominal_offset) > search - 0.15:
             verdict, note = "weak", "at the limit of the search: give a larger --search"
+            ambiguous = True
         elif second is not None:
             verdict, note = "weak", f"{second:+.1f} s is nearly as likely"
+            ambiguous = True
         elif sigma <= IDENTIFIED["offset"]:
             verdict, note = "identified", ""
         else:
@@ -194,10 +196,11 @@ def add_clock_offset(
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
         found.add(label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note)
     value = float(np.mean([fitted.offset(k) for k in range(count)]))
-    found.values["gnss.time_offset.value"] = round(value, 4)
+    if not ambiguous:
+        found.values["gnss.time_offset.value"] = round(value, 4)
     found.notes["gnss.time_offset.value"] = "; ".join(
         f"{row.verdict}: {row.label} {row.value} ± {row.sigma}" for row in found.rows
-    ) + ("; their mean" if own and count > 1 else "")
+    ) + ("; as given" if ambiguous else "; their mean" if own and count > 1 else "")
 
 
 def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
