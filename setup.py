@@ -74,6 +74,7 @@ PROGRAMS = {
     "ins_replay": "cli.replay",
     "ins_calibrate": "cli.calibrate",
     "ins_evaluate": "cli.evaluate",
+    "ins_status": "cli.status",
 }
 
 

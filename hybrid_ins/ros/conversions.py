@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hybrid_ins.core.earth import LocalFrame, lla_to_ecef
+from hybrid_ins.core.earth import LocalFrame, ecef_to_lla, lla_to_ecef
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
@@ -312,6 +312,14 @@ class MapFrame:
         frame = LocalFrame(self.datum_lla)
         self.origin_e = lla_to_ecef(self.datum_lla)
         self.C_me = np.ascontiguousarray(SWAP @ frame.C_en.T)
+
+    def position(self, lla: Array) -> Array:
+        """East, north, up [m], shape (3,), of latitude, longitude [rad] and height [m]."""
+        return np.asarray(self.C_me @ (lla_to_ecef(lla) - self.origin_e))
+
+    def lla(self, position_enu: Array) -> Array:
+        """Latitude, longitude [rad] and height [m], shape (3,), of east, north, up [m]."""
+        return ecef_to_lla(self.origin_e + self.C_me.T @ position_enu)
 
 
 def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:

@@ -214,6 +214,12 @@ class Estimator:
         self.inputs.log("info", "reset: aligning anew")
         self._discard_state()
 
+    def move_map(self, lla: Array) -> None:
+        """Give the map another origin: latitude, longitude [rad], height [m]; shape (3,)."""
+        latitude, longitude = np.degrees(lla[:2])
+        self.inputs.log("info", f"datum: {latitude:.7f}°, {longitude:.7f}°, {lla[2]:.2f} m")
+        self._set_datum(lla, max(self.navigator.last_ns, 1))
+
     def _discard_state(self) -> None:
         self.navigator.reset()
         self._restart()

@@ -43,6 +43,7 @@ from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.geographic_services import GeographicServices
 from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
@@ -114,7 +115,8 @@ class LiveEstimator:
         self._crowded: set[str] = set()
         self._last_imu = time.monotonic()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
-        self._topics = OutputTopics(values, new_message)
+        self._geographic: GeographicServices | None = None
+        self._topics = OutputTopics(values, new_message, node.get_namespace())
         self._transforms: Any = None
         self._transform_publisher: Any = None
 
@@ -172,11 +174,17 @@ class LiveEstimator:
         self._input.append((node.destroy_service, service))
         timer = node.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
         self._input.append((node.destroy_timer, timer))
+        self._geographic = GeographicServices(
+            node, self.estimator, self.guard, self._publish_reports
+        )
+        self._geographic.offer()
 
     def deactivate(self, state: str) -> None:
         """Stop to listen; diagnostics say last that the node is in ``state``."""
         if not self._input:
             return
+        if self._geographic is not None:
+            self._geographic.withdraw()
         while self._input:
             destroy, entity = self._input.pop()
             destroy(entity)
@@ -283,6 +291,8 @@ class LiveEstimator:
         """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
         self._topics.find_subscribers()
         self._find_crowded_topics()
+        if self._geographic is not None:
+            self._geographic.offer()
         silent = time.monotonic() - self._last_imu
         if silent < SILENCE:
             return

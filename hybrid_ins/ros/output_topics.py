@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from hybrid_ins.ros.cdr import OdometryEncoder
@@ -36,6 +37,8 @@ class OutputTopics:
         Checked parameters.
     new_message : callable
         See `to_message`.
+    namespace : str
+        That of the node: it tells the statuses of several vehicles apart.
 
     Attributes
     ----------
@@ -43,7 +46,10 @@ class OutputTopics:
         By topic, to be filled before the first `find_subscribers`.
     """
 
-    def __init__(self, values: Mapping[str, Any], new_message: NewMessage) -> None:
+    def __init__(
+        self, values: Mapping[str, Any], new_message: NewMessage, namespace: str = "/"
+    ) -> None:
+        self._prefix = prefix_of(namespace)
         self.publishers: dict[str, Publisher] = {}
         self._new_message = new_message
         self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
@@ -91,10 +97,23 @@ class OutputTopics:
             report = self._waiting.popleft()
             publish = self._subscribed.get(report.topic)
             if publish is not None:
-                publish(to_message(report, self._new_message))
+                publish(self._message(report))
                 most -= 1
 
     def publish_diagnostics(self, t_ns: int, statuses: Sequence[Status]) -> None:
         """Publish diagnostics at once, with or without subscribers."""
         report = Report("/diagnostics", Diagnostics(t_ns, statuses), t_ns)
-        self.publishers["/diagnostics"].publish(to_message(report, self._new_message))
+        self.publishers["/diagnostics"].publish(self._message(report))
+
+    def _message(self, report: Report) -> Any:
+        content = report.content
+        if self._prefix and isinstance(content, Diagnostics):
+            named = [s._replace(name=self._prefix + s.name) for s in content.statuses]
+            report = replace(report, content=replace(content, statuses=named))
+        return to_message(report, self._new_message)
+
+
+def prefix_of(namespace: str) -> str:
+    """Return what the names of a node's statuses begin with in its namespace; empty in ``/``."""
+    name = namespace.strip("/")
+    return f"{name}: " if name else ""

@@ -24,6 +24,7 @@ PROGRAMS = {
     "ins_play",
     "ins_replay",
     "ins_simulate",
+    "ins_status",
 }
 ROSDEP_KEYS = {
     "mcap": "mcap-ros2-support",

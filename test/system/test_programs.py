@@ -22,6 +22,7 @@ MODULES = {
     "ins_play": "hybrid_ins.cli.play",
     "ins_replay": "hybrid_ins.cli.replay",
     "ins_simulate": "hybrid_ins.cli.simulate",
+    "ins_status": "hybrid_ins.cli.status",
 }
 ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
 IGNORED = "signal.signal(signal.SIGINT, signal.default_int_handler)"  # as a shell may have left it
@@ -133,7 +134,8 @@ def test_wrong_arguments_get_one_clear_line(
 def test_no_or_unknown_options_show_the_usage(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for arguments in ([], ["--no-such-option"]):
+    needed = [] if name == "ins_status" else [[]]
+    for arguments in (*needed, ["--no-such-option"]):
         assert status_of(name, arguments) == 2
         assert capsys.readouterr().err.startswith(f"usage: {name}")
 

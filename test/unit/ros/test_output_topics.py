@@ -72,3 +72,13 @@ def test_the_datum_and_diagnostics_on_demand_need_no_listener() -> None:
 
     assert [s.message for s in publishers["/diagnostics"].messages[0].status] == ["shut down"]
     assert "datum" in topics._subscribed
+
+
+def test_statuses_of_a_namespace_begin_with_it() -> None:
+    publisher = Listened(1)
+    topics = OutputTopics(parameters.defaults(), new_message, "/fleet/rover1")
+    topics.publishers["/diagnostics"] = publisher
+
+    topics.publish_diagnostics(1, [Status(0, "hybrid_ins: filter", "fine", [])])
+
+    assert publisher.messages[0].status[0].name == "fleet/rover1: hybrid_ins: filter"

@@ -1,0 +1,155 @@
+"""
+Services between latitude and longitude and the map, as Nav2 calls them.
+
+Their types are robot_localization's, since its clients ask for those; where that package is not
+installed there are no such services.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point
+from numpy.typing import NDArray
+from rclpy.node import Node
+
+try:
+    from robot_localization.srv import FromLL, FromLLArray, SetDatum, ToLL
+except ImportError:
+    FromLL = None
+
+from hybrid_ins.ros.callback_guard import CallbackGuard
+from hybrid_ins.ros.conversions import MapFrame
+from hybrid_ins.ros.estimator import Estimator
+
+Array = NDArray[np.float64]
+Message = Any
+
+ABSENT = (
+    "robot_localization is not installed: the services fromLL, toLL, fromLLArray and datum, which "
+    "have its types, are not offered"
+)
+
+
+class GeographicServices:
+    """
+    The services ``datum``, and ``fromLL``, ``toLL``, ``fromLLArray`` once the map has its origin.
+
+    Parameters
+    ----------
+    node : Node
+        Offers them.
+    estimator : Estimator
+        Has the map.
+    guard : CallbackGuard
+    on_change : callable
+        Called after the map has moved.
+    """
+
+    def __init__(
+        self, node: Node, estimator: Estimator, guard: CallbackGuard, on_change: Callable[[], None]
+    ) -> None:
+        self._node = node
+        self._estimator = estimator
+        self._guard = guard
+        self._on_change = on_change
+        self._services: list[Any] = []
+        self._converting = FromLL is None
+        if FromLL is None:
+            estimator.inputs.inform("robot_localization", ABSENT)
+        else:
+            self._offer(SetDatum, "datum", self._set_datum)
+
+    def offer(self) -> None:
+        """Offer the conversions where they are possible by now; clients wait for a service."""
+        if self._converting or self._estimator.map_frame is None:
+            return
+        self._converting = True
+        self._offer(FromLL, "fromLL", self._from_ll)
+        self._offer(ToLL, "toLL", self._to_ll)
+        self._offer(FromLLArray, "fromLLArray", self._from_ll_array)
+
+    def withdraw(self) -> None:
+        """Offer nothing more."""
+        while self._services:
+            self._node.destroy_service(self._services.pop())
+
+    def _offer(self, kind: Any, name: str, answer: Callable[[Message, Message], None]) -> None:
+        def guarded(request: Message, response: Message) -> Message:
+            try:
+                answer(request, response)
+            except Exception as error:  # see `CallbackGuard`
+                self._guard.on_error(error)
+            return response
+
+        self._services.append(self._node.create_service(kind, name, guarded))
+
+    @property
+    def _map(self) -> MapFrame:
+        found = self._estimator.map_frame
+        assert found is not None
+        return found
+
+    def _from_ll(self, request: Message, response: Message) -> None:
+        response.map_point = self._point(request.ll_point)
+
+    def _from_ll_array(self, request: Message, response: Message) -> None:
+        response.map_points = [self._point(point) for point in request.ll_points]
+
+    def _to_ll(self, request: Message, response: Message) -> None:
+        point = request.map_point
+        lla = self._map.lla(np.array([point.x, point.y, point.z]))
+        found = response.ll_point
+        found.latitude, found.longitude = np.degrees(lla[:2]).tolist()
+        found.altitude = float(lla[2])
+
+    def _point(self, geographic: Message) -> Point:
+        """Return a geographic_msgs/GeoPoint in the map; NaN for what is no point on Earth."""
+        lla = lla_of(geographic, float(self._map.datum_lla[2]))
+        if lla is None:
+            self._refuse(geographic)
+            return Point(x=math.nan, y=math.nan, z=math.nan)
+        x, y, z = self._map.position(lla).tolist()
+        return Point(x=x, y=y, z=z)
+
+    def _refuse(self, geographic: Message) -> None:
+        self._estimator.inputs.log(
+            "error",
+            f"latitude {geographic.latitude}, longitude {geographic.longitude} is not a point on "
+            "Earth: give degrees",
+        )
+
+    def _set_datum(self, request: Message, response: Message) -> None:
+        pose = request.geo_pose
+        lla = lla_of(pose.position, 0.0)
+        text = "the map has its origin there"
+        if lla is None:
+            self._refuse(pose.position)
+            text = "not a point on Earth: the map stays where it is"
+        else:
+            turned = math.hypot(pose.orientation.x, pose.orientation.y, pose.orientation.z) > 1e-3
+            if turned:
+                self._estimator.inputs.log(
+                    "warn", "datum: the orientation is ignored: the map's axes are east, north, up"
+                )
+            self._estimator.move_map(lla)
+            self._on_change()
+            self.offer()
+        if hasattr(response, "success"):  # since 2026
+            response.success, response.message = lla is not None, text
+
+
+def lla_of(geographic: Message, height: float) -> Array | None:
+    """
+    Latitude, longitude [rad] and height [m], shape (3,), of a geographic_msgs/GeoPoint.
+
+    None for what is no point on Earth; an altitude that is NaN is ``height``.
+    """
+    latitude, longitude, altitude = geographic.latitude, geographic.longitude, geographic.altitude
+    if not (abs(latitude) < 90.0 and abs(longitude) <= 360.0) or math.isinf(altitude):
+        return None
+    altitude = height if math.isnan(altitude) else altitude
+    return np.array([math.radians(latitude), math.radians(longitude), altitude])

@@ -1,0 +1,87 @@
+"""ins_status beside a running node, and two vehicles in one ROS domain."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.ros_nodes import ENVIRONMENT, start_node
+
+from hybrid_ins.cli import simulate
+from tools.processes import Processes
+
+pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
+
+STATUS = [sys.executable, "-m", "hybrid_ins.cli.status"]
+
+
+def ask(*words: str) -> tuple[int, str]:
+    import os
+
+    done = subprocess.run(
+        [*STATUS, *words],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        env=os.environ | ENVIRONMENT,
+        check=False,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, done.stdout
+
+
+def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> None:
+    """
+    GIVEN nodes in two namespaces, one of which gets a flight WHEN asked THEN each has its status.
+    """
+    bag = tmp_path / "flight.mcap"
+    assert simulate.main([str(bag), "--duration", "40", "--imu-rate", "100"]) == 0
+    for name in ("rover1", "rover2"):
+        frames = [
+            word
+            for frame in ("map", "odom", "base")
+            for word in ("-p", f"{frame}_frame:={name}/{frame}")
+        ]
+        start_node(processes, tmp_path / f"{name}.log", "-r", f"__ns:=/{name}", *frames)
+    topics = ["/imu/data:=/rover1/imu/data", "/gnss/fix:=/rover1/gnss/fix"]
+    play = [sys.executable, "-m", "hybrid_ins.cli.play", str(bag), "--remap", *topics]
+    processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
+
+    level, output = ask("--once", "--json", "--wait", "20", "--namespace", "rover1")
+    for _ in range(5):
+        if json.loads(output)["fixes"]["judged"]:
+            break
+        level, output = ask("--once", "--json", "--namespace", "rover1")
+    first = json.loads(output)
+    _, output = ask("--once", "--json", "--wait", "20", "--namespace", "/rover2/")
+    second = json.loads(output)
+
+    assert level == 0
+    assert first["statuses"]["filter"]["values"]["state"] == "aligned"
+    assert first["fixes"]["judged"] > 0
+    assert first["verdict"]["kind"] == "position"
+    assert second["statuses"]["imu"]["level"] == "ERROR"
+    assert "/rover2/imu/data" in second["statuses"]["imu"]["message"]
+    assert second["verdict"] is None
+    _, text = ask("--once", "--wait", "20", "--namespace", "rover1")
+    assert "filter           OK" in text, text
+
+
+def test_nothing_heard_is_an_exit_status() -> None:
+    level, text = ask("--once", "--wait", "1")
+
+    assert level == 1
+    assert "is ins_node active" in text
+
+
+def test_a_namespace_that_cannot_be_is_one_line() -> None:
+    done = subprocess.run(
+        [*STATUS, "--once", "--namespace", "a b"], capture_output=True, text=True, timeout=60
+    )
+
+    assert done.returncode == 2
+    assert done.stderr.startswith("ins_status: error: ")
+    assert done.stderr.count("\n") == 1
