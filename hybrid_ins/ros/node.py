@@ -256,9 +256,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: asked_to_stop.set_result(None))
     node = None
     try:
-        if not kernels.is_compiled():  # a lifecycle manager waits for nodes, not for transitions
-            kernels.prepare(rclpy.logging.get_logger(parameters.NODE_NAME).info)
         node = InsNode()
+        if not node.autostart and not kernels.is_compiled():
+            # A lifecycle manager waits for a node to appear, but not a minute for a transition.
+            node.destroy_node()
+            kernels.prepare(rclpy.logging.get_logger(parameters.NODE_NAME).info)
+            node = InsNode()
         if node.autostart:
             node.start()
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,8 +20,6 @@ STATUS = [sys.executable, "-m", "hybrid_ins.cli.status"]
 
 
 def ask(*words: str) -> tuple[int, str]:
-    import os
-
     done = subprocess.run(
         [*STATUS, *words],
         capture_output=True,
@@ -60,14 +59,15 @@ def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> No
     second = json.loads(output)
 
     assert level == 0
-    assert first["statuses"]["filter"]["values"]["state"] == "aligned"
+    state = first["statuses"]["filter"]["values"]["state"]
+    assert state in ("aligned", "dead reckoning")  # the latter once the flight is over
     assert first["fixes"]["judged"] > 0
     assert first["verdict"]["kind"] == "position"
     assert second["statuses"]["imu"]["level"] == "ERROR"
     assert "/rover2/imu/data" in second["statuses"]["imu"]["message"]
     assert second["verdict"] is None
     _, text = ask("--once", "--wait", "20", "--namespace", "rover1")
-    assert "filter           OK" in text, text
+    assert "σ heading" in text, text
 
 
 def test_nothing_heard_is_an_exit_status() -> None:
