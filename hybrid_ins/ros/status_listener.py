@@ -50,12 +50,14 @@ class StatusListener:
                 'ROS 2 is not installed: source its setup.bash, or pip install "hybrid_ins[ros]"'
             )
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+        from rclpy.validate_namespace import validate_namespace
 
         self.status = NodeStatus()
         self._heard = -1.0
         namespace = "/" + namespace.strip("/")
         self._prefix = prefix_of(namespace) + OURS
         try:
+            validate_namespace(namespace)  # rclpy would print a warning besides
             rclpy.init(args=["ins_status", *ros_args])
             self._node = rclpy.create_node("ins_status", namespace=namespace)
         except Exception as error:  # rclpy's errors share no public base
