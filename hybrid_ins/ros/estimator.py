@@ -103,9 +103,8 @@ class Estimator:
         self._restart_schedule()
         self._convert_gnss()
         if values["datum"]:
-            latitude, longitude, height = values["datum"]
-            lla = np.array([math.radians(latitude), math.radians(longitude), height])
-            self._set_datum(lla, 1)
+            *angles, height = values["datum"]
+            self.set_datum(np.array([*map(math.radians, angles), height]), 1)
 
     def _restart_schedule(self) -> None:
         """Make everything periodic due at the next sample."""
@@ -114,13 +113,11 @@ class Estimator:
 
     def _convert_gnss(self) -> None:
         """Convert fixes by the present parameters, placement and clock offset."""
-        self._gnss = replace(
-            GnssInput.from_parameters(self.values),
-            lever_b=self._placement.lever_b,
-            time_offset=self.clock.offset,
-        )
+        given, lever_b = GnssInput.from_parameters(self.values), self._placement.lever_b
+        self._gnss = replace(given, lever_b=lever_b, time_offset=self.clock.offset)
 
-    def _set_datum(self, lla: Array, t_ns: int) -> None:
+    def set_datum(self, lla: Array, t_ns: int) -> None:
+        """Give the map its origin: latitude, longitude [rad], height [m], shape (3,)."""
         self._odometry.map = MapFrame(lla)
         self._reporter.report_datum(t_ns, lla)
 
@@ -213,12 +210,6 @@ class Estimator:
         """Discard the state and align anew; the map stays where it is."""
         self.inputs.log("info", "reset: aligning anew")
         self._discard_state()
-
-    def move_map(self, lla: Array) -> None:
-        """Give the map another origin: latitude, longitude [rad], height [m]; shape (3,)."""
-        latitude, longitude = np.degrees(lla[:2])
-        self.inputs.log("info", f"datum: {latitude:.7f}°, {longitude:.7f}°, {lla[2]:.2f} m")
-        self._set_datum(lla, max(self.navigator.last_ns, 1))
 
     def _discard_state(self) -> None:
         self.navigator.reset()
@@ -341,7 +332,7 @@ class Estimator:
             self.handle_frame_id("gnss/fix", message.header.frame_id)
         fix = self._gnss.position(message, self._by_receipt(received_ns))
         if not isinstance(fix, Refused) and self._odometry.map is None:
-            self._set_datum(np.nan_to_num(fix.lla), fix.t_ns)
+            self.set_datum(np.nan_to_num(fix.lla), fix.t_ns)
         self._refusals.note(fix)
         self._measure("gnss/fix", fix)
 

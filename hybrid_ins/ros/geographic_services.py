@@ -135,7 +135,12 @@ class GeographicServices:
                 self._estimator.inputs.log(
                     "warn", "datum: the orientation is ignored: the map's axes are east, north, up"
                 )
-            self._estimator.move_map(lla)
+            self._estimator.inputs.log(
+                "info",
+                f"datum: {pose.position.latitude:.7f}°, {pose.position.longitude:.7f}°, "
+                f"{lla[2]:.2f} m",
+            )
+            self._estimator.set_datum(lla, max(self._estimator.navigator.last_ns, 1))
             self._on_change()
             self.offer()
         if hasattr(response, "success"):  # since 2026
