@@ -29,6 +29,10 @@ WINDOW_NS = 1_000_000_000  # of samples that are checked
 SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
 BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
+SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
+LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
+SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
+LONGEST_BRAKING_NS = 10_000_000_000
 LONGEST_FALL_NS = 5_000_000_000  # without weight
 LAST_FIX_NS = 1_100_000_000  # age of the last fix that confirms a fall
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
@@ -65,6 +69,7 @@ class ImuMonitor:
         """Restart, as the filter did; the biases stay."""
         self.fault: ImuFault | None = None
         self.falling = self.standing = False
+        self._calm_ns: int | None = None  # since when the vehicle may stand
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity
@@ -121,11 +126,17 @@ class ImuMonitor:
             return True
         if phases.filter is not None and self.fault is None and not self.falling:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
-        self.standing = (
-            t_ns - samples["t_ns"][0] > SHORTEST_STAND
-            and not fixes_move
-            and is_standing(samples)
-            and _zero_speed_is_plausible(best)
+        if (
+            fixes_move
+            or t_ns - samples["t_ns"][0] <= SHORTEST_STAND
+            or not is_standing(samples)
+            or not _zero_speed_is_plausible(best)
+        ):
+            self._calm_ns = None
+        elif self._calm_ns is None:
+            self._calm_ns = int(samples["t_ns"][0])
+        self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
+            best
         )
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples))
@@ -168,5 +179,20 @@ def _error_std_after(fault: ImuFault) -> Array | None:
 def _zero_speed_is_plausible(running: InsFilter) -> bool:
     """Return whether the filter's speed may be zero: a smooth cruise resembles standing."""
     velocity = running.nav[VELOCITY]
-    P = covariance(running.nav)[DV, DV] + 0.05**2 * np.eye(3)
-    return bool(velocity @ np.linalg.solve(P, velocity) < SPEED_NIS_STANDING)
+    return bool(
+        velocity @ np.linalg.solve(_speed_covariance(running), velocity) < SPEED_NIS_STANDING
+    )
+
+
+def _longest_braking_ns(running: InsFilter) -> int:
+    """
+    Return how long [ns] a vehicle may go on braking since its speed may be zero.
+
+    A filter that knows its speed poorly takes zero for plausible long before the vehicle stands.
+    """
+    speed = LARGEST_SPEED * float(np.sqrt(_speed_covariance(running).diagonal().max()))
+    return min(int(speed / SOFTEST_BRAKING * 1e9), LONGEST_BRAKING_NS)
+
+
+def _speed_covariance(running: InsFilter) -> Array:
+    return covariance(running.nav)[DV, DV] + SPEED_STD_FLOOR**2 * np.eye(3)

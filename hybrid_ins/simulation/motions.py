@@ -109,7 +109,7 @@ def quadrotor_flight(
     velocity_n = velocity_of(ground_speed, course, climb)
 
     def attitude(velocity_n: Array, acceleration_n: Array) -> Array:
-        return _thrust_attitude(velocity_n, acceleration_n, yaw, gravity_at(start_lla))
+        return thrust_attitude(velocity_n, acceleration_n, yaw, gravity_at(start_lla))
 
     return motion_through(t, velocity_n, attitude, start_lla)
 
@@ -260,7 +260,7 @@ def gravity_at(lla: ArrayLike) -> float:
     return float(earth.normal_gravity(lat, height)[1])
 
 
-def _thrust_attitude(velocity_n: Array, acceleration_n: Array, yaw: Array, gravity: float) -> Array:
+def thrust_attitude(velocity_n: Array, acceleration_n: Array, yaw: Array, gravity: float) -> Array:
     thrust_n = acceleration_n + QUADROTOR_DRAG * velocity_n * [1.0, 1.0, 0.0]
     thrust_n[:, 2] -= gravity
     forward, right = along_and_across(thrust_n[:, 0], thrust_n[:, 1], yaw)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import yaml
@@ -51,7 +51,7 @@ GRID = 0.1  # s, between the knots of a drive
 
 
 def smooth_drive(duration: float, seed: int) -> Motion:
-    """Speed up in 10 s to 6 m/s every 70 s, hold, slow down over 20 s, stand; weave gently."""
+    """Speed up in 10 s to 6 m/s every 70 s, hold, brake for 20 s, stand; weave gently."""
 
     def speed(t: Array) -> Array:
         return 6.0 * np.interp(t % 70.0, (0.0, 10.0, 40.0, 60.0), (0.0, 1.0, 1.0, 0.0))
@@ -70,11 +70,12 @@ def stand(duration: float, seed: int) -> Motion:
 
 
 def _drive(duration: float, seed: int, speed: Callable[[Array], Array]) -> Motion:
-    """On a level road; where it moves, the yaw rate is 0.004 sin(2 π t / 23) rad/s."""
+    """On a level road with gentle bends: the yaw rate is 0.004 sin(2 π t / 23) rad/s at 6 m/s."""
     t = np.arange(0.0, duration + GRID, GRID)
-    moves = float(np.any(speed(t)))
-    yaw = 0.5 * seed - moves * 0.004 * 23.0 / (2.0 * np.pi) * np.cos(2.0 * np.pi * t / 23.0)
-    velocity_n = speed(t)[:, None] * np.stack((np.cos(yaw), np.sin(yaw), 0.0 * t), axis=1)
+    forward = speed(t)
+    yaw_rate = 0.004 * np.sin(2.0 * np.pi * t / 23.0) * np.minimum(forward / 6.0, 1.0)
+    yaw = 0.5 * seed + GRID * np.cumsum(yaw_rate)
+    velocity_n = forward[:, None] * np.stack((np.cos(yaw), np.sin(yaw), 0.0 * t), axis=1)
     return Motion(
         START_LLA,
         duration,
@@ -140,6 +141,11 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
     for begin in np.arange(0.0, duration, CHUNK):
         t = begin + np.arange(round(CHUNK * RATE)) / RATE
         imu = corrupt(sample(motion, t), errors, rng)
+        errors = replace(
+            errors,
+            accelerometer_bias=imu.accelerometer_bias[-1],
+            gyroscope_bias=imu.gyroscope_bias[-1],
+        )
         stamps, force, rate = _stamps(t), imu.specific_force @ FLIP, imu.angular_rate @ FLIP
         gnss = fixes(sample(motion, begin + 0.5 + np.arange(CHUNK)), rng, FIX_STD)
         start = 0

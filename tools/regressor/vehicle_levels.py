@@ -1,0 +1,135 @@
+"""
+Learned noise level over the true one, on simulated vehicles that move.
+
+Motion is no noise, but a short window cannot always tell: what a car or an agile quadrotor does
+within a second or two reaches into the band that a regressor averages. Here the readings are those
+of a perfect IMU on exact motions plus white noise of known variance, so that the ratio of estimate
+and truth is exact::
+
+    python -m tools.regressor.vehicle_levels --model plateau spectral
+
+Even seeds judge; choices are made on odd ones (``--seeds 1 3 5``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import zlib
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.noise_regressor.models import NoiseRegressor
+from hybrid_ins.noise_regressor.reader import load_regressor
+from hybrid_ins.simulation.motions import (
+    Motion,
+    gravity_at,
+    integral,
+    motion_through,
+    quadrotor_flight,
+    smoothed,
+    static,
+    thrust_attitude,
+    time_grid,
+    START_LLA,
+)
+from hybrid_ins.simulation.sensors import sample, sample_times
+from hybrid_ins.simulation.vehicles import city_car
+
+Array = NDArray[np.float64]
+
+DURATION = 120.0  # s, of each motion
+PERIOD = 0.5  # s, between windows
+RATES = (100.0, 200.0, 400.0)  # Hz
+LEVELS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)  # (m/s²)²
+GYROSCOPE = 1e-2  # (rad/s)² per (m/s²)²: its variance over the accelerometer's
+LIMITS = (1.5, 3.0)  # of median and 95th percentile
+
+
+def agile_flight(duration: float, seed: int) -> Motion:
+    """Fly a quadrotor as in a race: velocity steps of 6 m/s in 0.8 s, the nose turning freely."""
+    t = time_grid(duration)
+    rng = np.random.default_rng(seed)
+    leg = np.searchsorted(np.cumsum(rng.uniform(0.6, 2.0, int(2.0 * duration))), t)
+    velocity_n = rng.normal(0.0, (6.0, 6.0, 2.0), (leg[-1] + 1, 3))[leg]
+    velocity_n = np.stack([smoothed(axis, 0.8) for axis in velocity_n.T], axis=1)
+    turning = rng.normal(0.0, 1.5, leg[-1] + 1)[leg]
+    yaw = integral(smoothed(turning, 0.5))
+
+    def attitude(velocity_n: Array, acceleration_n: Array) -> Array:
+        return thrust_attitude(velocity_n, acceleration_n, yaw, gravity_at(START_LLA))
+
+    return motion_through(t, velocity_n, attitude, START_LLA)
+
+
+MOTIONS: dict[str, Callable[[float, int], Motion]] = {
+    "standing": lambda duration, seed: static(duration, heading=float(seed)),
+    "car": lambda duration, seed: city_car(duration, seed, rest=0.0),
+    "quadrotor": lambda duration, seed: quadrotor_flight(duration, seed, rest=0.0),
+    "agile quadrotor": agile_flight,
+}
+
+
+def ideal_windows(kind: str, seed: int, rate: float, window: int) -> Array:
+    """Return windows (K, 6, N) of a perfect IMU's readings on a motion, ``PERIOD`` apart."""
+    truth = sample(MOTIONS[kind](DURATION, seed), sample_times(DURATION, rate))
+    readings = np.concatenate((truth.specific_force_b, truth.angular_rate_b), axis=1)
+    ends = np.arange(window, len(readings), round(PERIOD * rate))
+    return np.stack([readings[end - window : end].T for end in ends])
+
+
+def ratios(regressor: NoiseRegressor, ideal: Array, rate: float, level: float, seed: int) -> Array:
+    """Return estimates over the truth, (K, 6), for windows (K, 6, N) with noise of a level."""
+    variance = level * np.repeat((1.0, GYROSCOPE), 3)
+    rng = np.random.default_rng(seed)
+    noisy = ideal + np.sqrt(variance)[:, None] * rng.standard_normal(ideal.shape)
+    found = regressor.estimate(noisy.reshape(-1, ideal.shape[2]), rate).reshape(-1, 6)
+    return np.asarray(found / variance)
+
+
+def table(regressor: NoiseRegressor, seeds: Sequence[int]) -> tuple[str, bool]:
+    """Return a Markdown table of median and 95th percentile, and whether all are in the limits."""
+    lines = [
+        "| motion | rate [Hz] | " + " | ".join(f"q = {level:.0e}" for level in LEVELS) + " |",
+        "|---" * (2 + len(LEVELS)) + "|",
+    ]
+    good = True
+    for kind in MOTIONS:
+        for rate in RATES:
+            cells = []
+            windows = [(s, ideal_windows(kind, s, rate, regressor.window)) for s in seeds]
+            for level in LEVELS:
+                found = np.concatenate(
+                    [
+                        ratios(regressor, ideal, rate, level, zlib.crc32(f"{s} {level}".encode()))
+                        for s, ideal in windows
+                    ]
+                )
+                quantiles = [
+                    np.quantile(part, (0.5, 0.95)) for part in (found[:, :3], found[:, 3:])
+                ]
+                good &= bool(np.all(np.array(quantiles) <= LIMITS))
+                cells.append("; ".join(f"{m:.3g}, {p:.3g}" for m, p in quantiles))
+            lines.append(f"| {kind} | {rate:.0f} | " + " | ".join(cells) + " |")
+    return "\n".join(lines), good
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print a table for each model; fail where one is beyond the limits."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--model", nargs="+", default=["plateau", "spectral"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[2, 4, 6])
+    args = parser.parse_args(argv)
+    failed = False
+    for name in args.model:
+        text, good = table(load_regressor(name, lambda level, text: print(text)), args.seeds)
+        failed |= not good
+        print(f"\n{name}: median, 95 % of estimate over truth; accelerometer; gyroscope\n\n{text}")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
