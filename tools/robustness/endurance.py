@@ -211,7 +211,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--param", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"))
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     args = parser.parse_args(argv)
-    values = {"gnss.time_offset.estimate": args.estimate, "noise.model": "spectral"}
+    values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}
     todo = [
         (kind, args.hours * 3600.0, seed, args.offset, values)

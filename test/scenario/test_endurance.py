@@ -1,0 +1,71 @@
+"""What is propagated beside the filter stays right for as long as the node runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.ros.estimator import Estimator
+from tools.robustness import endurance
+
+MINUTE = 60.0
+
+
+def test_smooth_driving_does_not_end_the_node() -> None:
+    """
+    GIVEN a quarter of an hour of smooth driving with an ordinary receiver
+    THEN the estimator goes on, every fix is used, and what it claims of clock and position holds.
+    """
+    day = endurance.live("smooth drive", 15.0 * MINUTE, 0, 0.0, {})
+
+    assert not day.failure
+    assert day.t[-1] > 14.5 * MINUTE
+    assert "opened" not in day.summary
+    assert day.clock_excess < 3.0
+    assert 1.5 < day.position_nees[3:].mean() < 4.5
+    assert day.sensitivity.max() < 100.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("kind", "offset"), [("standing", 0.0), ("cruise", 0.2), ("smooth drive", -0.1)]
+)
+def test_clock_offset_stays_within_its_uncertainty(kind: str, offset: float, seed: int) -> None:
+    """
+    GIVEN motion that shows little of the clock, and fixes stamped early or late
+    THEN the true offset is within three sigma at all times, and sigma is no less than stamps allow.
+    """
+    day = endurance.live(kind, 10.0 * MINUTE, seed, offset, {})
+
+    assert not day.failure
+    assert day.clock_excess < 3.0
+    assert day.clock_sigma.min() >= 1e-3
+    if kind == "standing":
+        assert day.clock_sigma.min() > 0.1
+    assert day.eigenvalue.min() > 0.0
+    assert day.state_offset.max() < 10.0
+
+
+def test_smooth_braking_is_not_standing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    GIVEN a vehicle that brakes so steadily that its IMU seems to stand, and fixes that scatter by
+    metres
+    THEN no zero velocity is fused while it moves.
+    """
+    motion = endurance.MOTIONS["smooth drive"](10.0 * MINUTE + 1.0, 0)
+    moved: list[float] = []
+    stood = 0
+
+    class Watched(Estimator):
+        def pop_reports(self) -> object:
+            nonlocal stood
+            if self.navigator.monitor.standing:
+                t = (self.navigator.last_ns - endurance.T0_NS) * 1e-9
+                moved.append(float(np.linalg.norm(motion.displacement(t, 1))))
+            return super().pop_reports()
+
+    monkeypatch.setattr(endurance, "Estimator", Watched)
+    endurance.live("smooth drive", 10.0 * MINUTE, 0, 0.0, {})
+
+    assert not [speed for speed in moved if speed > 0.1]
