@@ -261,6 +261,7 @@ def gravity_at(lla: ArrayLike) -> float:
 
 
 def thrust_attitude(velocity_n: Array, acceleration_n: Array, yaw: Array, gravity: float) -> Array:
+    """Return roll, pitch and yaw (N, 3) [rad] of a quadrotor that moves so, (N, 3), with drag."""
     thrust_n = acceleration_n + QUADROTOR_DRAG * velocity_n * [1.0, 1.0, 0.0]
     thrust_n[:, 2] -= gravity
     forward, right = along_and_across(thrust_n[:, 0], thrust_n[:, 1], yaw)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid_ins import parameters
 from hybrid_ins.ros.estimator import Estimator
 from tools.robustness import endurance
 
@@ -36,7 +35,7 @@ def test_clock_offset_stays_within_its_uncertainty(kind: str, offset: float, see
     GIVEN motion that shows little of the clock, and fixes stamped early or late
     THEN the true offset is within three sigma at all times, and sigma is no less than stamps allow.
     """
-    day = endurance.live(kind, 10.0 * MINUTE, seed, offset, {})
+    day = endurance.live(kind, 5.0 * MINUTE, seed, offset, {})
 
     assert not day.failure
     assert day.clock_excess < 3.0
@@ -53,19 +52,17 @@ def test_smooth_braking_is_not_standing(monkeypatch: pytest.MonkeyPatch) -> None
     metres
     THEN no zero velocity is fused while it moves.
     """
-    motion = endurance.MOTIONS["smooth drive"](10.0 * MINUTE + 1.0, 0)
+    motion = endurance.MOTIONS["smooth drive"](5.0 * MINUTE + 1.0, 0)
     moved: list[float] = []
-    stood = 0
 
     class Watched(Estimator):
         def pop_reports(self) -> object:
-            nonlocal stood
             if self.navigator.monitor.standing:
                 t = (self.navigator.last_ns - endurance.T0_NS) * 1e-9
                 moved.append(float(np.linalg.norm(motion.displacement(t, 1))))
             return super().pop_reports()
 
     monkeypatch.setattr(endurance, "Estimator", Watched)
-    endurance.live("smooth drive", 10.0 * MINUTE, 0, 0.0, {})
+    endurance.live("smooth drive", 5.0 * MINUTE, 0, 0.0, {})
 
     assert not [speed for speed in moved if speed > 0.1]

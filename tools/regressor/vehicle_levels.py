@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hybrid_ins.noise_regressor.models import NoiseRegressor
 from hybrid_ins.noise_regressor.reader import load_regressor
 from hybrid_ins.simulation.motions import (
+    START_LLA,
     Motion,
     gravity_at,
     integral,
@@ -32,7 +33,6 @@ from hybrid_ins.simulation.motions import (
     static,
     thrust_attitude,
     time_grid,
-    START_LLA,
 )
 from hybrid_ins.simulation.sensors import sample, sample_times
 from hybrid_ins.simulation.vehicles import city_car
