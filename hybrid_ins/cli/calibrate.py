@@ -12,6 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from hybrid_ins import kernels, progress
+from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.recording import antenna_is_base, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
@@ -21,6 +22,8 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
+from hybrid_ins.ros.axes_monitor import describe
+from hybrid_ins.ros.conversions import mount_matrix
 
 DESCRIPTION = """\
 Estimate from recordings of IMU and GNSS: the offset between their clocks, the lever arm of the
@@ -90,6 +93,11 @@ def _body(args: argparse.Namespace) -> int:
         )
         for path in args.bags
     ]
+    mount = mount_matrix(values["imu.mount_rpy"])
+    for recording in recordings:
+        fault = axes_fault(recording, mount)
+        if fault is not None:
+            _log("warning", f"{recording.name}: {describe(fault).text}")
     kernels.prepare(partial(_log, "info"), calibration=True)
     with _Stages() as stages:
         found = calibrate(

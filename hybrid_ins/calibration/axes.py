@@ -1,0 +1,48 @@
+"""The check of the IMU's axes and units over a whole recording, before anything is calibrated."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.imu_axes import AxesFault, ImuAxesCheck
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+
+STEP = 0.1  # s, between two shares of the check's work
+FIRST = 1.0  # s, the stamp of a recording's first sample: no stamp is zero
+
+
+def axes_fault(recording: Recording, mount: NDArray[np.float64]) -> AxesFault | None:
+    """
+    Return what is wrong with the axes or units of a recording's IMU; None: nothing was found.
+
+    Parameters
+    ----------
+    recording : Recording
+    mount : ndarray, shape (3, 3)
+        From the IMU's own axes to b, as given.
+    """
+    check = ImuAxesCheck(mount)
+    samples = np.empty(len(recording.t), SAMPLE_DTYPE)
+    samples["t_ns"] = _ns(recording.t)
+    samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
+    positions = recording.aid_kind == POSITION
+    fixes = zip(_ns(recording.aid_t[positions]), recording.aid[positions], strict=True)
+    waiting = next(fixes, None)
+    at = 0
+    for t in np.arange(STEP, recording.t[-1], STEP):
+        end = int(np.searchsorted(recording.t, t))
+        check.add_samples(samples[at:end])
+        at = end
+        now_ns = int(_ns(t))
+        while waiting is not None and waiting[0] <= now_ns:
+            check.add_fix(int(waiting[0]), waiting[1])
+            waiting = next(fixes, None)
+        check.advance(now_ns)
+    return check.fault
+
+
+def _ns(t: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.asarray(np.round((t + FIRST) * 1e9), np.int64)
