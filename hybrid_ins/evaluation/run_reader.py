@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,8 @@ _VECTOR = "geometry_msgs/msg/Vector3Stamped"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
 _CHUNK = 10_000  # messages decoded at once
+_FIGURE = re.compile(r"[-+]?\d+(?:\.\d+)?")
+_LASTING = 10  # s, of diagnostics that the user should know of
 
 
 def read_run(
@@ -68,6 +72,7 @@ def read_run(
         sensor_errors = _sensor_errors(bag, topics)
         true_sensor_errors = _sensor_errors(bag, topics, "/truth")
         noise_source = _noise_source(bag, topics.diagnostics)
+        notes += _lasting(bag, topics.diagnostics)
     if truth_path is not None:
         with BagReader(truth_path) as reader:
             bag = _Bag(reader, topics)
@@ -240,7 +245,7 @@ def _noise_source(bag: _Bag, topic: str) -> tuple[tuple[int, str], ...]:
     changes: list[tuple[int, str]] = []
     for array in bag.of(topic, _DIAGNOSTICS):
         for status in array.status:
-            if status.name != "hybrid_ins: process noise":
+            if not status.name.endswith("hybrid_ins: process noise"):
                 continue
             for pair in status.values:
                 if pair.key != "source" or pair.value == "none":
@@ -248,6 +253,32 @@ def _noise_source(bag: _Bag, topic: str) -> tuple[tuple[int, str], ...]:
                 if not changes or changes[-1][1] != pair.value:
                     changes.append((ns_of(array.header.stamp), pair.value))
     return tuple(changes)
+
+
+def _lasting(bag: _Bag, topic: str) -> list[str]:
+    """Return what diagnostics warned of for many seconds, besides the state of the filter."""
+    seconds: Counter[str] = Counter()
+    texts: dict[str, str] = {}  # the last, by the text without its figures
+    total = 0
+    for array in bag.of(topic, _DIAGNOSTICS):
+        total += 1
+        for status in array.status:
+            level = status.level if isinstance(status.level, int) else ord(status.level)
+            part = status.name.rpartition("hybrid_ins: ")[2]
+            found: list[str] = []
+            if level and part == "process noise":
+                found = status.message.split("; ")[1:]  # behind the source
+            elif level and (part == "clock" or (part == "input" and level > 1)):
+                found = [status.message]
+            for text in found:
+                key = _FIGURE.sub("", text)
+                seconds[key] += 1
+                texts[key] = text
+    return [
+        f"diagnostics, for {s} of {total} s: {texts[key]}"
+        for key, s in seconds.most_common()
+        if s >= _LASTING
+    ]
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:

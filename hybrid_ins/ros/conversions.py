@@ -37,7 +37,7 @@ NewMessage = Callable[[str], Message]
 FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
 APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
-STATUS_FIX = 0
+STATUS_FIX, STATUS_NO_FIX = 0, -1
 
 
 def stamp_ns(stamp: Message) -> int:
@@ -205,6 +205,18 @@ class GnssInput:
             self.lever_b,
             t_ns,
         )
+
+
+def missing_covariance(message: Message) -> str:
+    """Return why a NavSatFix has no covariance that can be used; empty where it has one."""
+    if message.position_covariance_type not in (APPROXIMATED, DIAGONAL, KNOWN):
+        return f"position_covariance_type {message.position_covariance_type} means unknown"
+    east, north = float(message.position_covariance[0]), float(message.position_covariance[4])
+    if not (math.isfinite(east) and math.isfinite(north)):
+        return f"position_covariance {east:g}, {north:g} is not finite"
+    if east <= 0.0 or north <= 0.0:
+        return f"position_covariance {east:g}, {north:g} is not positive"
+    return ""
 
 
 def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array:

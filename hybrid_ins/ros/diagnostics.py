@@ -19,6 +19,7 @@ from hybrid_ins.core.state import COVARIANCE, DIAGONAL
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
 from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.input_log import ORDINARY, InputLog
 from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
@@ -117,18 +118,21 @@ def _alignment_status(navigator: Navigator, waiting: str) -> Status:
 
 
 def input_status(
-    navigator: Navigator, counts: Mapping[str, int], axes_fault: Refused | None = None
+    navigator: Navigator, inputs: InputLog, t_ns: int, axes_fault: Refused | None = None
 ) -> Status:
-    """Return what was refused so far, and what is wrong with the IMU now."""
-    fault, values = navigator.monitor.fault, dict(sorted(counts.items()))
+    """Return what was refused until a stamp [ns], and what is wrong with the IMU now."""
+    fault, new = navigator.monitor.fault, inputs.new_in_last_seconds(t_ns)
+    values: dict[str, object] = {**dict(sorted(inputs.counts.items())), **inputs.notes}
     if fault is None and axes_fault is not None:
         return status("input", 2, f"{axes_fault.name}: {axes_fault.text}", values)
     if fault is not None:
         text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
         return status("input", 2, text, values)
-    refused = sum(counts.values())
+    refused = sum(n for name, n in inputs.counts.items() if name not in ORDINARY)
     text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
-    return status("input", int(refused > 0), text, values)
+    if refused:
+        text += f", {new} of them new"
+    return status("input", int(new > 0), text, values)
 
 
 def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) -> Status:
@@ -139,14 +143,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
         source = f"learned ({reader.regressor.name})"
     levels = running.noise.levels() if running else np.full(6, np.nan)
     factors = _factors(running.noise) if running else {}
-    text = f"source: {source}"
-    if running is not None and imu_disagrees(running.noise):
-        text += (
-            "; the IMU disagrees with GNSS by more than its noise: check clock offset, "
-            "mount, lever arm"
-        )
-    if factors.get("factor_fixes", 1.0) > DISAGREEMENT:
-        text += "; fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+    text = "; ".join([f"source: {source}", *noise_conditions(navigator).values()])
     if reader is not None and reader.fault and running is not None:
         text += f"; last estimate refused: {reader.fault}"
     refusals = {} if reader is None else reader.refusals
@@ -162,6 +159,23 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
         },
     )
+
+
+def noise_conditions(navigator: Navigator) -> dict[str, str]:
+    """Return what the innovations ask for besides the noise that is known: names, texts."""
+    running, found = navigator.filter, {}
+    if running is None:
+        return {}
+    if imu_disagrees(running.noise):
+        found["the IMU disagrees with GNSS"] = (
+            "the IMU disagrees with GNSS by more than its noise: check clock offset, "
+            "mount, lever arm"
+        )
+    if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
+        found["fixes scatter by more than they claim"] = (
+            "fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+        )
+    return found
 
 
 def imu_disagrees(noise: FilterNoise) -> bool:

@@ -25,15 +25,14 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, diagnostics, wording
-from hybrid_ins.ros.axes_monitor import AxesMonitor
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
 from hybrid_ins.ros.filter_factory import FilterFactory
-from hybrid_ins.ros.fix_refusals import FixRefusals
 from hybrid_ins.ros.flood_guard import MOST, FloodGuard
 from hybrid_ins.ros.imu_input import NO_READING, ImuInput
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.input_review import InputReview
 from hybrid_ins.ros.noise_input import NoiseInput
 from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import Reporter
@@ -91,10 +90,9 @@ class Estimator:
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self._odometry = OdometrySource()
         self._imu = ImuInput(values, self.navigator, self._placement, self._odometry, self.inputs)
-        self._axes = AxesMonitor(self.navigator, self._placement.mount, self.inputs)
+        self._review = InputReview(values, self.navigator, self._placement.mount, self.inputs)
         self._reporter = Reporter(values, self.navigator, self.inputs)
         self._flood = FloodGuard()
-        self._refusals = FixRefusals(self.navigator, self.inputs)
         self._noise = NoiseInput(self.navigator, log)
         self._noise.configure(values, self._placement.mount)
         self._fixes = FixWatch()
@@ -157,14 +155,13 @@ class Estimator:
     def waiting_for(self) -> str:
         """What alignment lacks, in words for the user; empty once the filter runs."""
         waiting = wording.waiting_for(self.navigator)
-        fault, refusals = self._axes.fault, self._refusals.dominant
-        causes = [refusals, *([] if fault is None else [fault.text])]
-        return "; ".join([waiting, *filter(None, causes)]) if waiting else ""
+        return "; ".join([waiting, *self._review.causes]) if waiting else ""
 
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""
         refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.counts.items()))
-        return f"{self.fixes_fused} fixes fused" + (f"; {refused}" if refused else "")
+        lines = (f"{self.fixes_fused} fixes fused", refused, self._review.summary())
+        return "; ".join(filter(None, lines))
 
     def pop_reports(self) -> Sequence[Report]:
         """Return what is to be published since the last call."""
@@ -177,7 +174,7 @@ class Estimator:
             diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
-            diagnostics.input_status(self.navigator, self.counts, self._axes.fault),
+            diagnostics.input_status(self.navigator, self.inputs, t_ns, self._review.axes.fault),
             diagnostics.noise_status(self.navigator, self._noise.reader, mode),
             self.clock.status(),
             self._vehicle.status(),
@@ -250,7 +247,7 @@ class Estimator:
 
     def _on_moved_sensors(self) -> None:
         self._convert_gnss()
-        self._axes.set_mount(self._placement.mount)
+        self._review.axes.set_mount(self._placement.mount)
         self._noise.configure(self.values, self._placement.mount)
         self._vehicle.configure(self._placement.arm_b)
         if self.navigator.ring.count:
@@ -333,7 +330,7 @@ class Estimator:
         fix = self._gnss.position(message, self._by_receipt(received_ns))
         if not isinstance(fix, Refused) and self._odometry.map is None:
             self.set_datum(np.nan_to_num(fix.lla), fix.t_ns)
-        self._refusals.note(fix)
+        self._review.on_fix(message, fix)
         self._measure("gnss/fix", fix)
 
     def handle_velocity(self, message: Message, received_ns: int | None = None) -> None:
@@ -355,10 +352,10 @@ class Estimator:
         self.inputs.count_and_warn(topic, measurement)
 
     def _fuse(self, measurement: Measurement) -> None:
-        self._axes.observe(measurement)
+        self._review.axes.observe(measurement)
         self.navigator.measure(measurement)
         self._handle_events()
-        self.clock.run_periodic(self._axes.are_plausible)
+        self.clock.run_periodic(self._review.axes.are_plausible)
         if self.clock.offset != self._gnss.time_offset:
             self._convert_gnss()
 
@@ -375,12 +372,13 @@ class Estimator:
             self._report_ns = t_ns + REPORT_NS
             self._vehicle.run_periodic(t_ns)
             self.navigator.check_imu()
-            self._axes.run_periodic()
+            self._review.axes.run_periodic()
             self.navigator.find_clock()
             self._handle_events()
             self._reporter.report_state(t_ns, self._placement.arm_b)
             if self._reporter.is_diagnostics_due(t_ns):
                 self._reporter.report_diagnostics(t_ns, self.diagnostics(t_ns))
+                self._review.note_second()
         self._due_ns = min(self._report_ns, self._noise.next_ns)
 
     def _handle_events(self) -> None:
@@ -389,6 +387,7 @@ class Estimator:
 
     def _on_event(self, event: Event) -> None:
         self._reporter.on_event(event)
+        self._review.on_event(event)
         if isinstance(event, Verdict):
             self._fixes.on_verdict(event)
         elif isinstance(event, Restarted):

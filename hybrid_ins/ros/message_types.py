@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hybrid_ins.ros.conversions import STATUS_FIX, fill_transform, set_stamp
+from hybrid_ins.ros.conversions import STATUS_FIX, STATUS_NO_FIX, fill_transform, set_stamp
 from hybrid_ins.ros.odom_frame import map_from_odom
 from hybrid_ins.ros.reports import (
     Diagnostics,
@@ -60,7 +60,7 @@ def to_message(report: Report, new: NewMessage) -> Message:
         return message
     message.header.frame_id = content.frame_id
     if isinstance(content, Position):
-        message.status.status = STATUS_FIX
+        message.status.status = STATUS_FIX if content.has_fix else STATUS_NO_FIX
         message.status.service = 0
         message.latitude, message.longitude = content.latitude, content.longitude
         message.altitude = content.height

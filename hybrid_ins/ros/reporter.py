@@ -118,8 +118,9 @@ class Reporter:
             self._announced = self.ever_aligned = True
             sigma = math.degrees(math.sqrt(running.nav[COVARIANCE][DIAGONAL][8]))
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
+        has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER
         self._reports += state_reports(
-            t_ns, running.nav, running.noise.levels(), arm_b, self._base_frame
+            t_ns, running.nav, running.noise.levels(), arm_b, self._base_frame, has_fix
         )
 
     def is_diagnostics_due(self, t_ns: int) -> bool:
@@ -132,7 +133,9 @@ class Reporter:
         self._reports.append(Report("/diagnostics", Diagnostics(t_ns, statuses), t_ns))
 
 
-def state_reports(t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str) -> list[Report]:
+def state_reports(
+    t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str, has_fix: bool = True
+) -> list[Report]:
     """
     Return the reports on a state.
 
@@ -148,12 +151,14 @@ def state_reports(t_ns: int, nav: Array, levels: Array, arm_b: Array, frame: str
         IMU relative to the base frame's origin [m], b.
     frame : str
         The base frame's name.
+    has_fix : bool
+        A fix was fused not long ago.
     """
     fix, biases = np.empty(output.N_FIX), np.empty(output.N_BIAS)
     output.fix_values(nav, arm_b, fix)
     output.bias_values(nav, biases)
     latitude, longitude, height = fix[:3].tolist()
-    position = Position(t_ns, frame, latitude, longitude, height, fix[3:], KNOWN)
+    position = Position(t_ns, frame, latitude, longitude, height, fix[3:], KNOWN, has_fix)
     return [
         Report("gnss/filtered", position, t_ns),
         Report("imu/bias", ImuBiases(t_ns, frame, biases[:3], biases[3:6], biases[6:]), t_ns),

@@ -34,7 +34,7 @@ class OdometryBlock(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """A sensor_msgs/NavSatFix with status FIX."""
+    """A sensor_msgs/NavSatFix; its status is FIX or, without GNSS, NO_FIX."""
 
     t_ns: int
     frame_id: str
@@ -43,6 +43,7 @@ class Position:
     height: float  # m above the ellipsoid
     covariance_enu: Array  # (9,) m²
     covariance_type: int
+    has_fix: bool = True
 
 
 @dataclass(frozen=True, slots=True)

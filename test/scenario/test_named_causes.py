@@ -89,3 +89,81 @@ def test_a_sound_flight_is_not_accused() -> None:
 
     assert not any("axes" in text or "mount" in text for text in drive.warnings())
     assert not [name for name in drive.estimator.counts if name.startswith("imu:")]
+
+
+def set_covariance(drive: Drive, values: np.ndarray, kind: int) -> None:
+    """Let the fixes of a flight carry another covariance."""
+    handle = drive.estimator.handle_fix
+
+    def changed(message: Any, received_ns: int | None = None) -> None:
+        message.position_covariance, message.position_covariance_type = values.ravel(), kind
+        handle(message, received_ns)
+
+    drive.estimator.handle_fix = changed  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(
+    ("covariance", "kind", "words"),
+    [
+        (np.zeros((3, 3)), 2, "position_covariance 0, 0 is not positive"),
+        (np.full((3, 3), np.nan), 3, "position_covariance nan, nan is not finite"),
+        (-np.eye(3), 2, "position_covariance -1, -1 is not positive"),
+        (np.eye(3), 0, "position_covariance_type 0 means unknown"),
+    ],
+)
+def test_a_missing_covariance_is_named_once_with_what_is_used(
+    covariance: np.ndarray, kind: int, words: str
+) -> None:
+    drive = Drive()
+    set_covariance(drive, covariance, kind)
+    drive.play(0.0, 3.0)
+
+    [line] = [text for text in drive.warnings() if words in text]
+    assert "gnss.position_std_default, 3, 3, 6 m, is used instead" in line
+    assert ("gnss: covariance", line) in drive.status("input").values
+    assert drive.status("input").level == 0
+
+
+def test_a_covariance_that_is_one_is_not_mentioned() -> None:
+    drive = Drive()
+    drive.play(0.0, 3.0)
+
+    assert not drive.warnings()
+
+
+def test_fixes_that_wait_for_the_filter_do_not_make_the_input_suspect() -> None:
+    drive = Drive()
+    drive.play(0.0, 10.0)
+
+    assert drive.estimator.counts["gnss: aligning"] > 0
+    assert (drive.status("input").level, drive.status("input").text) == (0, "all input used")
+
+
+def test_the_input_is_suspect_while_something_is_new() -> None:
+    drive = Drive()
+    drive.play(0.0, 8.0)
+    drive.play(8.0, 8.1, force=lambda f: f * np.nan)
+    drive.play(8.1, 10.0)
+    assert drive.status("input").level == 1
+
+    drive.play(10.0, 23.0)
+
+    status = drive.status("input")
+    assert status.level == 0 and "0 of them new" in status.text
+    assert dict(status.values)["imu: not finite"] == "10"
+
+
+def test_the_filtered_position_has_a_fix_only_with_gnss() -> None:
+    drive = Drive()
+    drive.play(0.0, 12.0)
+    drive.estimator.pop_reports()
+
+    drive.play(12.0, 18.0, with_fixes=False)
+
+    at = {
+        (report.content.t_ns - drive.stamp(0.0)) * 1e-9: report.content.has_fix
+        for report in drive.estimator.pop_reports()
+        if report.topic == "gnss/filtered"
+    }
+    assert all(has_fix for t, has_fix in at.items() if t < 13.5)
+    assert not any(has_fix for t, has_fix in at.items() if t > 14.5)

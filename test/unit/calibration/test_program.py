@@ -41,6 +41,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: None)
+    monkeypatch.setattr(program, "axes_fault", lambda *args: None)
     monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
     monkeypatch.setattr(program, "calibrate", lambda *args, **options: found())
     monkeypatch.setattr(program, "run_trial", lambda *args: trial(0.5))

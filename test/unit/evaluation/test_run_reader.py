@@ -72,3 +72,33 @@ def test_everything_that_was_recorded_is_read(tmp_path: Path) -> None:
     assert np.isnan(run.verdicts.dof).all()
     assert run.truth is not None
     assert run.truth.datum_lla == pytest.approx(DATUM)
+
+
+def test_what_diagnostics_warned_of_for_long_is_a_note(tmp_path: Path) -> None:
+    with bag(tmp_path / "run", flight(TRUTH)) as out:
+        write_track(out, "/odometry", flight(FAST))
+        for second in range(15):
+            stamp_ns = int(stamps(float(second)))
+            array = new_message("diagnostic_msgs/msg/DiagnosticArray")
+            set_stamp(array, np.int64(stamp_ns))
+            for name, level, text in (
+                (
+                    "robot/hybrid_ins: process noise",
+                    int(second > 3),
+                    "source: x; the IMU disagrees",
+                ),
+                ("robot/hybrid_ins: clock", 1, f"it seems to be {0.1 * second:.2f} s"),
+                ("robot/hybrid_ins: input", 2 if second < 5 else 0, "imu: frozen"),
+                ("robot/hybrid_ins: filter", 1, "aligning"),
+            ):
+                status = new_message("diagnostic_msgs/msg/DiagnosticStatus")
+                status.name, status.level, status.message = name, int(level), text
+                array.status.append(status)
+            out.write("/diagnostics", array, stamp_ns)
+
+    notes = [note for note in read_run(tmp_path / "run").notes if "diagnostics" in note]
+
+    assert notes == [
+        "diagnostics, for 15 of 15 s: it seems to be 1.40 s",
+        "diagnostics, for 11 of 15 s: the IMU disagrees",
+    ]

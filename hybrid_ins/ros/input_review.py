@@ -1,0 +1,86 @@
+"""
+Causes of trouble that lie in the input: IMU axes, clocks, covariances, a receiver's claims.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import Event
+from hybrid_ins.ros import diagnostics
+from hybrid_ins.ros.axes_monitor import AxesMonitor
+from hybrid_ins.ros.conversions import Message, Refused, missing_covariance
+from hybrid_ins.ros.fix_refusals import FixRefusals
+from hybrid_ins.ros.fix_scatter import FixScatter
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.lasting import LastingConditions
+
+Array = NDArray[np.float64]
+
+
+class InputReview:
+    """
+    Finds out what is wrong with the input over seconds and minutes, and warns of it.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    mount : ndarray, shape (3, 3)
+        From the IMU message's axes to b.
+    inputs : InputLog
+
+    Attributes
+    ----------
+    axes : AxesMonitor
+        Checks the IMU's axes and units.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], navigator: Navigator, mount: Array, inputs: InputLog
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._inputs = inputs
+        self.axes = AxesMonitor(navigator, mount, inputs)
+        self._refusals = FixRefusals(navigator, inputs)
+        self._scatter = FixScatter(inputs)
+        self._lasting = LastingConditions(inputs.log)
+
+    @property
+    def causes(self) -> list[str]:
+        """Why no filter starts, as far as the input shows it."""
+        fault, refusals = self.axes.fault, self._refusals.dominant
+        return [text for text in (refusals, "" if fault is None else fault.text) if text]
+
+    def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
+        """Note a NavSatFix, and what it was converted to."""
+        self._refusals.note(fix)
+        missing = "" if isinstance(fix, Refused) else missing_covariance(message)
+        if missing:
+            std = ", ".join(f"{s:g}" for s in self._values["gnss.position_std_default"])
+            self._inputs.note(
+                "gnss: covariance",
+                f"gnss/fix: {missing}: gnss.position_std_default, {std} m, is used instead",
+            )
+
+    def on_event(self, event: Event) -> None:
+        """Note what happened to the navigator."""
+        if isinstance(event, Verdict):
+            self._scatter.on_verdict(event)
+
+    def note_second(self) -> None:
+        """Note what has lasted for another second."""
+        self._lasting.note(diagnostics.noise_conditions(self._navigator))
+
+    def summary(self) -> str:
+        """Return what lasted, for the end of a run."""
+        return self._lasting.summary()
