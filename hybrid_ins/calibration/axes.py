@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,22 +12,23 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.imu_axes import AxesFault, ImuAxesCheck
 from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.ros.conversions import mount_matrix
 
 STEP = 0.1  # s, between two shares of the check's work
 FIRST = 1.0  # s, the stamp of a recording's first sample: no stamp is zero
 
 
-def axes_fault(recording: Recording, mount: NDArray[np.float64]) -> AxesFault | None:
+def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | None:
     """
     Return what is wrong with the axes or units of a recording's IMU; None: nothing was found.
 
     Parameters
     ----------
     recording : Recording
-    mount : ndarray, shape (3, 3)
-        From the IMU's own axes to b, as given.
+    values : mapping
+        Checked parameters: the mount.
     """
-    check = ImuAxesCheck(mount)
+    check = ImuAxesCheck(mount_matrix(values["imu.mount_rpy"]))
     samples = np.empty(len(recording.t), SAMPLE_DTYPE)
     samples["t_ns"] = _ns(recording.t)
     samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]

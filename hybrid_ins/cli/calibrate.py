@@ -23,7 +23,6 @@ from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.ros.axes_monitor import describe
-from hybrid_ins.ros.conversions import mount_matrix
 
 DESCRIPTION = """\
 Estimate from recordings of IMU and GNSS: the offset between their clocks, the lever arm of the
@@ -93,9 +92,8 @@ def _body(args: argparse.Namespace) -> int:
         )
         for path in args.bags
     ]
-    mount = mount_matrix(values["imu.mount_rpy"])
     for recording in recordings:
-        fault = axes_fault(recording, mount)
+        fault = axes_fault(recording, values)
         if fault is not None:
             _log("warning", f"{recording.name}: {describe(fault).text}")
     kernels.prepare(partial(_log, "info"), calibration=True)

@@ -5,8 +5,8 @@ import pytest
 
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.parameters import defaults
 from hybrid_ins.ros.axes_monitor import describe
-from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 
@@ -27,7 +27,7 @@ def recording(gyroscope: np.ndarray) -> Recording:
     [(np.eye(3), ""), (np.diag([1.0, 1.0, -1.0]), "z of angular_velocity reversed")],
 )
 def test_wrong_axes_are_named_and_right_ones_are_not(gyroscope: np.ndarray, words: str) -> None:
-    fault = axes_fault(recording(gyroscope), FLIP)
+    fault = axes_fault(recording(gyroscope), defaults())
 
     assert (fault is not None) == bool(words)
     assert fault is None or words in describe(fault).text
