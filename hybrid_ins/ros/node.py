@@ -45,7 +45,7 @@ from rclpy.task import Future
 from hybrid_ins import kernels, parameters
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.reader import find_regressor
-from hybrid_ins.ros import node_parameters
+from hybrid_ins.ros import node_arguments, node_parameters
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.live_estimator import LiveEstimator
@@ -248,8 +248,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(node_parameters.help_text())
         return 0
     try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except (RCLError, RCLInvalidROSArgsError, UnknownROSArgsError) as error:
+        with node_arguments.for_ros(arguments[1:]) as words:
+            rclpy.init(args=[arguments[0], *words], signal_handler_options=SignalHandlerOptions.NO)
+    except (InputError, RCLError, RCLInvalidROSArgsError, UnknownROSArgsError) as error:
         return _refuse_start(error)
     asked_to_stop: Future[None] = Future()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -74,8 +74,8 @@ def help_text() -> str:
         words = f" ({', '.join(p.choices)})" if p.choices else ""
         rows.append(f"  {p.name} = {p.default}{unit}\n      {p.text}{words}")
     return (
-        "usage: ins_node --ros-args [--params-file F] [-p NAME:=VALUE] [-r FROM:=TO]\n\n"
+        "usage: ins_node [--ros-args] [--params-file F] [-p NAME:=VALUE] [-r FROM:=TO]\n\n"
         "INS/GNSS navigation: imu/data and gnss/fix in, odometry out.\n\n"
-        "example:\n  ins_node --ros-args --params-file params.yaml -r imu/data:=/my_imu/data\n\n"
+        "example:\n  ins_node --params-file params.yaml -r imu/data:=/my_imu/data\n\n"
         "parameters and their defaults:\n" + "\n".join(rows)
     )

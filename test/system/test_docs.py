@@ -98,6 +98,7 @@ class TestPages:
             for module in re.findall(r"^(hybrid_ins(?:\.\w+){2,}|tools(?:\.\w+)+)$", line):
                 assert resolves(module), line
             for file in re.findall(r"(?:^|[\s(])([\w.-]+(?:/[\w.-]+)*\.(?:py|sh))\b", line):
+                file = file.removeprefix("src/hybrid_ins/")  # in a workspace
                 places = (ROOT, ROOT / "hybrid_ins", ROOT / "tools", page.parent)
                 assert "/" not in file or any((place / file).is_file() for place in places), line
 
@@ -165,9 +166,9 @@ def test_the_installation_names_what_the_package_needs() -> None:
     }
     required = {*assigned["NODE"], *assigned["OFFLINE"], *assigned["EXTRAS"]["plot"]}
     names = sorted(re.split("[<>=]", item)[0].lower() for item in required)
-    for name in ("README.md", "docs/installation.md"):
+    for name in ("tools/workspace.sh", "docs/installation.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
-        (line,) = re.findall(r"\.venv/bin/pip install '(numpy<2)' ([\w ]+)$", text, re.MULTILINE)
+        (line,) = re.findall(r"venv/bin/pip\"? install '(numpy<2)' ([\w ]+)$", text, re.MULTILINE)
 
         assert sorted(["numpy", *line[1].lower().split()]) == names, name
 

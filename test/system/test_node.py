@@ -330,3 +330,38 @@ def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) ->
     assert done.returncode == 2
     assert "noise.mode" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_parameter_files_mean_what_they_say(
+    processes: Processes, tmp_path: Path, client: Client
+) -> None:
+    """GIVEN a list of mixed numbers, and no --ros-args WHEN started THEN both are understood."""
+    from rcl_interfaces.srv import GetParameters
+
+    file, log = tmp_path / "robot.yaml", tmp_path / "node.log"
+    file.write_text("/**:\n  ros__parameters:\n    imu: {position: [0.1, 0, 0]}\n")
+    command = [sys.executable, "-m", "hybrid_ins.ros.node", "--params-file", str(file)]
+    with log.open("w") as output:
+        processes.start([*command, "-p", "gnss.antenna_position:=[0, 0.5, 1]"], output, ENVIRONMENT)
+
+    request = GetParameters.Request(names=["imu.position", "gnss.antenna_position"])
+    values = client.call(GetParameters, "/ins_node/get_parameters", request, 60.0).values
+
+    assert list(values[0].double_array_value) == [0.1, 0.0, 0.0]
+    assert list(values[1].double_array_value) == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("word", ["robot.yaml", "--parms-file"])
+def test_an_argument_that_is_none_of_ros_ends_the_start(word: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid_ins.ros.node", word],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        env=os.environ | ENVIRONMENT,
+        check=False,
+    )
+
+    assert done.returncode == 2
+    assert done.stderr.startswith("ins_node: error: unknown ROS arguments")
+    assert word in done.stderr

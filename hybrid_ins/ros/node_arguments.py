@@ -1,0 +1,76 @@
+"""
+The node's command line as ROS reads it: parameter files and values that ROS would not accept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import yaml
+
+from hybrid_ins import yaml_reader
+from hybrid_ins.errors import InputError
+
+ROS = "--ros-args"
+FILE, VALUE = ("--params-file",), ("-p", "--param")
+
+
+@contextmanager
+def for_ros(words: Sequence[str]) -> Iterator[list[str]]:
+    """
+    Give arguments for ``rclpy.init``, which the block is to call.
+
+    All arguments are taken for those of ROS, with ``--ros-args`` or without. In parameter files and
+    values, lists such as [0.1, 0, 0] become lists of numbers of one type, which ROS wants.
+
+    Raises
+    ------
+    InputError
+        A parameter file cannot be read, or an option lacks its value.
+    """
+    with TemporaryDirectory(prefix="ins_node") as folder:
+        changed = list(words)
+        for k, word in enumerate(words):
+            if word not in FILE + VALUE:
+                continue
+            if k + 1 == len(words):
+                raise InputError(f"{word}: nothing follows; see ins_node --help")
+            if word in FILE:
+                changed[k + 1] = _file(words[k + 1], Path(folder, f"{k}.yaml"))
+            else:
+                changed[k + 1] = _value(words[k + 1])
+        yield [] if not words else [*([] if words[0] == ROS else [ROS]), *changed]
+
+
+def _file(path: str, copy: Path) -> str:
+    """Return the path of a parameter file, or of a copy where lists in it mix types."""
+    content = yaml_reader.read(Path(path), "a parameter file")
+    same = of_one_type(content)
+    if repr(same) == repr(content):
+        return path
+    copy.write_text(yaml.safe_dump(same, allow_unicode=True), encoding="utf-8")
+    return str(copy)
+
+
+def _value(text: str) -> str:
+    name, separator, value = text.partition(":=")
+    try:
+        read = yaml_reader.parse(value)
+    except ValueError:  # ROS says what is wrong
+        return text
+    same = of_one_type(read)
+    return text if repr(same) == repr(read) else f"{name}{separator}{same}"
+
+
+def of_one_type(content: Any) -> Any:
+    """Return what a YAML file holds with floating-point numbers only in lists that mix numbers."""
+    if isinstance(content, dict):
+        return {key: of_one_type(value) for key, value in content.items()}
+    if not isinstance(content, list):
+        return content
+    kinds = {type(value) for value in content}
+    return [float(value) for value in content] if kinds == {int, float} else content

@@ -1,0 +1,66 @@
+"""The node's command line, before ROS reads it."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.node_arguments import for_ros
+
+
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        ([], []),
+        (["--ros-args", "-r", "a:=b"], ["--ros-args", "-r", "a:=b"]),
+        (["-p", "odometry_rate:=5.0"], ["--ros-args", "-p", "odometry_rate:=5.0"]),
+        (["-r", "a:=b", "--ros-args", "-r", "c:=d"],
+         ["--ros-args", "-r", "a:=b", "--ros-args", "-r", "c:=d"]),
+        (["-p", "imu.position:=[0.1, 0, 1]"],
+         ["--ros-args", "-p", "imu.position:=[0.1, 0.0, 1.0]"]),
+        (["-p", "imu.position:=[1, 0, 0]"], ["--ros-args", "-p", "imu.position:=[1, 0, 0]"]),
+        (["-p", "map_frame:=[0.1, 0"], ["--ros-args", "-p", "map_frame:=[0.1, 0"]),
+    ],
+)  # fmt: skip
+def test_all_arguments_are_those_of_ros(words: list[str], given: list[str]) -> None:
+    with for_ros(words) as arguments:
+        assert arguments == given
+
+
+def test_a_file_is_copied_only_where_lists_mix_types(tmp_path: Path) -> None:
+    plain, mixed = tmp_path / "plain.yaml", tmp_path / "mixed.yaml"
+    plain.write_text("/**:\n  ros__parameters:\n    imu: {position: [1.0, 0.0, 0.0]}\n")
+    mixed.write_text("/**:\n  ros__parameters:\n    imu: {position: [0.1, 0, 0]}\n    n: [1, 2]\n")
+
+    with for_ros(["--params-file", str(plain), "--params-file", str(mixed)]) as arguments:
+        _, _, first, _, second = arguments
+        read = yaml.safe_load(Path(second).read_text())
+
+    assert first == str(plain)
+    values = read["/**"]["ros__parameters"]
+    assert repr(values["imu"]["position"]) == "[0.1, 0.0, 0.0]"
+    assert repr(values["n"]) == "[1, 2]"
+    assert not Path(second).exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [(None, "No such file"), ("a: [1, 2", "no readable YAML")]
+)
+def test_a_file_that_cannot_be_read_is_named(
+    tmp_path: Path, content: str | None, words: str
+) -> None:
+    path = tmp_path / "robot.yaml"
+    if content is not None:
+        path.write_text(content)
+
+    with pytest.raises(InputError, match=words), for_ros(["--params-file", str(path)]):
+        pass
+
+
+def test_an_option_without_value_is_named() -> None:
+    with (
+        pytest.raises(InputError, match="--params-file: nothing follows"),
+        for_ros(["--params-file"]),
+    ):
+        pass
