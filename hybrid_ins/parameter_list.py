@@ -467,6 +467,83 @@ _VEHICLE = (
     ),
 )
 
+_AIDING = (
+    Parameter(
+        "aiding.velocity_position",
+        [0.0, 0.0, 0.0],
+        "Point in base_frame (forward, left, up) whose velocity is measured on aiding/velocity and "
+        "aiding/odometry",
+        **_METRES,
+    ),
+    Parameter(
+        "aiding.velocity_scale",
+        1.0,
+        "Factor from these readings to the velocity; the motion with fixes determines it",
+        low=0.01,
+        high=100.0,
+    ),
+    Parameter(
+        "aiding.velocity_scale_std",
+        0.03,
+        "Standard deviation of that factor",
+        low=1e-5,
+        high=10.0,
+    ),
+    Parameter(
+        "aiding.velocity_std_min",
+        0.05,
+        "Lower bound of the standard deviations of these readings, and their value where the "
+        "covariance is unknown",
+        unit="m/s",
+        low=1e-3,
+        high=100.0,
+    ),
+    Parameter(
+        "aiding.heading_std_min",
+        0.02,
+        "The same for the heading on aiding/heading",
+        unit="rad",
+        low=1e-4,
+        high=3.2,
+    ),
+    Parameter(
+        "aiding.height_std_min",
+        0.3,
+        "The same for the height by the air pressure on aiding/pressure",
+        unit="m",
+        low=1e-3,
+        high=1000.0,
+    ),
+)
+
+_VALIDITY = (
+    Parameter(
+        "validity.position_std_max",
+        10.0,
+        "Greatest standard deviation of the horizontal position that is not reported as lost on "
+        "validity",
+        unit="m",
+        low=1e-3,
+        high=1e6,
+    ),
+    Parameter(
+        "validity.velocity_std_max",
+        1.0,
+        "The same for the horizontal velocity",
+        unit="m/s",
+        low=1e-3,
+        high=1e4,
+    ),
+    Parameter(
+        "validity.heading_std_max",
+        0.2,
+        "The same for the heading",
+        unit="rad",
+        low=1e-4,
+        high=3.2,
+    ),
+)
+
 _OUTPUT = (
     Parameter(
         "autostart",
@@ -495,5 +572,16 @@ _OUTPUT = (
 )
 
 PARAMETERS: dict[str, Parameter] = {
-    p.name: p for p in (*_FRAMES, *_OUTPUT, *_IMU, *_GNSS, *_ALIGNMENT, *_VEHICLE, *_NOISE)
+    p.name: p
+    for p in (
+        *_FRAMES,
+        *_OUTPUT,
+        *_IMU,
+        *_GNSS,
+        *_ALIGNMENT,
+        *_VEHICLE,
+        *_AIDING,
+        *_VALIDITY,
+        *_NOISE,
+    )
 }

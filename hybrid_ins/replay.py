@@ -31,6 +31,7 @@ from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros import aiding_sources
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.message_types import OUTPUTS, to_message
@@ -192,6 +193,9 @@ class _Replay:
         if bag.topics.get(velocity_topic) == VELOCITY:
             self._handlers[velocity_topic] = estimator.handle_velocity
             self._carried[velocity_topic] = "/gnss/velocity"
+        for name, kind in aiding_sources.TOPICS.items():
+            if bag.topics.get(f"/{name}") == kind:
+                self._handlers[f"/{name}"] = partial(_aid, estimator, name)
         if bag.topics.get("/initialpose") == INITIAL_POSE:
             self._handlers["/initialpose"] = lambda message, _: estimator.handle_initial_pose(
                 message
@@ -278,6 +282,11 @@ class _Replay:
                     self._write_report(report, stamp_ns)
         for writer in self._odometry:
             writer.flush()
+
+
+def _aid(estimator: Estimator, topic: str, message: Message, _log_ns: int) -> None:
+    """Give a message of an aiding sensor to the estimator."""
+    estimator.aids.sources.handle(topic, message)
 
 
 class _OdometryWriter:

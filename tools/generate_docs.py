@@ -37,6 +37,8 @@ GROUPS = {
     "gnss": "GNSS",
     "alignment": "Alignment",
     "vehicle": "Vehicle",
+    "aiding": "Aiding sensors",
+    "validity": "Validity",
     "noise": "Process noise",
 }
 EXPERIMENTS = "Experiments"

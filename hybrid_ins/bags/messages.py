@@ -17,7 +17,12 @@ INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
 
-LATCHED = ("/datum", "/truth/datum", "/tf_static")  # topics whose last message late readers get
+LATCHED = (
+    "/datum",
+    "/validity",
+    "/truth/datum",
+    "/tf_static",
+)  # topics whose last message late readers get
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 

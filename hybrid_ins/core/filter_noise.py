@@ -89,6 +89,11 @@ class FilterNoise:
             return None
         return self.factors.update(correction, self.process.psd(self.model.levels()))
 
+    def follow(self, correction: Correction) -> None:
+        """Take what a measurement that is no fix did to the state."""
+        if self.factors is not None:
+            self.factors.follow(correction, self.process.psd(self.model.levels()))
+
     def restart(self, *, keep_weights: bool) -> None:
         """
         Drop what refers to the present state: it is changed by other means than measurements.

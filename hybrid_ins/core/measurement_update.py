@@ -20,7 +20,7 @@ from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
-from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.measurements import GNSS, IMU, Measurement
 from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
@@ -125,6 +125,11 @@ class MeasurementUpdate:
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
         if measurement.sensor != GNSS:
             nav[SENSITIVITY] -= K @ (H @ before[SENSITIVITY])
+            if verdict.accepted and measurement.sensor != IMU:
+                C_nb = matrix_from_quat(nav[QUAT])
+                self.noise.follow(
+                    Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
+                )
             return verdict, False
         h = self.clock.sensitivity_of(before, measurement.t_ns, H)
         nav[SENSITIVITY] -= K @ h

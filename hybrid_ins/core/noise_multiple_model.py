@@ -66,6 +66,7 @@ _LOG_PRIOR = -sum(
 )
 _DECADES = np.stack((_A, _G, _R))
 _FACTORS = 10.0**_DECADES
+_FACTORS_OF_IMU = np.stack((_FACTORS[0], _FACTORS[1], np.ones(_A.size)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,16 +129,36 @@ class NoiseMultipleModelBank:
         After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
         filter's covariance, and their likelihoods stay as they were.
         """
-        nav = correction.nav
-        P = covariance(nav)
-        C_nb = matrix_from_quat(nav[QUAT])
         T = (correction.t_ns - self._t_ns) * 1e-9
         if self._P is None or not 0.0 <= T <= MAX_INTERVAL:
-            self._P = np.tile(nav[COVARIANCE][:, None], len(_LOG_PRIOR))
+            self._P = np.tile(correction.nav[COVARIANCE][:, None], len(_LOG_PRIOR))
             self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))
             T = 0.0
+        total = self._log_likelihood * np.exp(-T / MEMORY)
+        total += self._advance(correction, psd, T, _FACTORS, self.fix_factor)
+        self._log_likelihood = total - total.max()
+        log_weights = self._log_likelihood + _LOG_PRIOR
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        return self._mix(weights)
+
+    def follow(self, correction: Correction, psd: Array) -> None:
+        """Correct the hypotheses by a measurement that is no fix, and does not weigh them."""
+        T = (correction.t_ns - self._t_ns) * 1e-9
+        if self._P is None or not 0.0 <= T <= MAX_INTERVAL:
+            self._P = None
+            return
+        self._log_likelihood = self._log_likelihood * np.exp(-T / MEMORY)
+        self._advance(correction, psd, T, _FACTORS_OF_IMU, 1.0)
+
+    def _advance(
+        self, correction: Correction, psd: Array, T: float, factors: Array, fix_factor: float
+    ) -> Array:
+        """Propagate and correct the hypotheses; return the log-likelihood of each."""
+        nav = correction.nav
+        C_nb = matrix_from_quat(nav[QUAT])
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
-        R = (correction.S - correction.H @ P @ correction.H.T) / self.fix_factor
+        R = (correction.S - correction.H @ covariance(nav) @ correction.H.T) / fix_factor
         self._P, self._state_offset, log_likelihood = advance(
             self._P,
             self._state_offset,
@@ -145,22 +166,17 @@ class NoiseMultipleModelBank:
             T,
             C_mean,
             psd,
-            _FACTORS,
+            factors,
             correction.z,
             correction.H,
             R,
             correction.dx,
             TAIL_DOF,
         )
-        total = self._log_likelihood * np.exp(-T / MEMORY) + log_likelihood
-        self._log_likelihood = total - total.max()
         self._t_ns = correction.t_ns
         self._velocity_n = nav[VELOCITY] + correction.dx[DV]
         self._C_nb = C_nb
-        log_weights = self._log_likelihood + _LOG_PRIOR
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        return self._mix(weights)
+        return np.asarray(log_likelihood)
 
     def _mix(self, weights: Array) -> StateCorrection | None:
         """Set the factors to the mixture's mean; where they have risen, correct the state."""

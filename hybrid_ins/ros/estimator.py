@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.events import NoiseChange
-from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement
@@ -25,6 +24,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, Restarted
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, diagnostics, wording
+from hybrid_ins.ros.aids import Aids
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.conversions import GnssInput, MapFrame, Message, Refused
@@ -38,7 +38,6 @@ from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import Reporter
 from hybrid_ins.ros.reports import Odometry, OdometryBlock, Report, Status
 from hybrid_ins.ros.sensor_placement import SensorPlacement
-from hybrid_ins.ros.vehicle_input import VehicleInput
 
 Array = NDArray[np.float64]
 
@@ -68,6 +67,8 @@ class Estimator:
         Counts of what was refused.
     clock : ClockCorrection
         Offset of the fixes' clock.
+    aids : Aids
+        Constraint of the vehicle, aiding sensors, validity.
     """
 
     def __init__(
@@ -80,13 +81,9 @@ class Estimator:
         self.inputs = InputLog(log)
         self._parts = FilterFactory(values, record is not None)
         self._placement = SensorPlacement(values, self.inputs)
-        self.navigator = Navigator(
-            self._parts.alignment(),
-            self._parts,
-            values["imu.max_gap"],
-            values["imu.zero_updates"],
-            record,
-        )
+        max_gap, zero_updates = values["imu.max_gap"], values["imu.zero_updates"]
+        alignment = self._parts.alignment()
+        self.navigator = Navigator(alignment, self._parts, max_gap, zero_updates, record)
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self._odometry = OdometrySource()
         self._imu = ImuInput(values, self.navigator, self._placement, self._odometry, self.inputs)
@@ -95,9 +92,7 @@ class Estimator:
         self._flood = FloodGuard()
         self._noise = NoiseInput(self.navigator, log)
         self._noise.configure(values, self._placement.mount)
-        self._fixes = FixWatch()
-        self._vehicle = VehicleInput(self.values, self.navigator, self._fixes, log)
-        self._vehicle.configure(self._placement.arm_b)
+        self.aids = Aids(self.values, self.navigator, self.inputs, self._placement.arm_b)
         self._restart_schedule()
         self._convert_gnss()
         if values["datum"]:
@@ -177,7 +172,7 @@ class Estimator:
             diagnostics.input_status(self.navigator, self.inputs, t_ns, self._review.axes.fault),
             diagnostics.noise_status(self.navigator, self._noise.reader, mode),
             self.clock.status(),
-            self._vehicle.status(),
+            *self.aids.statuses(t_ns),
         ]
 
     def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
@@ -218,7 +213,7 @@ class Estimator:
         self._reporter.restart()
         self.clock.restart()
         self._noise.restart()
-        self._vehicle.restart()
+        self.aids.restart()
         self._restart_schedule()
 
     def handle_initial_pose(self, message: Message) -> None:
@@ -249,7 +244,7 @@ class Estimator:
         self._convert_gnss()
         self._review.axes.set_mount(self._placement.mount)
         self._noise.configure(self.values, self._placement.mount)
-        self._vehicle.configure(self._placement.arm_b)
+        self.aids.configure(self._placement.arm_b)
         if self.navigator.ring.count:
             self._discard_state()
 
@@ -370,7 +365,7 @@ class Estimator:
         self._noise.run_periodic(t_ns)
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
-            self._vehicle.run_periodic(t_ns)
+            self._reporter.add(self.aids.run_periodic(t_ns))
             self.navigator.check_imu()
             self._review.axes.run_periodic()
             self.navigator.find_clock()
@@ -389,7 +384,7 @@ class Estimator:
         self._reporter.on_event(event)
         self._review.on_event(event)
         if isinstance(event, Verdict):
-            self._fixes.on_verdict(event)
+            self.aids.on_verdict(event)
         elif isinstance(event, Restarted):
             self._restart()
         elif isinstance(event, ClockOffsetFound):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -38,13 +39,13 @@ except ImportError:  # the wheels of ROS have none
     TFMessage = None
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import conversions
+from hybrid_ins.ros import aiding_sources, conversions
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.geographic_services import GeographicServices
-from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
+from hybrid_ins.ros.message_types import LATCHED, OUTPUTS, fill_transforms
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
@@ -135,7 +136,7 @@ class LiveEstimator:
                 self._topics.publishers[topic] = node.create_publisher(
                     MESSAGES[type_name],
                     topic,
-                    LATCHED_QOS if topic == "datum" else OUTPUT_QOS,
+                    LATCHED_QOS if topic in LATCHED else OUTPUT_QOS,
                     event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 )
@@ -168,7 +169,11 @@ class LiveEstimator:
         self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, self._decode_imu)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
         self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
-        self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, OUTPUT_QOS)
+        for topic, kind in aiding_sources.TOPICS.items():
+            handle = partial(self.estimator.aids.sources.handle, topic)
+            self._subscribe(MESSAGES[kind], topic, partial(self._give, handle), GNSS_QOS)
+        pose = partial(self._give, self.estimator.handle_initial_pose)
+        self._subscribe(PoseWithCovarianceStamped, "initialpose", pose, OUTPUT_QOS)
         node = self._node
         service = node.create_service(Trigger, "~/reset", self._on_reset)
         self._input.append((node.destroy_service, service))
@@ -269,8 +274,8 @@ class LiveEstimator:
         self.estimator.handle_velocity(message, self._received_ns())
         self._publish_reports()
 
-    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.estimator.handle_initial_pose(message)
+    def _give(self, handle: Callable[[Any], None], message: Any) -> None:
+        handle(message)
         self._publish_reports()
 
     def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:

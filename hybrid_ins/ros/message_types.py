@@ -35,9 +35,12 @@ OUTPUTS = {
     "q/gyroscope": "geometry_msgs/msg/Vector3Stamped",
     "imu/bias": "geometry_msgs/msg/AccelWithCovarianceStamped",
     "gnss/verdict": STATUS,
+    "aiding/verdict": STATUS,
+    "validity": STATUS,
     "datum": "sensor_msgs/msg/NavSatFix",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
+LATCHED = ("datum", "validity")  # topics whose last message late subscribers get
 
 
 def to_message(report: Report, new: NewMessage) -> Message:

@@ -13,11 +13,13 @@ from geometry_msgs.msg import (
     Vector3Stamped,
 )
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
 MESSAGES = {
     "nav_msgs/msg/Odometry": Odometry,
     "sensor_msgs/msg/NavSatFix": NavSatFix,
+    "sensor_msgs/msg/Imu": Imu,
+    "sensor_msgs/msg/FluidPressure": FluidPressure,
     "geometry_msgs/msg/TwistWithCovarianceStamped": TwistWithCovarianceStamped,
     "geometry_msgs/msg/Vector3Stamped": Vector3Stamped,
     "geometry_msgs/msg/AccelWithCovarianceStamped": AccelWithCovarianceStamped,

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from hybrid_ins.ros.cdr import OdometryEncoder
-from hybrid_ins.ros.message_types import NewMessage, to_message
+from hybrid_ins.ros.message_types import LATCHED, NewMessage, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
 
@@ -63,11 +63,11 @@ class OutputTopics:
         self._odometry_due.change(rate)
 
     def find_subscribers(self, _event: object = None) -> None:
-        """Find the topics worth publishing on: those with subscribers; datum is latched."""
+        """Find the topics worth publishing on: those with subscribers, and latched ones."""
         self._subscribed = {
             topic: publisher.publish
             for topic, publisher in self.publishers.items()
-            if topic == "datum" or publisher.get_subscription_count()
+            if topic in LATCHED or publisher.get_subscription_count()
         }
 
     def publish_odometry(self, odometry: Odometry) -> None:

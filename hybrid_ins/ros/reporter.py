@@ -69,6 +69,10 @@ class Reporter:
         reports, self._reports = self._reports, []
         return reports
 
+    def add(self, reports: Sequence[Report]) -> None:
+        """Publish reports of others, too."""
+        self._reports += reports
+
     def on_event(self, event: Event) -> None:
         """Count, log and report what happened to the navigator."""
         counts, log = self._inputs.counts, self._inputs.log

@@ -1,5 +1,6 @@
 """The guide's worked example runs as printed, with bad input too."""
 
+import inspect
 import math
 import re
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import pytest
 from support.paths import ROOT
 
 from hybrid_ins import parameters
+from hybrid_ins.core.aiding_measurements import BarometricHeight
 from hybrid_ins.ros.conversions import Refused
 
 BLOCKS = 5
@@ -43,6 +45,12 @@ BAD = (
     message(101325.0, sec=0),
     message(101325.0, sec=-5),
 )
+
+
+def test_the_measurement_is_the_one_of_the_package() -> None:
+    text = (ROOT / "docs" / "aiding_sensor.md").read_text(encoding="utf-8")
+
+    assert inspect.getsource(BarometricHeight).strip() in text
 
 
 def test_pressure_falls_by_twelve_pascal_a_metre(example: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from support.paths import ROOT
 
 from hybrid_ins import parameter_file, parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.ros import aiding_sources
 from hybrid_ins.ros.message_types import OUTPUTS
 from tools import generate_docs, tutorial
 from tools.processes import program
@@ -33,6 +34,7 @@ INPUTS = {
     "gnss/fix": "sensor_msgs/msg/NavSatFix",
     "gnss/velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
     "initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    **aiding_sources.TOPICS,
 }
 TOPICS = {
     "/" + name.lstrip("/"): type_name

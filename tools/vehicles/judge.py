@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.trajectory import Array
+from tools.vehicles.aiding import Aiding
 from tools.vehicles.drives import Drive
 
 SETTLED = 30.0  # s after the start of the motion, from which errors count
@@ -58,16 +60,35 @@ class Judged(Estimator):
 
 
 def run(
-    drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text: None
+    drive: Drive,
+    values: Mapping[str, Any],
+    log: Any = lambda level, text: None,
+    aiding: Sequence[Aiding] = (),
 ) -> tuple[Judged, NDArray[np.int64], Array]:
-    """Return the estimator in its last state, stamps [ns] and odometry (N, 85)."""
+    """
+    Return the estimator in its last state, stamps [ns] and odometry (N, 85).
+
+    ``aiding`` holds messages of other sensors in the order of their arrival.
+    """
     estimator = Judged(values, log)
     fix = new_message("sensor_msgs/msg/NavSatFix")
     velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
     done: list[tuple[NDArray[np.int64], Array]] = []
     start = 0
 
+    waiting = deque(aiding)
+
     def advance(stop: int) -> None:
+        while waiting:
+            at = int(np.searchsorted(drive.imu_ns, waiting[0].arrival_ns, side="right"))
+            if at > stop:
+                break
+            advance_imu(at)
+            _, topic, message = waiting.popleft()
+            estimator.aids.sources.handle(topic, message)
+        advance_imu(stop)
+
+    def advance_imu(stop: int) -> None:
         nonlocal start
         if stop > start:
             part = slice(start, stop)

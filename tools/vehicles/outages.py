@@ -25,6 +25,7 @@ from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Array
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, record
+from tools.vehicles.aiding import Aiding, wheels
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import run
 
@@ -32,10 +33,12 @@ SETTLED, BETWEEN, LENGTH = 120.0, 60.0, 60.0  # s before the first outage, betwe
 JUDGED = (30.0, 60.0)  # s after an outage begins
 SHORTEST = 30.0  # m: less distance says nothing per distance
 CALIBRATION_SEEDS = (101, 103)
-VARIANTS: dict[str, dict[str, Any]] = {
+VARIANTS: dict[str, dict[str, Any]] = {  # the last two with messages of wheels
     "none": {"vehicle.kind": "other"},
     "auto": {"vehicle.kind": "auto"},
     "ground": {"vehicle.kind": "ground"},
+    "wheels": {"vehicle.kind": "auto"},
+    "wheels alone": {"vehicle.kind": "other"},
 }
 
 
@@ -83,12 +86,17 @@ def begins(drive: Drive) -> Array:
     return np.arange(first, last, LENGTH + BETWEEN)
 
 
-def ends(drive: Drive, values: Mapping[str, Any], log: Any = lambda *_: None) -> list[End]:
-    """Return the errors in the outages of one drive."""
+def ends(
+    drive: Drive,
+    values: Mapping[str, Any],
+    log: Any = lambda *_: None,
+    aiding: Sequence[Aiding] = (),
+) -> list[End]:
+    """Return the errors in the outages of one drive; ``aiding`` as for `judge.run`."""
     t = (drive.arrival_ns - drive.imu_ns[0]) * 1e-9
     starts = begins(drive)
     out = np.any([(t > start) & (t < start + LENGTH) for start in starts], axis=0)
-    estimator, t_ns, rows = run(drive.thinned(~out), values, log)
+    estimator, t_ns, rows = run(drive.thinned(~out), values, log, aiding)
     if len(t_ns) < 2 or estimator.map_frame is None:
         return []
     truth = LocalFrame(estimator.map_frame.datum_lla).position(drive.truth_lla) @ SWAP
@@ -140,11 +148,13 @@ def table(
     """Yield the rows of one vehicle."""
     vehicle = every_vehicle()[name]
     base = calibrated(vehicle)
-    drives = [from_simulation(record(replace(vehicle, duration=duration), s)) for s in seeds]
+    recordings = [record(replace(vehicle, duration=duration), seed) for seed in seeds]
     for variant in variants:
         found: list[End] = []
-        for drive in drives:
-            found += ends(drive, {**base, **VARIANTS[variant]})
+        for recording in recordings:
+            aiding = wheels(recording) if variant.startswith("wheels") else []
+            values = {**base, **VARIANTS[variant]}
+            found += ends(from_simulation(recording), values, aiding=aiding)
         for after in JUDGED:
             median, most, share, nees = summary(found, after)
             count = sum(end.after == after for end in found)

@@ -1,0 +1,306 @@
+"""
+Life cycle of sensors that aid the filter besides GNSS.
+
+What such a sensor claims is checked against the filter before it is believed. While fixes come,
+the filter knows velocity, heading and height without it: readings that agree for some seconds make
+the sensor aid, readings that disagree for some seconds make it refused, whatever it did before.
+What a sensor cannot know of itself, the scale of wheels, the offset of a pressure height, is
+estimated at the same time.
+
+    absent    no reading yet
+    waiting   no reading yet that could be checked
+    aiding    agrees with the motion; its readings are used
+    refused   disagrees with the motion; its readings are not used until they agree again
+    lost      no reading for `SILENCE`
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., sections 16.2 (scale of odometry) and 17.3 (innovation monitoring).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from enum import Enum
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
+from hybrid_ins.core.constraint_observer import inflated
+from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.state import covariance
+
+Array = NDArray[np.float64]
+
+SILENCE_NS = 2_000_000_000
+AGREES, DISAGREES = 3.0, 7.0  # mean NIS per component, of a sensor to be used, to be refused
+SHOWN = 3.0  # s of readings that show either
+MEMORY = 3.0  # s over which the NIS is averaged
+LARGEST_NIS = 50.0  # that counts: one outlier does not refuse a sensor
+
+
+class AidingState(Enum):
+    """Where in its life cycle a sensor is."""
+
+    ABSENT = "absent"
+    WAITING = "waiting"
+    AIDING = "aiding"
+    REFUSED = "refused"
+    LOST = "lost"
+
+
+class AidingSensor:
+    """
+    One aiding sensor: whether it is believed, and what is known of its errors.
+
+    Attributes
+    ----------
+    name : str
+        As in the verdicts and the diagnostics.
+    always : bool
+        Readings are fused while fixes come, too; otherwise in outages only.
+    period : float
+        Between two readings that are used [s]; others are left out.
+    error_time : float
+        Correlation time of its errors [s].
+    """
+
+    name: ClassVar[str]
+    always: ClassVar[bool] = False
+    period: ClassVar[float] = 0.2
+    error_time: ClassVar[float] = 0.5
+
+    def __init__(self) -> None:
+        self._last_ns = self._used_ns = 0
+        self._believed: bool | None = None
+        self._nis = 0.0
+        self._checked: float | None = None  # s, since the first reading that was checked
+
+    def state(self, t_ns: int) -> AidingState:
+        """Return the state at a stamp [ns]."""
+        if not self._last_ns:
+            return AidingState.ABSENT
+        if t_ns - self._last_ns > SILENCE_NS:
+            return AidingState.LOST
+        if self._believed is None:
+            return AidingState.WAITING
+        return AidingState.AIDING if self._believed else AidingState.REFUSED
+
+    @property
+    def nis(self) -> float:
+        """Mean NIS per component of the last readings that could be checked."""
+        return self._nis
+
+    def hear(self, t_ns: int) -> bool:
+        """Note a reading at a stamp [ns]; return whether it is due to be used."""
+        if t_ns - self._last_ns > SILENCE_NS:
+            self._nis, self._checked, self._believed = 0.0, None, None
+        self._last_ns = max(self._last_ns, t_ns)
+        if t_ns - self._used_ns < round(0.9 * self.period * 1e9):
+            return False
+        self._interval = min(max((t_ns - self._used_ns) * 1e-9, self.period), 1.0)
+        self._used_ns = t_ns
+        return True
+
+    def consider(
+        self, reading: Measurement, nav: Array, *, checked: bool, outage: bool
+    ) -> Measurement | None:
+        """
+        Check a reading, and return the measurement to be fused, if there is any.
+
+        Parameters
+        ----------
+        reading : Measurement
+            With what the sensor claims.
+        nav : ndarray, shape (N_NAV,) or longer
+            Flat state of its time, with nothing pending.
+        checked : bool
+            Fixes alone have determined that state for a while.
+        outage : bool
+            Fixes are missing.
+        """
+        corrected = self.corrected(reading)
+        z, H, R = corrected.linearise(nav)
+        HPH = H @ covariance(nav) @ H.T
+        nuisance = self.nuisance(reading, len(z))
+        if checked and self.can_check(HPH, R):
+            nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
+            self._check(nis)
+            self.learn(reading, z, HPH, R, self._interval)
+        if not self._believed or not (outage or self.always):
+            return None
+        return self.measurement(corrected, R, nuisance)
+
+    def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
+        """Return a reading with the covariance of errors that last."""
+        raise NotImplementedError
+
+    def corrected(self, reading: Measurement) -> Measurement:
+        """Return a reading without the errors that are known."""
+        return reading
+
+    def nuisance(self, reading: Measurement, count: int) -> Array:
+        """Return the covariance (m, m) of what is left of those errors."""
+        return np.zeros((count, count))
+
+    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
+        """Estimate those errors from an innovation of the filter."""
+
+    def can_check(self, HPH: Array, R: Array) -> bool:
+        """Return whether the filter knows enough to check a reading."""
+        return True
+
+    def _check(self, nis: float) -> None:
+        """Believe the sensor or not, by the NIS per component of its readings."""
+        nis = min(nis, LARGEST_NIS)
+        if self._checked is None:
+            self._nis, self._checked = nis, 0.0
+            return
+        self._nis += (1.0 - math.exp(-self._interval / MEMORY)) * (nis - self._nis)
+        self._checked += self._interval
+        if self._checked < SHOWN:
+            return
+        if self._nis < AGREES:
+            self._believed = True
+        elif self._nis > DISAGREES:
+            self._believed = False
+
+
+class VelocitySensor(AidingSensor):
+    """
+    Wheels or a Doppler log, with a scale error.
+
+    Parameters
+    ----------
+    scale, scale_std : float
+        Nominal factor from readings to speed, and its standard deviation.
+    """
+
+    name = "velocity"
+
+    def __init__(self, scale: float, scale_std: float) -> None:
+        super().__init__()
+        self.scale = scale
+        self._variance = scale_std**2
+
+    @property
+    def scale_std(self) -> float:
+        """Standard deviation of the scale."""
+        return math.sqrt(self._variance)
+
+    def corrected(self, reading: Measurement) -> BodyVelocity:
+        """See `AidingSensor`."""
+        assert isinstance(reading, BodyVelocity)
+        return replace(
+            reading,
+            velocity_b=self.scale * reading.velocity_b,
+            covariance_b=self.scale**2 * reading.covariance_b,
+        )
+
+    def nuisance(self, reading: Measurement, count: int) -> Array:
+        """See `AidingSensor`."""
+        g = _given(reading)
+        return self._variance * np.outer(g, g)
+
+    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
+        """See `AidingSensor`: z = scale · reading - v."""
+        g = _given(reading)
+        N = inflated(HPH, 10.0, interval) + inflated(R, self.error_time, interval)
+        gain = self._variance * np.linalg.solve(self._variance * np.outer(g, g) + N, g)
+        self.scale -= float(gain @ z)
+        self._variance *= 1.0 - float(gain @ g)
+        self._variance = max(self._variance, 1e-4**2)
+
+    def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
+        """See `AidingSensor`."""
+        assert isinstance(corrected, BodyVelocity)
+        given = np.flatnonzero(np.isfinite(corrected.velocity_b))
+        covariance_b = corrected.covariance_b.copy()
+        covariance_b[np.ix_(given, given)] = inflated(
+            R, self.error_time, self._interval
+        ) + inflated(nuisance, 5.0, self._interval)
+        return replace(corrected, covariance_b=covariance_b)
+
+
+def _given(reading: Measurement) -> Array:
+    assert isinstance(reading, BodyVelocity)
+    return reading.velocity_b[np.isfinite(reading.velocity_b)]
+
+
+class HeadingSensor(AidingSensor):
+    """A heading, believed only once the motion has confirmed it."""
+
+    name = "heading"
+    always = True
+    period = 1.0
+    error_time = 10.0  # of iron nearby, of an installation error
+    KNOWN = math.radians(8.0)  # rad, σ of a heading from motion that can confirm another
+
+    def can_check(self, HPH: Array, R: Array) -> bool:
+        """Return whether the filter knows the heading, at all or as well as the sensor."""
+        return float(HPH[0, 0]) < max(self.KNOWN**2, float(R[0, 0]))
+
+    def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
+        """See `AidingSensor`."""
+        assert isinstance(corrected, Heading)
+        variance = float(inflated(R, self.error_time, self._interval)[0, 0])
+        return replace(corrected, variance=variance)
+
+
+class HeightSensor(AidingSensor):
+    """A pressure height, whose offset wanders with the weather."""
+
+    name = "baro"
+    period = 0.5
+    WANDER = 0.03  # m/√s, of the offset
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.offset = 0.0
+        self._variance = math.inf
+
+    @property
+    def offset_std(self) -> float:
+        """Standard deviation of the offset [m]."""
+        return math.sqrt(self._variance)
+
+    def corrected(self, reading: Measurement) -> BarometricHeight:
+        """See `AidingSensor`."""
+        assert isinstance(reading, BarometricHeight)
+        return replace(reading, height=reading.height - self.offset)
+
+    def nuisance(self, reading: Measurement, count: int) -> Array:
+        """See `AidingSensor`."""
+        return np.array([[min(self._variance, 1e8)]])
+
+    def consider(
+        self, reading: Measurement, nav: Array, *, checked: bool, outage: bool
+    ) -> Measurement | None:
+        """See `AidingSensor`; the offset wanders, and begins with the first reading."""
+        if math.isinf(self._variance):
+            if not checked:
+                return None
+            z, H, R = reading.linearise(nav)
+            self.offset = float(z[0])
+            self._variance = float((H @ covariance(nav) @ H.T + R)[0, 0]) + 1.0
+            return None
+        self._variance += self.WANDER**2 * self._interval
+        return super().consider(reading, nav, checked=checked, outage=outage)
+
+    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
+        """See `AidingSensor`: z = reading - offset - height."""
+        N = inflated(HPH, 10.0, interval) + inflated(R, self.error_time, interval)
+        gain = self._variance / (self._variance + float(N[0, 0]))
+        self.offset += gain * float(z[0])
+        self._variance *= 1.0 - gain
+
+    def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
+        """See `AidingSensor`."""
+        assert isinstance(corrected, BarometricHeight)
+        variance = inflated(R, self.error_time, self._interval)
+        variance = variance + inflated(nuisance, 10.0, self._interval)
+        return replace(corrected, variance=float(variance[0, 0]))

@@ -1,0 +1,177 @@
+"""
+Sensors besides GNSS into the navigator: velocity in the vehicle, heading, pressure height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core import propagation
+from hybrid_ins.core.aiding import (
+    AidingSensor,
+    AidingState,
+    HeadingSensor,
+    HeightSensor,
+    VelocitySensor,
+)
+from hybrid_ins.core.fix_watch import FixWatch
+from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.ros.aiding_conversions import AidingMessages
+from hybrid_ins.ros.conversions import Message, Refused
+from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.reports import Status
+
+Array = NDArray[np.float64]
+
+TOPICS = {
+    "aiding/velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "aiding/odometry": "nav_msgs/msg/Odometry",
+    "aiding/heading": "sensor_msgs/msg/Imu",
+    "aiding/pressure": "sensor_msgs/msg/FluidPressure",
+}
+KEPT = 12  # states, one with each tenth of a second: readings may be a second late
+REMEDIES = {
+    "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
+    "heading": "check the sensor's mount and what is magnetic near it",
+    "baro": "check the unit, Pa, and the sensor's ventilation",
+}
+
+
+class AidingSources:
+    """
+    Checks and uses the messages of aiding sensors.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    fixes : FixWatch
+    inputs : InputLog
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], navigator: Navigator, fixes: FixWatch, inputs: InputLog
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._fixes = fixes
+        self._inputs = inputs
+        self._states: deque[tuple[int, Array]] = deque(maxlen=KEPT)
+
+    def configure(self, arm_b: Array) -> None:
+        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
+        values = self._values
+        self._messages = AidingMessages.from_parameters(values, arm_b)
+        self._velocity = VelocitySensor(
+            values["aiding.velocity_scale"], values["aiding.velocity_scale_std"]
+        )
+        self._heading, self._height = HeadingSensor(), HeightSensor()
+        self._told: dict[str, AidingState] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart, as the filter did; the sensors are the same."""
+        self._states.clear()
+
+    def handle(self, topic: str, message: Message) -> None:
+        """Use a message of one of the ``TOPICS``."""
+        messages = self._messages
+        sensor: AidingSensor
+        convert: Callable[[Message], Measurement | Refused]
+        sensor, convert = {
+            "aiding/velocity": (self._velocity, messages.twist),
+            "aiding/odometry": (self._velocity, messages.odometry),
+            "aiding/heading": (self._heading, messages.heading),
+            "aiding/pressure": (self._height, messages.pressure),
+        }[topic]
+        self._use(topic, sensor, convert(message))
+
+    def _use(self, topic: str, sensor: AidingSensor, reading: Measurement | Refused) -> None:
+        if isinstance(reading, Refused):
+            self._inputs.count_and_warn(topic, reading)
+            return
+        if self._navigator.filter is None or not sensor.hear(reading.t_ns):
+            return
+        nav = self._state_at(reading.t_ns)
+        if nav is None:
+            self._inputs.counts[f"{sensor.name}: too old"] += 1
+            return
+        fixes_come = self._fixes.settled(self._navigator.last_ns)
+        outage = self._fixes.outage(self._navigator.last_ns)
+        measurement = sensor.consider(reading, nav, checked=fixes_come, outage=outage)
+        self._tell(sensor)
+        if measurement is not None:
+            self._navigator.measure(measurement)
+
+    def _state_at(self, t_ns: int) -> Array | None:
+        """Return the flat state nearest to a stamp [ns]; None where it is older than all."""
+        running = self._navigator.filter
+        assert running is not None
+        if t_ns > running.t_ns - 30_000_000 or not self._states:
+            nav = running.nav.copy()
+            propagation.propagate_covariance(nav)
+            return nav
+        if t_ns < self._states[0][0] - 60_000_000:
+            return None
+        return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1]
+
+    def run_periodic(self, t_ns: int) -> None:
+        """Keep the state at a stamp [ns]; some times a second."""
+        running = self._navigator.filter
+        heard = (self._velocity, self._heading, self._height)
+        if running is None or all(s.state(t_ns) is AidingState.ABSENT for s in heard):
+            return
+        nav = running.nav.copy()
+        propagation.propagate_covariance(nav)
+        self._states.append((t_ns, nav))
+        for sensor in heard:
+            self._tell(sensor)
+
+    # What the user is told.
+
+    def _tell(self, sensor: AidingSensor) -> None:
+        """Log a change of a sensor's state."""
+        state = sensor.state(self._navigator.last_ns)
+        before = self._told.get(sensor.name)
+        if state is before or state is AidingState.ABSENT:
+            return
+        self._told[sensor.name] = state
+        if state is AidingState.REFUSED:
+            self._inputs.log(
+                "warn",
+                f"aiding: {sensor.name} disagrees with the motion (NIS {sensor.nis:.0f} per "
+                f"component): it is not used; {REMEDIES[sensor.name]}",
+            )
+        elif state is AidingState.LOST:
+            self._inputs.log("warn", f"aiding: {sensor.name}: no messages for 2 s")
+        elif state is AidingState.AIDING:
+            self._inputs.log("info", f"aiding: {sensor.name} agrees with the motion: it is used")
+
+    def status(self, t_ns: int) -> Status:
+        """Return the status on ``/diagnostics`` at a stamp [ns]."""
+        values: dict[str, object] = {}
+        level, parts = 0, []
+        for sensor in (self._velocity, self._heading, self._height):
+            state = sensor.state(t_ns)
+            values[sensor.name] = state.value
+            if state is AidingState.ABSENT:
+                continue
+            parts.append(f"{sensor.name} {state.value}")
+            values[f"{sensor.name}_nis"] = sensor.nis
+            if state in (AidingState.REFUSED, AidingState.LOST):
+                level = 1
+        values["velocity_scale"] = self._velocity.scale
+        values["velocity_scale_std"] = self._velocity.scale_std
+        if math.isfinite(self._height.offset_std):
+            values["baro_offset"] = self._height.offset
+            values["baro_offset_std"] = self._height.offset_std
+        return status("aiding", level, ", ".join(parts) or "no sensors besides GNSS", values)

@@ -1,0 +1,110 @@
+"""
+What helps where fixes are missing (the vehicle's wheels, other sensors), and what is claimed then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.fix_watch import FixWatch
+from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import GNSS
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.ros.aiding_sources import AidingSources
+from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.reports import Report, Status
+from hybrid_ins.ros.validity import ValidityMonitor
+from hybrid_ins.ros.vehicle_input import VehicleInput
+
+Array = NDArray[np.float64]
+
+
+class Aids:
+    """
+    The constraint of the vehicle, the aiding sensors, and the validity of the estimate.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    inputs : InputLog
+    arm_b : ndarray, shape (3,)
+        See `configure`.
+
+    Attributes
+    ----------
+    vehicle : VehicleInput
+    sources : AidingSources
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog, arm_b: Array
+    ) -> None:
+        self._navigator = navigator
+        self._fixes = FixWatch()
+        self._reports: list[Report] = []
+        self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
+        self.sources = AidingSources(values, navigator, self._fixes, inputs)
+        self._validity = ValidityMonitor(values, navigator, self._fixes)
+        self.configure(arm_b)
+
+    def configure(self, arm_b: Array) -> None:
+        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
+        self.vehicle.configure(arm_b)
+        self.sources.configure(arm_b)
+
+    def restart(self) -> None:
+        """Restart, as the filter did."""
+        self.vehicle.restart()
+        self.sources.restart()
+
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Note a fix; report the verdict on another sensor's reading."""
+        if verdict.measurement.sensor == GNSS:
+            self._fixes.on_verdict(verdict)
+        else:
+            self._report("aiding/verdict", _verdict_status(verdict))
+
+    def run_periodic(self, t_ns: int) -> list[Report]:
+        """Do what is due at a stamp [ns]; return what is to be published."""
+        self.vehicle.run_periodic(t_ns)
+        self.sources.run_periodic(t_ns)
+        changed = self._validity.changed(t_ns)
+        if changed is not None:
+            self._report("validity", changed)
+        reports, self._reports = self._reports, []
+        return reports
+
+    def _report(self, topic: str, content: Status) -> None:
+        self._reports.append(Report(topic, content, self._navigator.last_ns))
+
+    def statuses(self, t_ns: int) -> list[Status]:
+        """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
+        return [self.vehicle.status(), self.sources.status(t_ns), self._validity.status(t_ns)]
+
+
+def _verdict_status(verdict: Verdict) -> Status:
+    """Return what became of one reading of an aiding sensor."""
+    measurement = verdict.measurement
+    text = "fused" if verdict.accepted else f"refused: {verdict.reason}"
+    return status(
+        measurement.sensor,
+        0 if verdict.accepted else 1,
+        text,
+        {
+            "stamp": measurement.t_ns,
+            "kind": measurement.kind,
+            "accepted": str(verdict.accepted).lower(),
+            "nis": verdict.nis,
+            "dof": len(verdict.sigma),
+            "threshold": verdict.threshold,
+            **{f"sigma_{k}": float(s) for k, s in enumerate(verdict.sigma)},
+            "age": verdict.age,
+        },
+    )

@@ -1,0 +1,188 @@
+"""Aiding sensors: Jacobians, life cycle, scale, a wrong heading, a pressure offset."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from support.analytic_motion import EARTH_RATE_E
+
+from hybrid_ins.core.aiding import AidingState, HeadingSensor, HeightSensor, VelocitySensor
+from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
+from hybrid_ins.core.kalman import inject
+from hybrid_ins.core.rotations import quat_from_rpy, rpy_from_quat
+from hybrid_ins.core.state import BIAS_G, LAST_W, LLA, N_ERROR, QUAT, Array, NavState
+
+POINT_B = np.array([-1.2, 0.3, 0.5])
+STEP = np.repeat([30.0, 1.0, 1e-4, 0.1, 0.01], 3)
+SECOND = 1_000_000_000
+
+
+def flat_state(velocity_n: Array, rpy: Array, rate_b: Array, std: float = 1.0) -> Array:
+    nav = NavState(
+        np.array([0.6, 0.6, 800.0]),
+        np.asarray(velocity_n, float),
+        quat_from_rpy(*rpy),
+        np.zeros(3),
+        np.array([0.01, -0.02, 0.005]),
+        np.eye(N_ERROR) * std**2,
+    ).to_flat()
+    nav[LAST_W] = rate_b
+    return nav
+
+
+vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+@settings(max_examples=40, deadline=None)
+@given(vectors, vectors, vectors)
+@pytest.mark.parametrize("kind", ["velocity", "heading", "height"])
+def test_H_is_the_derivative_of_the_innovation(
+    kind: str, velocity: Array, rpy: Array, rate: Array
+) -> None:
+    nav = flat_state(20.0 * velocity, 1.2 * rpy, rate)
+    measured = {
+        "velocity": BodyVelocity(0, np.array([5.0, np.nan, 0.1]), np.eye(3), POINT_B),
+        "heading": Heading(0, float(1.2 * rpy[2]) + 0.1, 0.01),
+        "height": BarometricHeight(0, 810.0, 1.0),
+    }[kind]
+    columns = []
+    for size, step in zip(STEP, np.diag(STEP), strict=True):
+        up, down = nav.copy(), nav.copy()
+        inject(up, step)
+        inject(down, -step)
+        change = measured.linearise(down)[0] - measured.linearise(up)[0]
+        columns.append(change / (2.0 * size))
+
+    z, H, R = measured.linearise(nav)
+
+    assert len(z) == len(H) == len(R)
+    left_out = float(np.linalg.norm(EARTH_RATE_E) * np.linalg.norm(POINT_B))
+    np.testing.assert_allclose(H, np.stack(columns, axis=1), atol=1.01 * left_out, rtol=1e-4)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1))
+def test_heading_is_compared_the_short_way_round(yaw: float, measured: float) -> None:
+    nav = flat_state(np.zeros(3), np.array([0.1, -0.2, yaw]), np.zeros(3))
+    assume(abs(abs(measured - yaw) - math.pi) > 1e-6)
+
+    z = Heading(0, measured, 0.01).linearise(nav)[0][0]
+
+    assert abs(z) <= math.pi
+    assert math.cos(z) == pytest.approx(math.cos(measured - rpy_from_quat(nav[QUAT])[2]))
+
+
+def wheels(sensor: VelocitySensor, seconds: float, factor: float, start: float, seed: int) -> None:
+    """Drive with wheels that read ``1 / factor`` of the speed, σ 0.05 m/s."""
+    rng = np.random.default_rng(seed)
+    for k in range(int(seconds / 0.1)):
+        t = start + 0.1 * k
+        speed = 10.0 + 4.0 * math.sin(0.1 * t)
+        nav = flat_state(np.array([speed, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.003)
+        nav[BIAS_G] = 0.0
+        reading = np.array([speed / factor + 0.05 * rng.standard_normal(), np.nan, np.nan])
+        t_ns = round(t * SECOND)
+        if sensor.hear(t_ns):
+            measured = BodyVelocity(t_ns, reading, 0.05**2 * np.eye(3), np.zeros(3))
+            sensor.consider(measured, nav, checked=True, outage=False)
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_scale_of_wheels_is_found_to_a_tenth_of_a_percent(seed: int) -> None:
+    sensor = VelocitySensor(1.0, 0.03)
+
+    wheels(sensor, 120.0, 1.02, 10.0, seed)
+
+    assert sensor.state(130 * SECOND) is AidingState.AIDING
+    assert abs(sensor.scale - 1.02) < 3.0 * sensor.scale_std
+    assert sensor.scale_std < 0.002
+
+
+def test_life_cycle_of_wheels() -> None:
+    sensor = VelocitySensor(1.0, 0.03)
+    assert sensor.state(SECOND) is AidingState.ABSENT
+    wheels(sensor, 1.0, 1.0, 10.0, 2)
+    assert sensor.state(11 * SECOND) is AidingState.WAITING
+    wheels(sensor, 10.0, 1.0, 11.0, 2)
+    assert sensor.state(21 * SECOND) is AidingState.AIDING
+    wheels(sensor, 10.0, 2.0, 21.0, 2)
+    assert sensor.state(31 * SECOND) is AidingState.REFUSED
+    assert sensor.state(40 * SECOND) is AidingState.LOST
+
+
+def test_velocity_is_used_in_outages_only_and_its_errors_are_not_white() -> None:
+    sensor = VelocitySensor(1.0, 0.03)
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+    nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.01)
+    reading = BodyVelocity(
+        70_200_000_000, np.array([10.0, np.nan, np.nan]), 0.05**2 * np.eye(3), np.zeros(3)
+    )
+    assert sensor.hear(70_200_000_000)
+
+    assert sensor.consider(reading, nav, checked=True, outage=False) is None
+    used = sensor.consider(reading, nav, checked=False, outage=True)
+
+    assert used is not None
+    assert used.linearise(nav)[2][0, 0] > 1.5 * 0.05**2
+
+
+def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -> int:
+    """Show headings at 10 Hz to a filter that knows its own to 2°; return how many are used."""
+    used = 0
+    for k in range(int(seconds * 10)):
+        t_ns = round((start + 0.1 * k) * SECOND)
+        yaw = 0.1 * k * 0.3
+        nav = flat_state(
+            np.array([5.0, 0.0, 0.0]), np.array([0.0, 0.0, yaw]), np.zeros(3), math.radians(2.0)
+        )
+        if sensor.hear(t_ns):
+            reading = Heading(t_ns, yaw + wrong, math.radians(2.0) ** 2)
+            used += sensor.consider(reading, nav, checked=True, outage=False) is not None
+    return used
+
+
+def test_a_heading_is_not_believed_before_the_motion_has_confirmed_it() -> None:
+    sensor = HeadingSensor()
+
+    assert compass(sensor, 2.0, 0.0, 10.0) == 0
+    assert compass(sensor, 20.0, 0.0, 12.0) > 10
+
+
+def test_a_wrong_heading_is_never_used_and_a_right_one_that_goes_wrong_is_dropped() -> None:
+    sensor = HeadingSensor()
+    assert compass(sensor, 60.0, math.radians(30.0), 10.0) == 0
+    assert sensor.state(70 * SECOND) is AidingState.REFUSED
+
+    sensor = HeadingSensor()
+    assert compass(sensor, 30.0, 0.0, 10.0) > 20
+    assert compass(sensor, 15.0, math.radians(30.0), 40.0) <= 3
+    assert sensor.state(55 * SECOND) is AidingState.REFUSED
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_offset_of_a_pressure_height_is_found_and_wanders(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sensor = HeightSensor()
+    offset = 35.0
+    for k in range(600):
+        t_ns = (10 * SECOND) + k * SECOND // 2
+        nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3), std=0.3)
+        nav[LLA][2] = 100.0 + 0.3 * rng.standard_normal()
+        offset += 0.02 * rng.standard_normal()
+        if sensor.hear(t_ns):
+            height = 100.0 + offset + 0.2 * rng.standard_normal()
+            sensor.consider(BarometricHeight(t_ns, height, 0.04), nav, checked=True, outage=False)
+
+    assert sensor.state(t_ns) is AidingState.AIDING
+    assert abs(sensor.offset - offset) < 3.0 * sensor.offset_std
+    assert sensor.offset_std < 1.0
+
+
+def test_nothing_is_used_of_a_sensor_that_was_never_checked() -> None:
+    sensor = HeightSensor()
+    nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3))
+    reading = BarometricHeight(SECOND, 100.0, 0.04)
+    assert sensor.hear(SECOND)
+
+    assert sensor.consider(reading, nav, checked=False, outage=True) is None
