@@ -28,6 +28,7 @@ from hybrid_ins.calibration.fit import SIGNIFICANT, Fit, OnStage, filter_passes,
 from hybrid_ins.calibration.likelihood import offset_name
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.calibration.vehicle import findings_of, observe_nose
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -157,6 +158,12 @@ def calibrate(
     add_clock_offset(found, fitted, own_offsets, nominal.time_offset, search)
     C_new_old = add_mount(found, fitted, after, nose_first)
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
+    offsets = [fitted.offset(k) for k in range(len(recordings))]
+    nose = observe_nose(fitted.recordings, after, offsets)
+    if nose is not None and nose.holds:
+        for row, changed in findings_of(nose, C_new_old, found.values["imu.position"]):
+            found.values.update(changed)
+            found.add(*row, *changed)
     add_biases(found, after, nominal, C_new_old)
     add_noise(found, fitted, period)
     levels = ordinary_levels(recordings, found.values, log)

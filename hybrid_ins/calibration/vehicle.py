@@ -1,0 +1,121 @@
+"""Whether the vehicle moves along its nose, where that points, and where its axle is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.derived import courses
+from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.nonholonomic import Nose
+from hybrid_ins.ros.conversions import FLIP
+
+Array = NDArray[np.float64]
+
+INTERVAL = 0.5  # s, at least, between two observations
+RATE_TIME = 0.03  # s, before and after an observation, of samples whose mean is the angular rate
+NOSE_STD, POINT_STD, SLIP_STD = 0.1, 1.5, 0.1  # rad, m, m/s: before the motion is known
+SHORTEST = 20  # observations
+NOSE_IDENTIFIED, AXLE_IDENTIFIED = math.radians(0.3), 0.3  # rad, m: largest σ
+
+
+def observe_nose(
+    recordings: Sequence[Recording], after: Sequence[FilterPass], offsets: Sequence[float]
+) -> ConstraintObserver | None:
+    """
+    Observe the motion of recordings; None where there is none to speak of.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    after : sequence of FilterPass
+        The filter over each, with its states.
+    offsets : sequence of float
+        Clock offset of the fixes of each [s].
+
+    Returns
+    -------
+    ConstraintObserver or None
+        Its nose and point are in b of the samples, relative to the IMU.
+    """
+    angles = np.concatenate([courses(one) for one in after])
+    if len(angles) < SHORTEST:
+        return None
+    yaw = math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))
+    settings = ConstraintSettings(
+        Nose(yaw, 0.0, np.zeros(3)), NOSE_STD, POINT_STD, np.full(2, SLIP_STD), False
+    )
+    observer = ConstraintObserver(settings)
+    for recording, one, offset in zip(recordings, after, offsets, strict=True):
+        t_fix = recording.aid_t + offset
+        last = -math.inf
+        for k in np.flatnonzero(np.isfinite(one.nis)).tolist():
+            low, high = np.searchsorted(recording.t, (t_fix[k] - RATE_TIME, t_fix[k] + RATE_TIME))
+            if t_fix[k] - last < 0.9 * INTERVAL or high <= low:
+                continue
+            interval = min(t_fix[k] - last, 1.0)
+            last = t_fix[k]
+            rate_b = recording.samples[low:high, 3:].mean(axis=0)
+            observer.observe(one.states[k], rate_b, interval, fused=False)
+    return observer
+
+
+def findings_of(
+    observer: ConstraintObserver, C_new_old: Array, imu_position: Sequence[float]
+) -> list[tuple[tuple[str, str, str, str, str], dict[str, Any]]]:
+    """
+    Return what was found of a vehicle that moves along its nose.
+
+    Parameters
+    ----------
+    observer : ConstraintObserver
+    C_new_old : ndarray, shape (3, 3)
+        From b of the samples to that of the parameters.
+    imu_position : sequence of float
+        Position of the IMU in the base frame (forward, left, up) [m].
+
+    Returns
+    -------
+    list of (row, values)
+        Label, value, uncertainty, verdict and note; the parameters that follow, by name.
+    """
+    forward = C_new_old @ observer.nose.forward
+    yaw = -math.degrees(math.atan2(forward[1], forward[0]))
+    pitch = -math.degrees(math.atan2(forward[2], math.hypot(forward[0], forward[1])))
+    axle = np.add(imu_position, FLIP @ C_new_old @ observer.nose.point_b)
+    sigma, along_std = float(max(observer.sigma[:2])), float(observer.sigma[2])
+    return [
+        (
+            (
+                "nose",
+                f"yaw {yaw:+.2f}°, pitch {pitch:+.2f}°",
+                f"{math.degrees(sigma):.2f}°",
+                "identified" if sigma < NOSE_IDENTIFIED else "weak",
+                "the vehicle moves along it: kind ground",
+            ),
+            {
+                "vehicle.kind": "ground",
+                "vehicle.nose": [round(math.radians(angle), 4) for angle in (yaw, pitch)],
+                "vehicle.nose_std": float(f"{sigma:.2g}"),
+            },
+        ),
+        (
+            (
+                "axle forward",
+                f"{axle[0]:+.2f} m",
+                f"{along_std:.2f} m",
+                "identified" if along_std < AXLE_IDENTIFIED else "weak",
+                "point that does not slip",
+            ),
+            {
+                "vehicle.axle_position": [round(float(a), 3) for a in axle],
+                "vehicle.axle_position_std": float(f"{along_std:.2g}"),
+            },
+        ),
+    ]

@@ -1,0 +1,98 @@
+"""Nose and axle of a vehicle from the states of calibrated recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.calibration.vehicle import findings_of, observe_nose
+from hybrid_ins.core.rotations import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_from_rpy,
+)
+from hybrid_ins.core.state import N_NAV, NavState
+from hybrid_ins.simulation.vehicles import record
+from tools.vehicles.outages import every_vehicle
+
+MOUNT = (0.0, 0.05, -0.08)  # rad, pitch and yaw of the IMU's axes in the car's
+HEADING_STD = 0.004  # rad, errors that last for 20 s
+
+
+def drive(name: str, seed: int) -> tuple[Recording, FilterPass]:
+    """Return a recording of an IMU that is not aligned, and states as good as a filter's."""
+    found = record(replace(every_vehicle()[name], duration=300.0, imu_rate=50.0), seed)
+    rng = np.random.default_rng(seed)
+    C_bs = matrix_from_quat(quat_from_rpy(*MOUNT))
+    truth = found.truth
+    count = len(found.fix_t)
+    states = np.empty((count, N_NAV))
+    P = np.diag(np.repeat([0.02, 0.03, HEADING_STD, 0.02, 0.001], 3) ** 2)
+    heading = 0.0
+    for k, at in enumerate(np.searchsorted(truth.t, found.fix_t)):
+        heading = 0.95 * heading + 0.31 * HEADING_STD * rng.standard_normal()
+        C = matrix_from_quat(quat_from_rotvec(np.array([0.0, 0.0, heading])))
+        C = C @ truth.C_nb[at] @ C_bs
+        velocity = truth.velocity_n[at] + 0.03 * rng.standard_normal(3)
+        state = NavState(truth.lla[at], velocity, quat_from_matrix(C), np.zeros(3), np.zeros(3), P)
+        states[k] = state.to_flat()[:N_NAV]
+    samples = np.hstack((truth.specific_force_b @ C_bs, truth.angular_rate_b @ C_bs))
+    recording = Recording(
+        name,
+        truth.t,
+        samples,
+        truth.t[np.searchsorted(truth.t, found.fix_t)],
+        np.full(count, POSITION, np.int64),
+        found.fix_lla,
+        np.tile(np.eye(3), (count, 1, 1)),
+    )
+    return recording, FilterPass(
+        np.empty((count, 3)), np.empty((count, 3, 3)), np.ones(count), states
+    )
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
+    """
+    GIVEN two drives of a car whose IMU is turned by degrees and 1.2 m ahead of the rear axle
+    WHEN its motion is observed
+    THEN nose and axle are found, and the parameters turn the nose as the mount does.
+    """
+    drives = [drive("road car", seed), drive("road car", seed + 100)]
+
+    observer = observe_nose([d[0] for d in drives], [d[1] for d in drives], [0.0, 0.0])
+
+    assert observer is not None
+    assert observer.holds
+    # The car's nose in the IMU's axes.
+    nose = matrix_from_quat(quat_from_rpy(*MOUNT)).T @ np.array([1.0, 0.0, 0.0])
+    off = np.degrees(np.arccos(np.clip(nose @ observer.nose.forward, -1.0, 1.0)))
+    assert off < 0.3
+    (row, values), (axle_row, axle) = findings_of(observer, np.eye(3), [0.5, 0.0, 0.2])
+    assert values["vehicle.kind"] == "ground"
+    assert values["vehicle.nose"][0] == pytest.approx(-np.arctan2(nose[1], nose[0]), abs=0.005)
+    assert values["vehicle.nose"][1] == pytest.approx(-np.arcsin(nose[2]), abs=0.005)
+    assert row[0] == "nose"
+    assert axle_row[3] in ("identified", "weak")
+    assert axle["vehicle.axle_position"][0] == pytest.approx(0.5 - 1.2, abs=0.35)
+
+
+def test_a_car_on_ice_has_no_nose() -> None:
+    found = drive("car on ice", 2)
+
+    observer = observe_nose([found[0]], [found[1]], [0.0])
+
+    assert observer is not None
+    assert not observer.holds
+
+
+def test_a_vehicle_that_never_moves_shows_nothing() -> None:
+    recording, states = drive("road car", 2)
+    still = np.flatnonzero(recording.aid_t < 8.0)
+    states = replace(states, nis=np.where(np.arange(len(states.nis)) <= still[-1], 1.0, np.nan))
+
+    assert observe_nose([recording], [states], [0.0]) is None
