@@ -214,7 +214,10 @@ class _Replay:
                     self._handle_imu(start, max(start, stop))
                     bar.update(max(start, stop) - start)
                     start = max(start, stop)
-                    self._handlers[topic](self._bag.decode(topic, log_ns, data), log_ns)
+                    message = self._bag.decode(topic, log_ns, data)
+                    if message is None:
+                        continue  # nor is it carried over
+                    self._handlers[topic](message, log_ns)
                     self._write_reports(log_ns)
                 if topic in self._carried:
                     out_topic = self._carried[topic]

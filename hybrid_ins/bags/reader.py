@@ -110,6 +110,8 @@ class BagReader:
         self.topics: dict[str, str] = {c.topic: c.type_name for c in reversed(channels)}
         self._counts: dict[str, int] = {}
         self._replaced: set[str] = set()
+        self._sound: set[str] = set()  # topics with a message that could be decoded
+        self._damaged: set[str] = set()  # topics with one that could not
         for channel, count in channels.items():
             self._counts[channel.topic] = self._counts.get(channel.topic, 0) + count
         self.start_ns: int = self._source.start_ns
@@ -195,10 +197,12 @@ class BagReader:
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Message]]:
         """Yield (topic, log time [ns], message object), otherwise like `raw`."""
         for log_ns, channel, data in self._records(topics):
-            yield channel.topic, log_ns, self._decoded(log_ns, channel, data)
+            message = self._decoded(log_ns, channel, data)
+            if message is not None:
+                yield channel.topic, log_ns, message
 
-    def decode(self, topic: str, log_ns: int, data: bytes) -> Message:
-        """Return the message object of what `raw` yielded."""
+    def decode(self, topic: str, log_ns: int, data: bytes) -> Message | None:
+        """Return the message object of what `raw` yielded; None: it is damaged, and left out."""
         return self._decoded(log_ns, Channel(topic, self.topics[topic], "cdr"), data)
 
     def imu(self, topic: str = "/imu/data", option: str = "--imu-topic") -> ImuTable:
@@ -237,6 +241,7 @@ class BagReader:
             table = imu_records([record[2] for record in messages])
         except (ValueError, IndexError):
             return self._imu_one_by_one(messages)
+        self._sound.add(messages[0][1].topic)
         return ImuTable(
             table["seconds"].astype(np.int64) * 1_000_000_000 + table["nanoseconds"],
             log_ns,
@@ -262,30 +267,53 @@ class BagReader:
         orientation = np.zeros((len(records), 4))
         has_reading = np.ones(len(records), bool)
         frames: list[tuple[int, str]] = []
+        sound = np.ones(len(records), bool)
         for row, record in enumerate(records):
             try:
                 imu = decoder.decode(record[2])
+                self._sound.add(record[1].topic)
             except ValueError:
-                imu = imu_fields(self._decoded(*record))
+                message = self._decoded(*record)
+                sound[row] = message is not None
+                if message is None:
+                    continue
+                imu = imu_fields(message)
             stamps[row] = imu.stamp_ns
             if not frames or frames[-1][1] != imu.frame_id:
-                frames.append((row, imu.frame_id))
+                frames.append((int(np.count_nonzero(sound[:row])), imu.frame_id))
             vectors[:, row] = imu.specific_force, imu.angular_rate
             if imu.orientation_cov0 != -1.0:
                 orientation[row] = imu.orientation_xyzw
             has_reading[row] = -1.0 not in (imu.specific_force_cov0, imu.angular_rate_cov0)
         return ImuTable(
-            stamps, log_ns, vectors[0], vectors[1], orientation, has_reading, tuple(frames)
+            stamps[sound],
+            log_ns[sound],
+            vectors[0, sound],
+            vectors[1, sound],
+            orientation[sound],
+            has_reading[sound],
+            tuple(frames),
         )
 
     def _records(self, topics: tuple[str, ...] | list[str]) -> Iterator[Record]:
         wanted = {absolute(topic) for topic in topics} or self.topics.keys()
         return self._source.records(lambda c: c.topic in wanted and _is_readable(c))
 
-    def _decoded(self, log_ns: int, channel: Channel, data: bytes) -> Message:
+    def _decoded(self, log_ns: int, channel: Channel, data: bytes) -> Message | None:
+        """Return a message; None where it is damaged, and an earlier one of its topic is not."""
         try:
-            return TYPES.deserialize_cdr(data, channel.type_name)
+            message = TYPES.deserialize_cdr(data, channel.type_name)
+            self._sound.add(channel.topic)
+            return message
         except Exception as error:  # whatever a damaged message provokes
+            if channel.topic in self._sound:
+                if channel.topic not in self._damaged:
+                    self._damaged.add(channel.topic)
+                    _log.warning(
+                        "%s: damaged messages on %s, the first at %d ns, are left out",
+                        *(self.path, channel.topic, log_ns),
+                    )
+                return None
             raise InputError(
                 f"{self.path}: the message on {channel.topic} at {log_ns} ns is not a"
                 f" {channel.type_name} ({error}): leave the topic out or record it again"

@@ -338,6 +338,33 @@ def test_a_damaged_message_is_named(tmp_path: Path) -> None:
             bag.imu()
 
 
+def test_damaged_messages_among_sound_ones_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """
+    GIVEN a bag in which a few messages are not of their topic's type
+    WHEN it is read, message by message and as a table
+    THEN all others are there, and one line for each topic says that some are not.
+    """
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for k in range(100):
+            data = serialised(imu_message(k, "imu_link" if k < 50 else "other"))
+            bag.write_raw("/imu/data", IMU, data, stamp_ns(k))
+            bag.write_raw("/gnss/fix", FIX, serialised(new_message(FIX)), stamp_ns(k))
+            if k % 10 == 5:
+                bag.write_raw("/imu/data", IMU, b"\0\1\0\0", stamp_ns(k))
+                bag.write_raw("/gnss/fix", FIX, b"\0\1\0\0" + bytes(5), stamp_ns(k))
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        table = bag.imu()
+        fixes = list(bag.messages("/gnss/fix"))
+
+    assert table.stamp_ns.tolist() == [stamp_ns(k) for k in range(100)]
+    assert table.specific_force[:, 2].tolist() == [9.8] * 100
+    assert table.frames == ((0, "imu_link"), (50, "other"))
+    assert len(fixes) == 100
+    assert sum("are left out" in line for line in caplog.messages) == 2
+
+
 def test_overlapping_chunks_of_different_topics_are_merged(tmp_path: Path) -> None:
     """Each topic's chunks follow each other; those of the topics overlap."""
     path = tmp_path / "bag.mcap"
