@@ -123,7 +123,7 @@ def write_flight(
         _imu_entries(imu),
         _fix_entries(gnss, log_offset_ns),
         _velocity_entries(gnss, log_offset_ns),
-        _truth_entries(truth, log_offset_ns),
+        odometry_entries(truth, "/truth/odometry", log_offset_ns),
         *others,
     ]
     count = imu.stamp_ns.size + gnss.stamp_ns.size + truth.track.stamp_ns.size
@@ -212,7 +212,8 @@ def _velocity_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
         yield stamp_ns + log_offset_ns, 2, "/gnss/velocity", message
 
 
-def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
+def odometry_entries(truth: TruthRecord, topic: str, log_offset_ns: int = 0) -> Iterator[Entry]:
+    """Yield a motion as odometry on a topic; see `write_flight`."""
     track = truth.track
     count = len(track)
     message = new_message(ODOMETRY)
@@ -243,7 +244,7 @@ def _truth_entries(truth: TruthRecord, log_offset_ns: int) -> Iterator[Entry]:
         set_vector(twist.angular, angular[row])
         message.pose.covariance = pose_covariance[row].ravel()
         message.twist.covariance = twist_covariance[row].ravel()
-        yield stamp_ns + log_offset_ns, 3, "/truth/odometry", message
+        yield stamp_ns + log_offset_ns, 3, topic, message
 
 
 def set_vector(target: Message, vector: Array) -> None:

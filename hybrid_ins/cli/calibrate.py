@@ -175,3 +175,7 @@ class _Stages:
             bar.update()
 
         return count
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -120,7 +120,11 @@ def _run(args: argparse.Namespace) -> int:
     if args.no_truth and args.truth is not None:
         raise InputError("--truth and --no-truth exclude each other")
     topics = Topics(
-        odometry=args.odometry, truth=args.truth_topic, fix=args.fix, verdict=args.verdict
+        odometry=args.odometry,
+        truth=args.truth_topic,
+        truth_datum=f"{args.truth_topic.rpartition('/')[0]}/datum",
+        fix=args.fix,
+        verdict=args.verdict,
     )
     scoring = Scoring(
         args.skip,
@@ -204,3 +208,7 @@ def _evaluate_one(
 ) -> dict[str, float | int | None]:
     """Evaluate one bag of many."""
     return summary(evaluate_run(read(job.source), scoring))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -11,19 +11,27 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins import progress
-from hybrid_ins.bags.flight_bag import Entry, set_vector, stamp, stamps
+from hybrid_ins.bags.flight_bag import (
+    Entry,
+    TruthRecord,
+    odometry_entries,
+    set_vector,
+    stamp,
+    stamps,
+)
 from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.dataset.logs.clock_match import clock_offset
-from hybrid_ins.dataset.logs.formats import read_logs
+from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
 from hybrid_ins.dataset.logs.plausibility import check_imu
-from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.conversions import SWAP, datum_fix
+from hybrid_ins.ros.trajectory import Array, Trajectory
 
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
 UNKNOWN_VARIANCE = 1e6
+AUTOPILOT = "/autopilot"  # topics of its own estimate
 EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
 
 
@@ -67,16 +75,20 @@ def convert_logs(
     common = min(imu.t[-1], gnss.t[-1]) - max(imu.t[0], gnss.t[0])
     if time_offset is not None:
         imu = replace(imu, t=imu.t + time_offset)
-    elif imu.is_dated != gnss.is_dated or common <= 0.0:
+    elif len(paths) > 1 and (imu.is_dated != gnss.is_dated or common <= 0.0):
         found, r = clock_offset(imu, gnss)
         imu = replace(imu, t=imu.t + found)
         told = f"; clock offset by the turns in both, correlation {r:.2f} (refine: ins_calibrate)"
-    if min(imu.t[-1], gnss.t[-1]) <= max(imu.t[0], gnss.t[0]):
+    if min(imu.t[-1], gnss.t[-1]) < max(imu.t[0], gnss.t[0]):
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
     imu = check_imu(imu, gnss)
     if not gnss.is_dated:
         imu, gnss = replace(imu, t=imu.t + EPOCH), replace(gnss, t=gnss.t + EPOCH)
     streams = [_imu_entries(imu), _fix_entries(gnss), _velocity_entries(gnss)]
+    estimate = read_estimate(paths[0]) if len(paths) == 1 else None
+    if estimate is not None:
+        streams.append(_estimate_entries(replace(estimate, t=estimate.t + EPOCH)))
+        told += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
     count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)
     entries = heapq.merge(*streams, key=itemgetter(0, 1))
     with BagWriter(out, overwrite=overwrite) as bag:
@@ -112,6 +124,22 @@ def _fix_entries(gnss: GnssLog) -> Iterator[Entry]:
         message.position_covariance_type = KNOWN if known else UNKNOWN
         message.position_covariance = np.nan_to_num(covariance_enu[row]).ravel()
         yield stamp_ns, 1, "/gnss/fix", message
+
+
+def _estimate_entries(estimate: EstimateLog) -> Iterator[Entry]:
+    """Yield the autopilot's estimate in a map of its own."""
+    stamp_ns = stamps(estimate.t, 0.0)
+    datum = estimate.lla[0]
+    yield (
+        int(stamp_ns[0]),
+        -1,
+        f"{AUTOPILOT}/datum",
+        datum_fix(new_message, int(stamp_ns[0]), "map", datum),
+    )
+    track = Trajectory.from_navigation(
+        stamp_ns, estimate.lla, estimate.velocity_n, estimate.quat_xyzw, datum_lla=datum
+    )
+    yield from odometry_entries(TruthRecord(track), f"{AUTOPILOT}/odometry")
 
 
 def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:

@@ -3,8 +3,8 @@ Logs of ArduPilot: dataflash (``*.bin``) and telemetry (``*.tlog``). Needs `pyma
 
 References
 ----------
-ArduPilot documentation, "Onboard message log messages": IMU, GPS, GPA. MAVLink common message
-set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
+ArduPilot documentation, "Onboard message log messages": IMU, GPS, GPA, ORGN, XKF1. MAVLink common
+message set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
 """
 
 from __future__ import annotations
@@ -16,9 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, ImuLog, diagonal
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    SBAS_FIX,
+    EstimateLog,
+    GnssLog,
+    ImuLog,
+    diagonal,
+)
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.trajectory import Array
 
 DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
 MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2
@@ -107,6 +118,26 @@ def read_gnss(path: Path) -> GnssLog:
         diagonal(np.column_stack([speed / 3**0.5] * 3)),
         is_dated=False,
     )
+
+
+def read_estimate(path: Path) -> EstimateLog | None:
+    """Read the first core of EKF3 from a dataflash log; None where there is none."""
+    origin: Array | None = None
+    rows = []
+    for m in _messages(path, "ORGN", "XKF1") if _is_dataflash(path) else ():
+        if m.get_type() == "ORGN":
+            origin = np.array([*np.radians((m.Lat, m.Lng)), m.Alt])
+        elif m.C == 0:
+            rows.append(
+                (m.TimeUS * 1e-6, m.PN, m.PE, m.PD, m.VN, m.VE, m.VD, m.Roll, m.Pitch, m.Yaw)
+            )
+    if origin is None or len(rows) < 2:
+        return None
+    table = np.array(rows, float)
+    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    quats = np.array([quat_from_rpy(*rpy) for rpy in np.radians(table[:, 7:10])])
+    lla = LocalFrame(origin).lla(table[:, 1:4])
+    return EstimateLog(table[:, 0], lla, table[:, 4:7], quats)
 
 
 def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:

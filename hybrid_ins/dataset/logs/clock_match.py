@@ -34,6 +34,8 @@ def clock_offset(imu: ImuLog, gnss: GnssLog) -> tuple[float, float]:
     InputError
         No offset stands out: too little motion, or too little of it turning.
     """
+    if min(imu.t[-1] - imu.t[0], gnss.t[-1] - gnss.t[0]) < LEAST_OVERLAP:
+        raise _failure(imu, gnss, f"shorter than {LEAST_OVERLAP:g} s")
     _, turn_imu = imu_turn_rate(imu)
     _, turn_gnss, moving = gnss_turn_rate(gnss)
     if moving.sum() * GRID < LEAST_OVERLAP:

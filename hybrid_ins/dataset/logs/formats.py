@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 from hybrid_ins.dataset.logs import ardupilot, gnss_text, imu_text, nmea, rtklib, ubx, ulog
-from hybrid_ins.dataset.logs.series import GnssLog, ImuLog, head_of
+from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog, head_of
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import Array
 
@@ -47,6 +47,12 @@ def read_logs(paths: list[Path], origin: Array | None = None) -> tuple[ImuLog, G
             "one of each"
         )
     return imu[0], gnss[0]
+
+
+def read_estimate(path: Path) -> EstimateLog | None:
+    """Read the autopilot's own estimate from a log that holds one; see `format_of`."""
+    read = getattr(format_of(path), "read_estimate", None)
+    return None if read is None else read(path)
 
 
 def format_of(path: Path) -> ModuleType:

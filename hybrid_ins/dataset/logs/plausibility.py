@@ -71,6 +71,8 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
 
 def turn_factor(imu: ImuLog, gnss: GnssLog) -> float | None:
     """Return the gyroscope's turn rate by that of the course; None where too little turns."""
+    if min(imu.t[-1] - imu.t[0], gnss.t[-1] - gnss.t[0]) < LEAST_OVERLAP:
+        return None
     t_imu, turn_imu = imu_turn_rate(imu)
     t, course_rate, moving = gnss_turn_rate(gnss)
     moving &= (t > t_imu[0]) & (t < t_imu[-1])

@@ -48,6 +48,16 @@ class GnssLog:
     is_dated: bool = True  # else: the clock is that of the IMU in the same log
 
 
+@dataclass(frozen=True, eq=False)
+class EstimateLog:
+    """An autopilot's own estimate, by the clock of its IMU; for comparison, not truth."""
+
+    t: Array  # (K,) s
+    lla: Array  # (K, 3) rad, rad, m above sea level
+    velocity_n: Array  # (K, 3) m/s, NED
+    quat_xyzw: Array  # (K, 4) of C_nb, FRD to NED
+
+
 def head_of(path: Path, size: int) -> bytes:
     """Return the first bytes of a file, decompressed where it is compressed by gzip."""
     with path.open("rb") as stream:

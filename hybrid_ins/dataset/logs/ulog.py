@@ -13,7 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, ImuLog, diagonal
+from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.rotations import slerp
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    SBAS_FIX,
+    EstimateLog,
+    GnssLog,
+    ImuLog,
+    diagonal,
+)
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP
 
@@ -84,6 +94,34 @@ def read_gnss(path: Path) -> GnssLog:
         np.column_stack([data[f"vel_{axis}_m_s"] for axis in "ned"]).astype(float),
         diagonal(np.column_stack([speed] * 3)),
         is_dated=False,
+    )
+
+
+def read_estimate(path: Path) -> EstimateLog | None:
+    """Read the autopilot's estimate; None where the log does not hold it."""
+    try:
+        place, attitude = (
+            _topic(path, ("vehicle_local_position",)),
+            _topic(path, ("vehicle_attitude",)),
+        )
+    except InputError:
+        return None
+    t, t_attitude = place["timestamp"] * 1e-6, attitude["timestamp"] * 1e-6
+    good = place["xy_valid"].astype(bool) & place["xy_global"].astype(bool)
+    good &= (t >= t_attitude[0]) & (t <= t_attitude[-1])
+    if good.sum() < 2 or len(t_attitude) < 2:
+        return None
+    t = t[good]
+    quats = np.column_stack([attitude[f"q[{k}]"] for k in (1, 2, 3, 0)]).astype(float)
+    right = np.clip(np.searchsorted(t_attitude, t), 1, len(t_attitude) - 1)
+    part = (t - t_attitude[right - 1]) / (t_attitude[right] - t_attitude[right - 1])
+    origin = (place["ref_lat"][good][-1], place["ref_lon"][good][-1])
+    frame = LocalFrame(np.array([*np.radians(origin), place["ref_alt"][good][-1]]))
+    return EstimateLog(
+        t,
+        frame.lla(np.column_stack([place[axis][good] for axis in "xyz"]).astype(float)),
+        np.column_stack([place[f"v{axis}"][good] for axis in "xyz"]).astype(float),
+        slerp(quats[right - 1], quats[right], part),
     )
 
 

@@ -159,6 +159,16 @@ def test_offset_and_lever_arm_are_found(found: Calibration) -> None:
     assert "identified" in table(found.findings)
 
 
+def test_a_second_pass_moves_nothing(found: Calibration) -> None:
+    # GIVEN a calibration, WHEN the same recordings are calibrated from its result
+    again = calibrate([a_run(0.23, seed=1), a_run(0.23, seed=2)], found.values, search=0.5)
+    # THEN clock offset and lever arm stay where they are
+    for name in ("offset", "lever_x", "lever_y", "lever_z"):
+        if name not in found.fitted.frozen:
+            moved = again.fitted.value(name) - found.fitted.value(name)
+            assert abs(moved) < 0.3 * found.fitted.sigma(name), name
+
+
 def test_the_imu_is_placed_where_the_fixes_are_of_the_base_frame(
     found: Calibration, tmp_path: Path
 ) -> None:

@@ -301,8 +301,14 @@ def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
         "float vel_e_m_s;float vel_d_m_s;uint8_t fix_type;"
     )
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40))]
-    parts += [message(b"F", text.encode()) for text in (imu, gps)]
-    for number, name in enumerate((topic, "sensor_gps")):
+    place = (
+        "vehicle_local_position:uint64_t timestamp;double ref_lat;double ref_lon;float ref_alt;"
+        "float x;float y;float z;float vx;float vy;float vz;uint8_t xy_valid;uint8_t xy_global;"
+    )
+    attitude = "vehicle_attitude:uint64_t timestamp;float[4] q;"
+    parts += [message(b"F", text.encode()) for text in (imu, gps, place, attitude)]
+    names = (topic, "sensor_gps", "vehicle_local_position", "vehicle_attitude")
+    for number, name in enumerate(names):
         parts.append(message(b"A", struct.pack("<BH", 0, number) + name.encode()))
     for t_us in (1_000_000, 1_005_000):
         readings = struct.pack("<Q6f", t_us, 0.1, 0.2, 0.3, 1.0, 2.0, -9.8)
@@ -312,6 +318,12 @@ def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
         parts.append(message(b"D", struct.pack("<H", 0) + readings))
     fix = struct.pack("<Q3d6fB", 1_002_000, 32.1, 34.8, 50.0, 0.2, 0.3, 0.5, 1.0, 2.0, -3.0, 6)
     parts.append(message(b"D", struct.pack("<H", 1) + fix))
+    for t_us in (1_001_000, 1_005_000):
+        moved = struct.pack("<2d7f2B", 32.1, 34.8, 50.0, 4.0, 3.0, -5.0, 1.0, 2.0, 3.0, 1, 1)
+        parts.append(message(b"D", struct.pack("<HQ", 2, t_us) + moved))
+    for t_us, turn in ((1_000_000, 0.0), (1_010_000, 1.0)):  # rad, about the down axis
+        q = (np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn))
+        parts.append(message(b"D", struct.pack("<HQ4f", 3, t_us, *q)))
     path.write_bytes(b"".join(parts))
 
 
@@ -340,8 +352,10 @@ def dataflash(path: Path) -> None:
         "IMU": (129, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
         "GPS": (130, "QBBIHLLefff", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,Spd,GCrs,VZ"),
         "GPA": (131, "QBfffff", "TimeUS,I,VDop,HAcc,VAcc,SAcc,Und"),
+        "ORGN": (132, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
+        "XKF1": (133, "QBccCfffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD"),
     }
-    codes = {"n": "4s", "N": "16s", "Z": "64s", "L": "i", "e": "i"}
+    codes = {"n": "4s", "N": "16s", "Z": "64s", "L": "i", "e": "i", "c": "h", "C": "H"}
 
     def message(name: str, *values: object) -> bytes:
         kind, layout, _ = formats_of[name]
@@ -368,6 +382,11 @@ def dataflash(path: Path) -> None:
     fix = (321_000_000, 348_000_000, 7000, 2.0, 90.0, -3.0)
     parts.append(message("GPS", 1_010_000, 0, 6, 302_418_000, 2288, *fix))
     parts.append(message("GPA", 1_010_000, 0, 1.0, 0.2, 0.3, 0.5, 20.0))
+    parts.append(message("ORGN", 1_000_000, 0, 321_000_000, 348_000_000, 5000))
+    for t_us, yaw in ((1_001_000, 573), (1_005_000, 2865)):  # 0.01°
+        moved = (1.0, 2.0, 3.0, 0.0, 4.0, 3.0, -5.0)
+        parts.append(message("XKF1", t_us, 0, 0, 0, yaw, *moved))
+        parts.append(message("XKF1", t_us, 1, 0, 0, 9000, *(9.0 for _ in moved)))
     path.write_bytes(b"".join(parts))
 
 
@@ -388,6 +407,40 @@ def telemetry(path: Path) -> None:
     )  # fmt: skip
     stamp = struct.pack(">Q", round(NOON * 1e6))
     path.write_bytes(b"".join(stamp + message.pack(link) for message in messages))
+
+
+@pytest.mark.parametrize(("needed", "write"), [("pyulog", ulog_file), ("pymavlink", dataflash)])
+def test_the_autopilots_own_estimate_is_there_for_comparison(
+    needed: str, write: Callable[[Path], None], tmp_path: Path
+) -> None:
+    pytest.importorskip(needed)
+    path = tmp_path / "log"
+    write(path)
+
+    estimate = formats.read_estimate(path)
+
+    assert estimate is not None
+    assert estimate.t.tolist() == pytest.approx([1.001, 1.005])
+    position = LocalFrame(np.array(LLA)).position(estimate.lla[0])
+    assert position == pytest.approx([4.0, 3.0, -5.0], abs=1e-5)
+    assert estimate.velocity_n[0].tolist() == [1.0, 2.0, 3.0]
+    yaw = 2.0 * np.arctan2(estimate.quat_xyzw[:, 2], estimate.quat_xyzw[:, 3])
+    assert yaw == pytest.approx([0.1, 0.5], abs=2e-4)
+
+
+def test_an_autopilots_log_becomes_one_bag_with_its_estimate(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    path, out = tmp_path / "flight.ulg", tmp_path / "flight.mcap"
+    ulog_file(path)
+    assert "estimate on /autopilot/odometry" in convert_logs([path], out)
+    with BagReader(out) as bag:
+        counts = {topic: bag.count(topic) for topic in bag.topics}
+        [(_, _, datum)] = bag.messages("/autopilot/datum")
+        first = next(m for _, _, m in bag.messages("/autopilot/odometry"))
+    assert counts["/imu/data"] == counts["/autopilot/odometry"] == 2
+    assert datum.altitude == pytest.approx(55.0, abs=1e-3)
+    assert first.pose.pose.position.x == pytest.approx(0.0, abs=1e-6)
+    assert first.twist.twist.linear.z == pytest.approx(-3.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("write", [dataflash, telemetry])
