@@ -28,6 +28,7 @@ from hybrid_ins.calibration.fit import SIGNIFICANT, Fit, OnStage, filter_passes,
 from hybrid_ins.calibration.likelihood import offset_name
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import findings_of, observe_nose
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
@@ -156,7 +157,10 @@ def calibrate(
     after = filter_passes(fitted, nominal, fitted.x)
     found = Findings(dict(values))
     add_clock_offset(found, fitted, own_offsets, nominal.time_offset, search)
-    C_new_old = add_mount(found, fitted, after, nose_first)
+    mounted = after
+    if nose_first:
+        mounted = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
+    C_new_old = add_mount(found, fitted, mounted, nose_first)
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     offsets = [fitted.offset(k) for k in range(len(recordings))]
     nose = observe_nose(fitted.recordings, after, offsets)

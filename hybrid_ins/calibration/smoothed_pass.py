@@ -1,0 +1,81 @@
+"""
+The smoothed states of a recording with calibrated parameters.
+
+What is read off the states, as the direction of travel in the vehicle is, is known better with
+the measurements after them, too. What is found by the likelihood of the innovations is not: its
+gradient is that of the smoothed residuals already (Fisher's identity, [1]_).
+
+References
+----------
+.. [1] O. Cappé, E. Moulines, T. Rydén, *Inference in Hidden Markov Models*, 2005, section 10.1.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.filter_pass import (
+    INTERVAL,
+    TAIL,
+    FilterPass,
+    Nominal,
+    initial_state,
+)
+from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.likelihood import YAW_STD
+from hybrid_ins.core.measurements import PositionFix, VelocityFix
+from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.core.smoother import Smoother, Start, Update
+from hybrid_ins.core.state import NavState
+
+Array = NDArray[np.float64]
+
+EPOCH_NS = 1_000_000_000_000  # of the recordings' time zero
+LONG_STEP = 3.5  # median steps between samples, above which there is a gap
+
+
+def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> FilterPass:
+    """
+    Return the filter's pass over recording ``k`` with smoothed states, after each measurement.
+
+    Parameters
+    ----------
+    fitted : Fit
+    nominal : Nominal
+    k : int
+        Number of the recording.
+    passed : FilterPass
+        Of the filter with the fitted parameters; its weights of outliers are kept.
+    """
+    recording, offset = fitted.recordings[k], fitted.offset(k)
+    lever_b = np.array([fitted.value(f"lever_{axis}") for axis in "xyz"])
+    logs = [fitted.value(name) for name in ("psd_a", "psd_g", "walk_a", "walk_g")]
+    psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
+    first, nav = initial_state(recording, offset, lever_b, nominal, fitted.yaws[k], YAW_STD)
+    samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
+    samples["t_ns"] = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
+    samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
+    start = Start(
+        int(samples["t_ns"][first]), recording.samples[first], NavState.from_flat(nav), psd
+    )
+    fused = np.flatnonzero(np.isfinite(passed.nis))
+    stamps = EPOCH_NS + np.rint((recording.aid_t + offset) * 1e9).astype(np.int64)
+    scale = np.exp(fitted.value("gnss_scale"))
+    updates = []
+    for row in fused:
+        make = PositionFix if recording.aid_kind[row] == POSITION else VelocityFix
+        measurement = make(
+            int(stamps[row]), recording.aid[row], recording.aid_R[row] * scale, lever_b
+        )
+        size = float(np.isfinite(recording.aid[row]).sum())
+        outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
+        updates.append(Update(int(stamps[row]), psd, measurement, outlying))
+    gap_ns = round(LONG_STEP * recording.period * 1e9)
+    smoother = Smoother(start, samples, updates, INTERVAL, gap_ns, {}, {})
+    t_ns, rows = map(np.concatenate, zip(*smoother.smooth(), strict=True))
+    at = np.clip(np.searchsorted(t_ns, stamps), 0, len(t_ns) - 1)
+    return replace(passed, states=rows[at])
