@@ -6,7 +6,8 @@ the slow ones and average the rest. `variance` does that over all modes left and
 that a trained regressor has to beat: its error on white noise is 9 % above the Cramer-Rao bound.
 `plateau` averages only modes that agree with the low end, because that end of the spectrum is what
 integrates into velocity: it stays right when vibration rises towards high frequency, or when the
-sensor's own low-pass leaves nothing there.
+sensor's own low-pass leaves nothing there. Where fast motion fills the low end, a floor above it
+takes its place.
 
 Both take windows (C, N): one channel a row, oldest sample first, any unit; both return per-sample
 variances (C,) [unit^2], unchanged by an offset and scaling with the square of the unit.
@@ -35,6 +36,7 @@ _OUTLIER = 14.0
 _MEAN_SHARE_KEPT = 0.9973
 # Blocks of white noise agree this well, but for one in a few hundred.
 _SAME_RATIO, _LOWEST_RATIO, _HIGHEST_RATIO = 4.0, 0.3, 3.0
+_FLOOR_BLOCKS = 3
 
 
 @lru_cache(maxsize=8)
@@ -82,13 +84,32 @@ def variance(windows: Array) -> Array:
     return _robust_mean(_energies(np.asarray(windows, dtype=float)))
 
 
+def _end_of_motion(blocks: Array) -> NDArray[np.int64]:
+    """
+    Return the first block (C,) of blocks (C, B) that fast motion does not reach; 0 mostly.
+
+    The spectrum of motion falls steeply from the first block on, to a floor. That of a sensor's
+    low-pass is flat first, and no floor follows.
+    """
+    count = blocks.shape[1]
+    steep = blocks[:, :-1] > _SAME_RATIO * blocks[:, 1:]
+    first = np.where(steep, np.arange(1, count), 0).max(axis=1)
+    at = np.arange(count) - first[:, None]
+    floor = np.where((at >= 0) & (at < _FLOOR_BLOCKS), blocks, np.nan)
+    low, high = np.nanmin(floor, axis=1), np.nanmax(floor, axis=1)
+    above = np.where(at < 0, blocks, np.inf).min(axis=1)
+    is_floor = (first <= count - _FLOOR_BLOCKS) & (high < _SAME_RATIO * low)
+    return np.where(steep[:, 0] & is_floor & (above > high), first, 0)
+
+
 def _low_end(energies: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the mean (C,) of the blocks that agree with the low end, and whether all do (C,)."""
     channels, modes = energies.shape
     count = modes // _BLOCK
     blocks = _robust_mean(energies[:, : count * _BLOCK].reshape(channels, count, _BLOCK))
     # Two blocks that agree are a better reference than one; if not, one holds motion or vibration.
-    low, high = np.sort(blocks[:, :2], axis=1).T
+    first = np.arange(channels), _end_of_motion(blocks)
+    low, high = np.sort((blocks[first], blocks[first[0], first[1] + 1]), axis=0)
     level = np.where(high < _SAME_RATIO * low, 0.5 * (low + high), low)
     for _ in range(3):
         ratio = blocks / np.maximum(level, np.finfo(float).tiny)[:, None]

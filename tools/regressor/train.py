@@ -51,10 +51,11 @@ SPECTRAL_TEXT = """\
 `hybrid_ins.noise_regressor.models.SpectralRegressor`: the plateau of
 `hybrid_ins.core.noise_spectral`, used where no model file can be used. It needs no model file and
 no training: it removes the cubic trend and the slowest tenth of the DCT modes, and averages the
-blocks of modes that agree with the low end.
+blocks of modes that agree with the low end, or, where that end falls steeply as motion does, with
+the floor above it.
 
-**Limits.** Strong and fast motion (more than about 0.1 cycles/sample at many sigma) leaks into
-the remaining modes; a single outlier or step raises them all."""
+**Limits.** Strong and fast motion (more than about 0.3 cycles/sample at many sigma) leaves no
+floor; a single outlier or step raises all modes."""
 
 PLATEAU_TEXT = """\
 Estimates the low-frequency plateau of a channel's noise, as the variance per sample of the white

@@ -18,7 +18,7 @@ from hybrid_ins.noise_regressor.window import (
     quantisation_step,
     sampling_rate,
 )
-from tools.regressor import noise_data, noise_randomised, noise_trials
+from tools.regressor import noise_data, noise_randomised, noise_trials, vehicle_levels
 
 MODELS = ROOT / "models"
 PLATEAU = MODELS / "plateau.onnx"
@@ -234,6 +234,24 @@ def test_models_on_the_papers_set(plateau, paper):
         assert np.sqrt(np.mean(off**2)) < bar
 
 
+def moving(regressor, motion, rate, level):
+    """Return median and 95th percentile of estimate over truth: accelerometer, gyroscope."""
+    ideal = vehicle_levels.ideal_windows(motion, 8, rate, regressor.window)
+    found = vehicle_levels.ratios(regressor, ideal, rate, level, 8)
+    return [np.quantile(part, (0.5, 0.95)) for part in (found[:, :3], found[:, 3:])]
+
+
+@pytest.mark.parametrize("level", [1e-2, 1e-5])
+@pytest.mark.parametrize("rate", [100.0, 200.0])
+@pytest.mark.parametrize("motion", ["car", "agile quadrotor"])
+def test_motion_is_not_taken_for_noise(plateau, motion, rate, level):
+    accelerometer, gyroscope = moving(plateau, motion, rate, level)
+    assert accelerometer[0] < 1.1 and accelerometer[1] < 1.4
+    assert gyroscope[0] < 1.5
+    if (motion, rate, level) != ("agile quadrotor", 100.0, 1e-5):  # turns fill the whole band
+        assert gyroscope[1] < 1.6
+
+
 # --- The estimator without a model ---------------------------------------------------------------
 
 
@@ -262,6 +280,24 @@ def test_spectral_plateau_sees_the_low_end():
         noise = noise_randomised.shaped_noise(np.random.default_rng(3), spectrum, 200)
         assert np.median(noise_spectral.plateau(noise)) == pytest.approx(1.0, abs=0.35)
         assert abs(np.log(np.median(noise_spectral.variance(noise)))) > 0.5
+
+
+@pytest.mark.parametrize("level", [1e-2, 1e-5])
+@pytest.mark.parametrize("motion", ["car", "agile quadrotor"])
+def test_spectral_plateau_is_found_above_fast_motion(motion, level):
+    accelerometer, gyroscope = moving(SpectralRegressor(), motion, 100.0, level)
+    assert accelerometer[0] < 1.5 and accelerometer[1] < 3.0
+    assert gyroscope[0] < 1.6
+
+
+def test_spectral_plateau_is_not_the_tail_of_a_low_pass():
+    grid = noise_randomised.shaping_grid(200)
+    for order in (1.0, 2.0, 4.0):
+        spectrum = noise_randomised.low_pass_spectrum(
+            grid, np.full(2000, 0.25), np.full(2000, order)
+        )
+        noise = noise_randomised.shaped_noise(np.random.default_rng(4), spectrum, 200)
+        assert np.quantile(noise_spectral.plateau(noise), 0.02) > 0.15
 
 
 def test_spectral_needs_a_window():
