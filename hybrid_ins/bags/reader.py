@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +70,19 @@ class ImuTable:
                 if not frames or frames[-1][1] != name:
                     frames.append((first + row, name))
             first += len(part.stamp_ns)
-        arrays = (name.name for name in fields(cls) if name.name != "frames")
-        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in arrays)
-        return cls(*columns, tuple(frames))
+
+        def column(name: str) -> Any:
+            return np.concatenate([getattr(part, name) for part in parts])
+
+        return cls(
+            column("stamp_ns"),
+            column("log_ns"),
+            column("specific_force"),
+            column("angular_rate"),
+            column("orientation_xyzw"),
+            column("has_reading"),
+            tuple(frames),
+        )
 
 
 def _changes(names: NDArray[np.bytes_]) -> list[int]:
