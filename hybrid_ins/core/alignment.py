@@ -2,9 +2,9 @@
 Initial alignment: level from gravity, position and velocity from the fixes, heading from a source.
 
 Works standing and in flight: levelling averages the specific force over a window, rotated into the
-window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. Where
-no source gives a heading, there is an initial state for every cell of headings, see
-`hybrid_ins.core.multiple_model`.
+window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. There
+is an initial state for every cell of headings, see `hybrid_ins.core.multiple_model`, and before
+those one for the heading that a source gives, see `hybrid_ins.core.heading_check`.
 
 References
 ----------
@@ -139,9 +139,10 @@ class Biases:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What filters start with: one state, or one for each heading that is possible."""
+    """What filters start with: a state for each heading that is possible."""
 
     states: tuple[NavState, ...]
+    given: bool  # the first state has a heading that was given
     t_ns: int
     sample: Array  # (6,) the IMU sample at t_ns
 
@@ -222,9 +223,11 @@ class Alignment:
             self.waiting = Waiting(Need.SECOND_FIX)
             return None
         lla, p_cov, velocity_n, v_cov = motion
-        yaws = self._headings(velocity_n, v_cov)
-        if yaws is None:
+        given = self._given_heading(velocity_n, v_cov)
+        if given is None and self._source in ("imu", "course") and self._given is None:
             return None
+        yaws = [] if given is None else [given]
+        yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
         bias_a, bias_g, bias_P = self._first_biases(now)
         last = samples[-1]
         reading = np.concatenate((last["f"], last["w"]))
@@ -249,7 +252,7 @@ class Alignment:
                 P[B_G, :] = P[:, B_G] = 0.0
                 P[B_G, B_G] = np.eye(3) * bias_g_std**2
             states.append(NavState(lla, velocity_n, quat, bias_a, bias_g, P))
-        return Start(tuple(states), now, reading)
+        return Start(tuple(states), given is not None, now, reading)
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
         """Biases and their covariance: as given, or the earlier estimate, grown since then."""
@@ -300,24 +303,24 @@ class Alignment:
         p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
         return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
 
-    def _headings(self, velocity_n: Array, v_cov: Array) -> list[tuple[float, float]] | None:
-        """Possible headings [rad from north] and their uncertainty, or None: ``waiting``."""
+    def _given_heading(self, velocity_n: Array, v_cov: Array) -> tuple[float, float] | None:
+        """Heading [rad from north] and its uncertainty; None if unknown, or ``waiting`` for it."""
         settings = self._settings
         if self._given is not None:
-            return [self._given[1:]]
+            return self._given[1:]
         if self._source == "imu":
             if self._imu_yaw is None:
                 self.waiting = Waiting(Need.ORIENTATION)
                 return None
-            return [(self._imu_yaw, settings.yaw_std)]
+            return self._imu_yaw, settings.yaw_std
         if self._source == "course":
             speed = math.hypot(velocity_n[0], velocity_n[1])
             if speed < settings.course_min_speed:
                 self.waiting = Waiting(Need.SPEED, speed, settings.course_min_speed)
                 return None
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
-            return [(math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD))]
-        return [(yaw, HEADING_STD) for yaw in heading_grid()]
+            return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
+        return None
 
 
 def _slope(fixes: list[PositionFix], p_cov: Array, scale: Array) -> tuple[Array, Array] | None:

@@ -214,9 +214,7 @@ class Navigator:
             return
         self.phases.follow_imu(t_ns)
         self.check_imu()
-        if not self.monitor.standing:
-            for measurement in self.phases.include_clock():
-                self._measure(measurement)
+        self._include_clock()
         if isinstance(self.phase, Searching) and self.phases.decide():
             self._measurements.forget_stamps()
 
@@ -225,10 +223,15 @@ class Navigator:
         if self.phases.open_clock(unknown):
             self.realign()
 
-    def find_clock(self) -> None:
-        """Continue the search for the clock offset beside the filter; due some times a second."""
-        if self.phases.find_clock(self.last_ns):
+    def continue_search(self) -> None:
+        """Check a given heading, search for the clock offset; due some times a second."""
+        self._include_clock()
+        if self.phases.continue_search(self.last_ns):
             self._measurements.forget_stamps()
+
+    def _include_clock(self) -> None:
+        if not self.monitor.standing:
+            self.phases.include_clock()
 
     # Measurements, and what they show.
 

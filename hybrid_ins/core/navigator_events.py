@@ -6,11 +6,14 @@ Verdicts on measurements (`hybrid_ins.core.gate.Verdict`) are in the same queue,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
+from hybrid_ins.core.alignment import yaw_of
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import ImuFault
+from hybrid_ins.core.state import NavState
 
 
 class RestartCause(Enum):
@@ -59,4 +62,19 @@ class ClockOffsetFound:
     sigma: float  # s
 
 
-Event = Verdict | GapBridged | Restarted | FaultFound | ClockOffsetFound
+@dataclass(frozen=True, slots=True)
+class HeadingCorrected:
+    """The motion has contradicted the filter's heading, and another filter took over."""
+
+    before: float  # rad from north
+    after: float  # rad from north
+    sigma: float  # rad
+
+    @classmethod
+    def between(cls, before: NavState, after: NavState) -> HeadingCorrected:
+        """Return the change from one state to the other."""
+        sigma = math.sqrt(after.P[8, 8])
+        return cls(yaw_of(before.quat_xyzw), yaw_of(after.quat_xyzw), sigma)
+
+
+Event = Verdict | GapBridged | Restarted | FaultFound | ClockOffsetFound | HeadingCorrected

@@ -2,10 +2,11 @@
 The phase of a navigator with its transitions, and the filters that run in it.
 
     Aligning -> Searching    alignment found a state for every heading
-    Aligning -> Running      alignment found one state
+    Aligning -> Running      alignment found a state for a given heading
     Searching -> Searching   the clock offset is searched for, too
     Searching -> Running     the hypotheses agree
-    Running -> Running       a search for the clock offset begins, is given up, or has found it
+    Running -> Running       a search for the clock offset begins or is given up; it or the check of
+                             a given heading has an outcome
     any -> Aligning          `PhaseMachine.align`
 """
 
@@ -20,10 +21,11 @@ from hybrid_ins.core.alignment import Alignment
 from hybrid_ins.core.events import Change
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.heading_check import is_contradicted
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.multiple_model import MultipleModelBank
-from hybrid_ins.core.navigator_events import ClockOffsetFound, Event
+from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, HeadingCorrected
 from hybrid_ins.core.phases import (
     Aligning,
     FilterParts,
@@ -149,20 +151,17 @@ class PhaseMachine:
         if isinstance(self.phase, Searching):
             self._events.extend(self.phase.bank.advance(self._ring, t_ns))
 
-    def include_clock(self) -> list[Measurement]:
-        """
-        Search for the clock offset together with the heading.
-
-        Returns the measurements that wait for their samples: they are to be given again.
-        """
-        if not (self.clock_open and isinstance(self.phase, Searching)):
-            return []
-        bank = self.phase.bank
-        if bank.clock_open:
-            return []
+    def include_clock(self) -> None:
+        """Search for the clock offset together with the heading."""
+        bank, running = self.phase.bank, self.filter
+        if bank is None or not self.clock_open or bank.clock_open:
+            return
         waiting = bank.filters[0].withdraw()
-        self._enter(Searching(search_clock(bank.filters, self._parts, self._ring)))
-        return waiting
+        search = search_clock(bank.filters, self._parts, self._ring)
+        self._enter(Searching(search) if running is None else Running(running, search))
+        for measurement in waiting:
+            if not search.measure(measurement) and running is None:
+                self._events.append(Verdict.rejected(measurement, "aligning"))
 
     def open_clock(self, unknown: bool) -> bool:
         """
@@ -175,8 +174,8 @@ class PhaseMachine:
             self._enter(Running(self.phase.filter))
         return isinstance(self.phase, Searching) and self.phase.bank.clock_open
 
-    def find_clock(self, t_ns: int) -> bool:
-        """Continue the search for the clock offset beside the filter; see `decide`."""
+    def continue_search(self, t_ns: int) -> bool:
+        """Let the filters beside the running one follow the IMU to a stamp [ns]; see `decide`."""
         if not isinstance(self.phase, Running):
             return False
         if self.phase.bank is not None:
@@ -197,7 +196,13 @@ class PhaseMachine:
         decision = None if bank is None else bank.decide()
         if bank is None or decision is None:
             return False
-        winner = decision.filter
+        winner, running = decision.filter, self.filter
+        turned = running is not None and is_contradicted(running.state, winner.state)
+        if running is not None and not turned and not bank.clock_open:
+            self._enter(Running(running))
+            return False
+        if running is not None and turned and bank.heading_open:
+            self._events.append(HeadingCorrected.between(running.state, winner.state))
         missed = self._ring.after(winner.t_ns)
         if len(missed):
             winner.predict_block(missed)
@@ -205,7 +210,8 @@ class PhaseMachine:
             winner.withdraw()
             winner.verdicts.clear()
             waiting = self.filter.withdraw()
-            self._events.extend(Verdict.rejected(m, "clock offset found") for m in waiting)
+            reason = "clock offset found" if bank.clock_open else "heading corrected"
+            self._events.extend(Verdict.rejected(m, reason) for m in waiting)
         if bank.clock_open:
             self.clock_open = decision.at_edge
             clock = winner.clock

@@ -15,6 +15,7 @@ from hybrid_ins.core.alignment import Alignment, Start
 from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.heading_check import HeadingCheck
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.samples import ImuRing
@@ -64,10 +65,10 @@ class Searching:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """One filter; ``bank`` holds others beside it that find the clock offset."""
+    """One filter; ``bank`` holds others beside it: of other headings or clock offsets."""
 
     filter: InsFilter
-    bank: ClockSearch | None = None
+    bank: MultipleModelBank | None = None
 
     @property
     def best(self) -> InsFilter:
@@ -82,8 +83,9 @@ def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Se
     """Return the phase that begins with the first states that alignment found."""
     period = float(np.median(np.diff(ring.latest(PERIOD_SAMPLES)["t_ns"]))) * 1e-9
     begin = _factory(parts, ring, start.t_ns, start.sample, period)
-    if len(start.states) == 1:
-        return Running(begin(start.states[0], parts.settings))
+    if start.given:
+        check = HeadingCheck(start.states, begin, parts.settings)
+        return Running(begin(start.states[0], parts.settings), check)
     return Searching(MultipleModelBank(start.states, begin, parts.settings))
 
 

@@ -368,7 +368,7 @@ class Estimator:
             self._reporter.add(self.aids.run_periodic(t_ns))
             self.navigator.check_imu()
             self._review.axes.run_periodic()
-            self.navigator.find_clock()
+            self.navigator.continue_search()
             self._handle_events()
             self._reporter.report_state(t_ns, self._placement.arm_b)
             if self._reporter.is_diagnostics_due(t_ns):

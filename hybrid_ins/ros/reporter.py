@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import Event, FaultFound, GapBridged, Restarted
+from hybrid_ins.core.navigator_events import (
+    Event,
+    FaultFound,
+    GapBridged,
+    HeadingCorrected,
+    Restarted,
+)
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
@@ -83,6 +89,9 @@ class Reporter:
         elif isinstance(event, Restarted):
             counts[f"restart: {event.cause.value}"] += 1
             log("warn", f"{wording.describe_restart(event)}: aligning anew")
+        elif isinstance(event, HeadingCorrected):
+            counts["heading corrected"] += 1
+            log("warn", wording.describe_correction(event))
         elif isinstance(event, FaultFound):
             name, text = wording.name_of_fault(event.fault), wording.describe_fault(event.fault)
             self._inputs.count_and_warn("imu/data", Refused(name, text))

@@ -13,7 +13,7 @@ from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import RestartCause, Restarted
+from hybrid_ins.core.navigator_events import HeadingCorrected, RestartCause, Restarted
 from hybrid_ins.core.phases import Aligning, Searching
 from hybrid_ins.core.stamp_check import StampFault
 from hybrid_ins.ros.conversions import Refused
@@ -132,4 +132,14 @@ def _describe_search(bank: MultipleModelBank) -> str:
     return (
         f"motion that shows the heading (known to {math.degrees(bank.heading()[1]):.0f}° "
         f"so far){clock}: speed up, brake or turn, or give it by initialpose"
+    )
+
+
+def describe_correction(found: HeadingCorrected) -> str:
+    """Return what the motion has shown of the heading, and what to check."""
+    before, after = (math.degrees(yaw) % 360.0 for yaw in (found.before, found.after))
+    return (
+        f"the motion shows a heading of {after:.0f}° ± {math.degrees(found.sigma):.0f}° from "
+        f"north, not {before:.0f}°: corrected; check alignment.yaw, /initialpose or the IMU's "
+        "orientation, whichever gave it, and imu.mount_rpy"
     )

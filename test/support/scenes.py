@@ -21,7 +21,15 @@ from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.rotations import rpy_from_quat
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
 from hybrid_ins.simulation.motions import Motion
-from hybrid_ins.simulation.sensors import ImuErrors, Truth, corrupt, fixes, sample, sample_times
+from hybrid_ins.simulation.sensors import (
+    RTK_STD,
+    ImuErrors,
+    Truth,
+    corrupt,
+    fixes,
+    sample,
+    sample_times,
+)
 
 EPOCH_NS = 1_000_000_000_000
 Q = np.repeat([4e-4, 4e-6], 3)
@@ -104,6 +112,7 @@ def scene(
     seed: int = 0,
     errors: ImuErrors | None = None,
     lever_arm_b: ArrayLike = (0.0, 0.0, 0.0),
+    fix_std: ArrayLike = RTK_STD,
 ) -> Scene:
     """Simulate what the IMU and the receiver report on a trajectory; the same for each seed."""
     rng = np.random.default_rng(seed)
@@ -111,7 +120,7 @@ def scene(
     imu = corrupt(truth, errors or ImuErrors(), rng)
     if fix_times is None:
         fix_times = sample_times(trajectory.duration, fix_rate)
-    gnss = fixes(sample(trajectory, fix_times), rng, lever_arm_b=lever_arm_b)
+    gnss = fixes(sample(trajectory, fix_times), rng, fix_std, lever_arm_b=lever_arm_b)
     return Scene(
         truth,
         imu.t,
