@@ -15,12 +15,15 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
 from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, NavState
+
+Array = NDArray[np.float64]
 
 STEP_NS, N_STEPS = 100_000_000, 6
 OFFSETS_NS = tuple(STEP_NS * k for k in range(-N_STEPS, N_STEPS + 1))
@@ -48,19 +51,24 @@ class ClockSearch(MultipleModelBank):
 
     Parameters
     ----------
-    states, make_filter, settings
+    states, make_filter, settings, prior
         See `MultipleModelBank`.
     """
 
     clock_open: ClassVar[bool] = True
 
     def __init__(
-        self, states: Sequence[NavState], make_filter: FilterFactory, settings: FilterSettings
+        self,
+        states: Sequence[NavState],
+        make_filter: FilterFactory,
+        settings: FilterSettings,
+        prior: Array | None = None,
     ) -> None:
         super().__init__(
             [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
             make_filter,
             replace(settings, clock_std=OFFSET_STD),
+            None if prior is None else np.tile(prior, len(OFFSETS_NS)),
         )
         self.heading_open = len(states) > 1
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]

@@ -15,38 +15,23 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import yaw_of
-from hybrid_ins.core.ins_filter import FilterSettings
-from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.state import NavState
+
+Array = NDArray[np.float64]
 
 WRONG = 0.1  # prior probability that a given heading is wrong
 SIGNIFICANT = 3.0  # standard deviations
 GROSS = 0.5  # rad; the filter corrects a smaller error by itself
 
 
-class HeadingCheck(MultipleModelBank):
-    """
-    The same filter under a given heading and under all others.
-
-    Parameters
-    ----------
-    states : sequence of NavState
-        Initial states, all at one time; the first has the given heading.
-    make_filter, settings
-        See `MultipleModelBank`.
-    """
-
-    def __init__(
-        self, states: Sequence[NavState], make_filter: FilterFactory, settings: FilterSettings
-    ) -> None:
-        super().__init__(states, make_filter, settings)
-        others = len(states) - 1
-        self.log_weights = np.log([1.0 - WRONG, *[WRONG / others] * others])
+def prior(headings: int) -> Array:
+    """Return the probabilities of a given heading and of all others, shape (headings,)."""
+    return np.array([1.0 - WRONG, *[WRONG / (headings - 1)] * (headings - 1)])
 
 
 def is_contradicted(state: NavState, found: NavState) -> bool:

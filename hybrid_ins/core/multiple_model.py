@@ -70,6 +70,8 @@ class MultipleModelBank:
         Given a state at that time and settings, returns a filter.
     settings : FilterSettings
         For those.
+    prior : ndarray, optional
+        Probability of each state; by default all are equally likely.
 
     Attributes
     ----------
@@ -86,10 +88,15 @@ class MultipleModelBank:
     clock_open: ClassVar[bool] = False
 
     def __init__(
-        self, states: Sequence[NavState], make_filter: FilterFactory, settings: FilterSettings
+        self,
+        states: Sequence[NavState],
+        make_filter: FilterFactory,
+        settings: FilterSettings,
+        prior: Array | None = None,
     ) -> None:
         self.filters = [make_filter(state, settings) for state in states]
-        self.log_weights = np.full(len(states), -math.log(len(states)))
+        self.log_weights = np.log(np.full(len(states), 1.0) if prior is None else prior)
+        self.log_weights -= math.log(np.exp(self.log_weights).sum())
         self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that

@@ -157,7 +157,8 @@ class PhaseMachine:
         if bank is None or not self.clock_open or bank.clock_open:
             return
         waiting = bank.filters[0].withdraw()
-        search = search_clock(bank.filters, self._parts, self._ring)
+        weights = None if running is None else np.exp(bank.log_weights)
+        search = search_clock(bank.filters, self._parts, self._ring, weights)
         self._enter(Searching(search) if running is None else Running(running, search))
         for measurement in waiting:
             if not search.measure(measurement) and running is None:

@@ -11,11 +11,11 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core import heading_check
 from hybrid_ins.core.alignment import Alignment, Start
 from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.heading_check import HeadingCheck
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.samples import ImuRing
@@ -84,16 +84,22 @@ def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Se
     period = float(np.median(np.diff(ring.latest(PERIOD_SAMPLES)["t_ns"]))) * 1e-9
     begin = _factory(parts, ring, start.t_ns, start.sample, period)
     if start.given:
-        check = HeadingCheck(start.states, begin, parts.settings)
+        known = heading_check.prior(len(start.states))
+        check = MultipleModelBank(start.states, begin, parts.settings, known)
         return Running(begin(start.states[0], parts.settings), check)
     return Searching(MultipleModelBank(start.states, begin, parts.settings))
 
 
-def search_clock(filters: Sequence[InsFilter], parts: FilterParts, ring: ImuRing) -> ClockSearch:
+def search_clock(
+    filters: Sequence[InsFilter],
+    parts: FilterParts,
+    ring: ImuRing,
+    prior: NDArray[np.float64] | None = None,
+) -> ClockSearch:
     """Return filters under several clock offsets around filters of one time and one offset."""
     first = filters[0]
     begin = _factory(parts, ring, first.t_ns, first.sample, first.noise.process.period)
-    return ClockSearch([known.state for known in filters], begin, parts.settings)
+    return ClockSearch([known.state for known in filters], begin, parts.settings, prior)
 
 
 def _factory(
