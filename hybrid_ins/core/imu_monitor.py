@@ -65,6 +65,11 @@ class ImuMonitor:
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self.reset()
 
+    @property
+    def may_stand(self) -> bool:
+        """The vehicle stands, or brakes so steadily that it cannot be told from standing."""
+        return self._calm_ns is not None
+
     def reset(self) -> None:
         """Restart, as the filter did; the biases stay."""
         self.fault: ImuFault | None = None

@@ -230,7 +230,7 @@ class Navigator:
             self._measurements.forget_stamps()
 
     def _include_clock(self) -> None:
-        if not self.monitor.standing:
+        if not self.monitor.may_stand:
             self.phases.include_clock()
 
     # Measurements, and what they show.

@@ -7,10 +7,11 @@ The clock offset that is added to the stamps of fixes: given, estimated while ru
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
-from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
@@ -122,6 +123,8 @@ class ClockCorrection:
         running, bank = self._navigator.filter, self._navigator.phase.bank
         if isinstance(bank, ClockSearch):
             return bank.clock()
+        if running is not None and self._navigator.phases.clock_open:  # the search has not begun
+            return 0.0, MAX_OFFSET_NS * 1e-9 / math.sqrt(3.0)
         return None if running is None else (running.clock.residual, running.clock.sigma)
 
     def _fault(self) -> str:
