@@ -85,7 +85,7 @@ def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
     run = stamped_early(draw(SCENE, 4), 0.15)
     estimator = through_estimator(run, **{"gnss.time_offset.estimate": True})
     assert estimator.clock.offset == pytest.approx(0.15, abs=0.03)
-    clock = estimator.diagnostics(estimator.navigator.last_ns)[-1]
+    clock = estimator.clock.status()
     assert clock.name.endswith("clock")
     assert float(dict(clock.values)["time_offset"]) == pytest.approx(0.15, abs=0.03)
 
