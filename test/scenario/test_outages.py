@@ -11,6 +11,7 @@ from hybrid_ins import parameters
 from hybrid_ins.ros.vehicle_input import VehicleInput
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import record
+from tools.vehicles.constraint import row
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import run
 from tools.vehicles.outages import End, ends, every_vehicle
@@ -113,3 +114,10 @@ def test_the_new_vehicles_move_as_they_say() -> None:
 
     assert 0.01 < across["road car"] < 0.1
     assert across["car on ice"] > 0.4
+
+
+def test_the_table_says_for_how_long_the_constraint_was_held() -> None:
+    rolling, sliding = row(drive("road car", 2, 230.0)), row(drive("car on ice", 2, 230.0))
+
+    assert float(rolling.split("|")[2].removesuffix(" % ")) > 50.0
+    assert "| 0 % | 0 | - |" in sliding

@@ -64,13 +64,15 @@ def run(
     values: Mapping[str, Any],
     log: Any = lambda level, text: None,
     aiding: Sequence[Aiding] = (),
+    estimator: Judged | None = None,
 ) -> tuple[Judged, NDArray[np.int64], Array]:
     """
     Return the estimator in its last state, stamps [ns] and odometry (N, 85).
 
-    ``aiding`` holds messages of other sensors in the order of their arrival.
+    ``aiding`` holds messages of other sensors in the order of their arrival; ``estimator`` is used
+    in place of one with ``values``.
     """
-    estimator = Judged(values, log)
+    estimator = estimator or Judged(values, log)
     fix = new_message("sensor_msgs/msg/NavSatFix")
     velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
     done: list[tuple[NDArray[np.int64], Array]] = []

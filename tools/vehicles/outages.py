@@ -58,9 +58,10 @@ def every_vehicle() -> dict[str, Vehicle]:
 
 
 def calibrated(vehicle: Vehicle) -> dict[str, Any]:
-    """Return the parameters that ``ins_calibrate`` finds in drives of this vehicle."""
+    """Return what ``ins_calibrate`` finds in drives of this vehicle, but for its nose and axle."""
     drives = [as_recording(record(vehicle, seed)) for seed in CALIBRATION_SEEDS]
-    return dict(calibrate(drives, parameters.defaults()).values)
+    found = calibrate(drives, parameters.defaults()).values
+    return {name: value for name, value in found.items() if not name.startswith("vehicle.")}
 
 
 def as_recording(drive: Recording) -> Calibrating:
