@@ -32,6 +32,7 @@ from hybrid_ins.output_file import write_text
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 METADATA = "metadata.yaml"
+CLUSTER_PATIENCE = "10s"
 
 Row = dict[str, Any]  # what the table shows of a bag, by column
 
@@ -274,6 +275,6 @@ def _dask_client(address: str) -> Any:
     except ImportError:
         raise InputError("--dask needs dask: pip install dask distributed") from None
     try:
-        return Client(address, timeout="10s")
+        return Client(address, timeout=CLUSTER_PATIENCE)
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no cluster answers there ({error})") from None

@@ -49,20 +49,6 @@ def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
     assert "## Filter kernel" in report.read_text()
 
 
-def test_node_section_runs() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.benchmark.run", "--quick", "--only", "node"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
-
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "latency p99 at 100 Hz" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("values", "higher", "verdict"),
     [

@@ -24,7 +24,7 @@ def demo(*options: object) -> subprocess.CompletedProcess[str]:
 def test_recorded_flight_through_the_live_node(flights: Path, tmp_path: Path) -> None:
     flight = flights / "Horizontal" / "path_4"
 
-    result = demo("--flight", flight, "--rate", 4, "--out", tmp_path)
+    result = demo("--flight", flight, "--rate", 8, "--out", tmp_path)
 
     assert result.returncode == 0, result.stdout + result.stderr
     for figure in ("PRMSE", "PMAE", "NEES", "NIS"):

@@ -235,8 +235,11 @@ def test_a_dask_cluster_of_two_workers(
     assert sorted(ages(out)) == ["monday/two.mcap", "one.mcap"]
 
 
-def test_a_cluster_that_is_not_there(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cluster_that_is_not_there(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed", reason="dask is not installed")
+    monkeypatch.setattr(batch, "CLUSTER_PATIENCE", "1s")
 
     assert evaluate.main([str(folder), "--dask", "tcp://127.0.0.1:9"]) == 2
 

@@ -229,11 +229,12 @@ for name in ("dask", "distributed", "matplotlib", "mcap", "rosbags", "scipy", "t
 import math
 from sensor_msgs.msg import NavSatFix
 import hybrid_ins.ros.node
-from hybrid_ins import parameters
+from hybrid_ins import kernels, parameters
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import set_stamp
 from hybrid_ins.ros.estimator import Estimator
 
+kernels.prepare()
 given = {"alignment.heading_source": "parameter"}
 estimator = Estimator(parameters.check_all(given), lambda level, text: None)
 fix = NavSatFix(latitude=32.1, longitude=34.8)
