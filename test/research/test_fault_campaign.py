@@ -12,9 +12,9 @@ from hybrid_ins import parameters
 from hybrid_ins.cli import simulate
 from tools.robustness import fault_campaign
 from tools.robustness.disturbances import Flight
-from tools.robustness.fault_campaign import Case, judge
+from tools.robustness.fault_campaign import FAULTS, Case, judge
 from tools.robustness.fault_output import Output, Trace
-from tools.robustness.faults import FAULTS, Fault
+from tools.robustness.faults import Fault
 
 T = np.arange(0.0, 40.0, 0.1)
 FAULT = Fault("some", "something happens", lambda flight: None, ("restart|jump", "no panic"))
@@ -44,7 +44,7 @@ def test_names_are_unique_and_those_chosen_exist() -> None:
     names = [fault.name for fault in FAULTS]
 
     assert len(names) == len(set(names))
-    assert set(fault_campaign.LIVE) | set(fault_campaign.QUICK) <= set(names)
+    assert len(names) >= 60 and set(fault_campaign.QUICK) <= set(names)
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
@@ -100,4 +100,6 @@ def test_an_exception_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_few_faults_are_survived(capfd: pytest.CaptureFixture[str]) -> None:
-    assert fault_campaign.main(["--quick", "--jobs", "1"]) == 0, capfd.readouterr().out
+    assert fault_campaign.main(["--quick", "--jobs", "1", "--draws", "2"]) == 0, (
+        capfd.readouterr().out
+    )

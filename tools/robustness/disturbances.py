@@ -29,7 +29,7 @@ class Entry:
 
     log_ns: int
     topic: str
-    message: Message
+    message: Message | bytes  # bytes: as they are
 
 
 @dataclass
@@ -80,7 +80,11 @@ class Flight:
         """Write the bag in order of log time."""
         with BagWriter(path, overwrite=True) as bag:
             for entry in sorted(self.entries, key=lambda e: e.log_ns):
-                bag.write(entry.topic, entry.message, entry.log_ns)
+                if isinstance(entry.message, bytes):
+                    kind = self.types[entry.topic]
+                    bag.write_raw(entry.topic, kind, entry.message, entry.log_ns)
+                else:
+                    bag.write(entry.topic, entry.message, entry.log_ns)
 
     def within(self, topic: str) -> Iterator[Entry]:
         """Yield the entries of a topic that the fault is to change."""
@@ -99,7 +103,7 @@ class Flight:
         lost = {id(entry) for entry in self.some(topic, share)}
         self.entries = [entry for entry in self.entries if id(entry) not in lost]
 
-    def insert(self, topic: str, log_ns: int, message: Message) -> None:
+    def insert(self, topic: str, log_ns: int, message: Message | bytes) -> None:
         """Add a message."""
         self.entries.append(Entry(log_ns, topic, message))
 

@@ -76,6 +76,8 @@ class Fault:
         Stamps after the fault are those of the clean flight plus this [s].
     silent : bool
         The right answer is to publish no odometry at all.
+    unusable : bool
+        The input is wrong for good: the fault has to be named, no estimate has to be good.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Fault:
     values: Mapping[str, Any] = field(default_factory=dict)
     stamp_shift: float = 0.0
     silent: bool = False
+    unusable: bool = False
 
 
 # IMU: readings.
