@@ -24,12 +24,13 @@ from hybrid_ins.core.navigator_events import (
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
-from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.input_log import InputLog, is_told
 from hybrid_ins.ros.reports import Diagnostics, ImuBiases, Position, Report, Status, Vector
 
 Array = NDArray[np.float64]
 
 DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
+RESTARTS_TOLD = 10  # of one cause, before only each tenfold number is logged
 UNKNOWN = 0  # covariance type of a NavSatFix
 
 
@@ -87,8 +88,10 @@ class Reporter:
         elif isinstance(event, GapBridged):
             counts["imu: gaps bridged"] += 1
         elif isinstance(event, Restarted):
-            counts[f"restart: {event.cause.value}"] += 1
-            log("warn", f"{wording.describe_restart(event)}: aligning anew")
+            name = f"restart: {event.cause.value}"
+            counts[name] += 1
+            if counts[name] <= RESTARTS_TOLD or is_told(counts[name]):
+                log("warn", f"{wording.describe_restart(event)}: aligning anew")
         elif isinstance(event, HeadingCorrected):
             counts["heading corrected"] += 1
             log("warn", wording.describe_correction(event))

@@ -167,3 +167,15 @@ def test_the_filtered_position_has_a_fix_only_with_gnss() -> None:
     }
     assert all(has_fix for t, has_fix in at.items() if t < 13.5)
     assert not any(has_fix for t, has_fix in at.items() if t > 14.5)
+
+
+def test_restarts_again_and_again_do_not_fill_the_log() -> None:
+    drive = Drive()
+    drive.play(0.0, 1.0)
+    for k in range(1, 60):
+        drive.shift_ns = -20_000_000_000 * k
+        drive.play(1.0, 1.1)
+
+    told = [text for text in drive.warnings() if "stamps went back" in text]
+    assert drive.estimator.counts["restart: the IMU's stamps went back"] == 59
+    assert len(told) == 10
