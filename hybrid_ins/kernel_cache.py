@@ -66,6 +66,7 @@ def mark_complete(part: str) -> None:
     directory = _directory()
     if directory is None:
         return
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     (directory / f"complete-{part}").touch()
     if directory.parent == _package_place():
         for other in directory.parent.glob(f"{PREFIX}*"):
@@ -87,6 +88,7 @@ def exclusive(on_wait: Callable[[], None]) -> Iterator[None]:
     if directory is None:
         yield
         return
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)  # another version may remove it
     with (directory / LOCK).open("w") as file:
         waiting = False
         while True:
