@@ -546,6 +546,12 @@ _VALIDITY = (
 
 _OUTPUT = (
     Parameter(
+        "state_file",
+        "",
+        "File that keeps biases, clock offset and pose for the next start; empty: none",
+        longest=4000,
+    ),
+    Parameter(
         "autostart",
         True,
         "Configure and activate at the start; false: wait for a lifecycle manager to do so",

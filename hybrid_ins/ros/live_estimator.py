@@ -42,6 +42,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros import aiding_sources, conversions
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
+from hybrid_ins.ros.crowded_topics import CrowdedTopics
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.geographic_services import GeographicServices
@@ -49,6 +50,7 @@ from hybrid_ins.ros.message_types import LATCHED, OUTPUTS, fill_transforms
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.warm_start import WarmStart
 
 IMU_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
@@ -84,6 +86,23 @@ def _about(topic: str) -> Iterator[None]:
         raise InputError(f"{topic}: {error}") from None
 
 
+def _answering(action: Callable[[], str], guard: CallbackGuard) -> Callable[[Any, Any], Any]:
+    """Return a Trigger service's callback that answers with what an action returns or raises."""
+
+    def answer(_request: object, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "internal error: see the log"
+        try:
+            response.message = action()
+            response.success = True
+        except InputError as error:
+            response.message = str(error)
+        except Exception as error:  # see `CallbackGuard`
+            guard.on_error(error)
+        return response
+
+    return answer
+
+
 class LiveEstimator:
     """
     Connects an estimator with the topics of a node.
@@ -113,10 +132,12 @@ class LiveEstimator:
         self.guard = CallbackGuard(self.estimator.inputs)
         self._by_receipt = bool(values["use_receive_time"])
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
-        self._crowded: set[str] = set()
+        self._crowded = CrowdedTopics(node, self.estimator.inputs)
         self._last_imu = time.monotonic()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
         self._geographic: GeographicServices | None = None
+        self._warm_start = WarmStart(self.estimator, values)
+        self._warm_start.load_at_start()
         self._topics = OutputTopics(values, new_message, node.get_namespace())
         self._transforms: Any = None
         self._transform_publisher: Any = None
@@ -175,8 +196,13 @@ class LiveEstimator:
         pose = partial(self._give, self.estimator.handle_initial_pose)
         self._subscribe(PoseWithCovarianceStamped, "initialpose", pose, OUTPUT_QOS)
         node = self._node
-        service = node.create_service(Trigger, "~/reset", self._on_reset)
-        self._input.append((node.destroy_service, service))
+        for name, action in (
+            ("reset", self._reset),
+            ("save", self._warm_start.save),
+            ("load", self._load),
+        ):
+            service = node.create_service(Trigger, f"~/{name}", _answering(action, self.guard))
+            self._input.append((node.destroy_service, service))
         timer = node.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
         self._input.append((node.destroy_timer, timer))
         self._geographic = GeographicServices(
@@ -194,6 +220,7 @@ class LiveEstimator:
             destroy, entity = self._input.pop()
             destroy(entity)
         self._publish_reports()
+        self._warm_start.save_at_end()
         now = self._node.get_clock().now().nanoseconds
         first, *others = self.estimator.diagnostics(now)
         first = first._replace(text=f"{state}; {first.text}")
@@ -268,6 +295,7 @@ class LiveEstimator:
 
     def _on_fix(self, message: NavSatFix) -> None:
         self.estimator.handle_fix(message, self._received_ns())
+        self._warm_start.on_fix(message)
         self._publish_reports()
 
     def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:
@@ -278,14 +306,14 @@ class LiveEstimator:
         handle(message)
         self._publish_reports()
 
-    def _on_reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "internal error: see the log"
-        try:
-            self.estimator.reset()
-            response.success, response.message = True, "aligning anew"
-        except Exception as error:  # see `CallbackGuard`
-            self.guard.on_error(error)
-        return response
+    def _reset(self) -> str:
+        self.estimator.reset()
+        return "aligning anew"
+
+    def _load(self) -> str:
+        text = self._warm_start.load()
+        self.estimator.reset()
+        return text
 
     def _publish_reports(self) -> None:
         self._topics.publish_all(self.estimator.pop_reports())
@@ -295,7 +323,8 @@ class LiveEstimator:
     def _on_second(self) -> None:
         """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
         self._topics.find_subscribers()
-        self._find_crowded_topics()
+        self._crowded.find()
+        self._warm_start.save_where_due()
         if self._geographic is not None:
             self._geographic.offer()
         silent = time.monotonic() - self._last_imu
@@ -316,21 +345,3 @@ class LiveEstimator:
                 ),
             ],
         )
-
-    def _find_crowded_topics(self) -> None:
-        """Warn, once for each topic, of several publishers."""
-        node = self._node
-        for name in ("imu/data", "gnss/fix", "gnss/velocity"):
-            topic = node.resolve_topic_name(name)
-            if topic in self._crowded or node.count_publishers(topic) < 2:
-                continue
-            self._crowded.add(topic)
-            nodes = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
-            self.estimator.inputs.count_and_warn(
-                name,
-                conversions.Refused(
-                    f"{name}: several publishers",
-                    f"{topic} has {len(nodes)} publishers "
-                    f"({', '.join(nodes)}): stop or remap all but one",
-                ),
-            )
