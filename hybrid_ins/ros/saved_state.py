@@ -97,11 +97,13 @@ class SavedState:
         """Return what to save of a filter's state at a stamp [ns]."""
         sigma = np.sqrt(np.diag(state.P))
         roll, pitch, yaw = np.degrees(rpy_from_quat(state.quat_xyzw)).tolist()
+        latitude, longitude = np.degrees(state.lla[:2]).tolist()
         return cls(
             VERSION,
             t_ns,
             standing,
-            *np.degrees(state.lla[:2]).tolist(),
+            latitude,
+            longitude,
             float(state.lla[2]),
             float(math.hypot(*sigma[:2])),
             yaw % 360.0,
