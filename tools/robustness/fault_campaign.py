@@ -9,6 +9,7 @@ of the sensors' noise.
 from __future__ import annotations
 
 import argparse
+import logging
 import math
 import os
 import sys
@@ -108,6 +109,18 @@ def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
     return Row(fault.name, case.name, "; ".join(found), peak, expected, error, tuple(failures))
 
 
+class _LogLines(logging.Handler):
+    """Collects lines in a list."""
+
+    def __init__(self, lines: list[str]) -> None:
+        super().__init__()
+        self._lines = lines
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Add a line."""
+        self._lines.append(record.getMessage())
+
+
 def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
     """Replay a flight, disturbed or not."""
     bag, estimate = case.bag, folder / f"{case.name}_estimate.mcap"
@@ -116,8 +129,13 @@ def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
         inject(case, fault, bag)
     values = parameters.check_all({**case.values, **(fault.values if fault else {})})
     log: list[str] = []
-    with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
-        replay.replay(reader, out, values, log=lambda level, text: log.append(text))
+    of_reader = _LogLines(log)
+    logging.getLogger("hybrid_ins").addHandler(of_reader)
+    try:
+        with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
+            replay.replay(reader, out, values, log=lambda level, text: log.append(text))
+    finally:
+        logging.getLogger("hybrid_ins").removeHandler(of_reader)
     output = examine(
         estimate,
         bag,
