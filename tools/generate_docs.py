@@ -16,9 +16,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hybrid_ins import parameter_file, parameters  # noqa: E402
-from hybrid_ins.parameter import Parameter  # noqa: E402
-from hybrid_ins.parameter_list import PARAMETERS  # noqa: E402
+from hybrid_ins import parameters  # noqa: E402
+from hybrid_ins.parameters import parameter_file  # noqa: E402
+from hybrid_ins.parameters.declared import PARAMETERS  # noqa: E402
+from hybrid_ins.parameters.parameter import Parameter  # noqa: E402
 from tools import figures  # noqa: E402
 
 FIRST_TO_SET = (

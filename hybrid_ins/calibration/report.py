@@ -8,8 +8,8 @@ import numpy as np
 
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
-from hybrid_ins.parameter_file import to_yaml
 from hybrid_ins.parameters import PARAMETERS
+from hybrid_ins.parameters.parameter_file import to_yaml
 
 
 def table(findings: Sequence[Finding]) -> str:

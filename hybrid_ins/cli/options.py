@@ -8,9 +8,10 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from hybrid_ins import parameter_file, parameters
+from hybrid_ins import parameters
 from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.errors import InputError
+from hybrid_ins.parameters import parameter_file
 
 
 def number(text: str) -> float:

@@ -214,7 +214,7 @@ class Navigator:
             return
         self.phases.follow_imu(t_ns)
         self.check_imu()
-        self._include_clock()
+        self.phases.include_clock(self.monitor.may_stand)
         if isinstance(self.phase, Searching) and self.phases.decide():
             self._measurements.forget_stamps()
 
@@ -225,13 +225,9 @@ class Navigator:
 
     def continue_search(self) -> None:
         """Check a given heading, search for the clock offset; due some times a second."""
-        self._include_clock()
+        self.phases.include_clock(self.monitor.may_stand)
         if self.phases.continue_search(self.last_ns):
             self._measurements.forget_stamps()
-
-    def _include_clock(self) -> None:
-        if not self.monitor.may_stand:
-            self.phases.include_clock()
 
     # Measurements, and what they show.
 

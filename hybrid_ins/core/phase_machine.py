@@ -151,10 +151,10 @@ class PhaseMachine:
         if isinstance(self.phase, Searching):
             self._events.extend(self.phase.bank.advance(self._ring, t_ns))
 
-    def include_clock(self) -> None:
-        """Search for the clock offset together with the heading."""
+    def include_clock(self, may_stand: bool) -> None:
+        """Search for the clock offset together with the heading, unless the vehicle may stand."""
         bank, running = self.phase.bank, self.filter
-        if bank is None or not self.clock_open or bank.clock_open:
+        if may_stand or bank is None or not self.clock_open or bank.clock_open:
             return
         waiting = bank.filters[0].withdraw()
         weights = None if running is None else np.exp(bank.log_weights)

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 from hybrid_ins import parameters
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter import Parameter
+from hybrid_ins.parameters.parameter import Parameter
 
 LARGEST_BOUND = 1e300  # beyond it a range is none
 

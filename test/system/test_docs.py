@@ -17,8 +17,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from support.paths import ROOT
 
-from hybrid_ins import parameter_file, parameters
+from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros import aiding_sources
 from hybrid_ins.ros.message_types import OUTPUTS
 from tools import generate_docs, tutorial

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hybrid_ins import parameter_file, parameters, yaml_reader
+from hybrid_ins import parameters, yaml_reader
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter_list import PARAMETERS
+from hybrid_ins.parameters import parameter_file
+from hybrid_ins.parameters.declared import PARAMETERS
 from hybrid_ins.resources import read_regular_file
 
 DEFAULTS = parameters.defaults()

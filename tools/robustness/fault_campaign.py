@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins import parameter_file, parameters, progress, replay
+from hybrid_ins import parameters, progress, replay
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.findings import calibrate
@@ -30,6 +30,7 @@ from hybrid_ins.calibration.recording import read_recording
 from hybrid_ins.cli import convert, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
+from hybrid_ins.parameters import parameter_file
 from tools.parallel import run_parallel
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.disturbances import Flight

@@ -26,11 +26,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hybrid_ins import parameter_file, parameters, progress
+from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import calibrate, evaluate, replay, simulate
+from hybrid_ins.parameters import parameter_file
 from hybrid_ins.resources import share_path
 from tools.processes import isolated_ros
 from tools.robustness.mutations import BYTES, Draw, made_up_yaml, odd_words, shuffle_lines

@@ -12,7 +12,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hybrid_ins import parameter_file, parameters
+from hybrid_ins import parameters
+from hybrid_ins.parameters import parameter_file
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.vehicles.drives import AGE, Drive, from_simulation, load
 from tools.vehicles.judge import score

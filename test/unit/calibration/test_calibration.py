@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from support.scenes import scene
 
-from hybrid_ins import parameter_file, parameters
+from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.derived import courses, next_biases, ordinary_levels
@@ -33,6 +33,7 @@ from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import N_NAV, PSD, NavState
+from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.conversions import first_biases
 from hybrid_ins.simulation import motions, sensors
 

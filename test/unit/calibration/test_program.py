@@ -13,8 +13,8 @@ from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter_file import load
 from hybrid_ins.parameters import defaults
+from hybrid_ins.parameters.parameter_file import load
 
 
 def found(*misfits: str) -> Calibration:

@@ -2,7 +2,7 @@
 The parameters as a set: defaults, checks, and suggestions for unknown names.
 
 The node declares them to ROS, ``ins_replay`` reads the same file without ROS, ``ins_calibrate``
-writes it. They are declared in `hybrid_ins.parameter_list`.
+writes it. They are declared in `hybrid_ins.parameters.declared`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 from hybrid_ins import yaml_reader
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter import Parameter, Value
-from hybrid_ins.parameter_list import PARAMETERS as PARAMETERS
+from hybrid_ins.parameters.declared import PARAMETERS as PARAMETERS
+from hybrid_ins.parameters.parameter import Parameter, Value
 from hybrid_ins.resources import shortened
 
 Values = dict[str, Value]

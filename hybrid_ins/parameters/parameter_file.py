@@ -10,7 +10,7 @@ from typing import Any
 
 from hybrid_ins import parameters, yaml_reader
 from hybrid_ins.errors import InputError
-from hybrid_ins.parameter import Parameter, Value
+from hybrid_ins.parameters.parameter import Parameter, Value
 
 WIDTH = 98
 
