@@ -10,12 +10,21 @@ the filter's own equations, [1]_::
     s <- s - K h            with every correction, h = H s where the measurement has no clock
 
 The s that these give is as stable as the filter is. Regressing the innovations on h is what a
-filter with tau among its states would do; the filter itself is not changed by it.
+filter with tau among its states would do; the filter itself is not changed by it. The regression
+has two parameters, tau and its drift, of which innovations show the first.
+
+What is not known of tau is *considered*, [2]_: its variance V adds V h h' to the covariance of an
+innovation that a fix is judged by, and V s s' to the covariance of the state that is reported.
+
+Only positions inform tau: receivers deliver velocities of another age, whose uncertainty is part
+of their R while tau is estimated.
 
 References
 ----------
 .. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
        Control 14, 1969.
+.. [2] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966.
 """
 
 from __future__ import annotations
@@ -32,10 +41,12 @@ from hybrid_ins.core.state import DP, DV, N_ERROR, SENSITIVITY, VELOCITY
 
 Array = NDArray[np.float64]
 
-RANDOM_WALK = 1e-3  # s per sqrt(s), of one clock against the other
+RANDOM_WALK = 1e-4  # s per sqrt(s), of one clock against the other
+DRIFT_STD, DRIFT_WALK = 1e-4, 1e-6  # s/s, and s/s per sqrt(s), likewise
 MIN_STD = 1e-3  # s: stamps are no better than that
-NONLINEARITY = 0.5  # of a shift: its standard deviation afterwards, since the motion is not linear
-MAX_INTERVAL = 60.0  # s without a fix, over which a mean acceleration is meaningful
+VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
+MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
+MIN_INTERVAL, MAX_INTERVAL = 0.02, 60.0  # s, over which a mean acceleration is meaningful
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
 
 
@@ -54,19 +65,28 @@ class ClockOffsetObserver:
     ----------
     residual : float
         Offset still to be added to the stamps of fixes [s].
+    drift : float
+        Its rate of change [s/s].
     """
 
     def __init__(self, std: float) -> None:
         self.residual = 0.0
-        self._variance = std**2
+        self.drift = 0.0
+        self._P = np.diag((std**2, DRIFT_STD**2))  # of offset and drift
         self._nis_scale = 1.0
         self._t_ns = 0  # of the last correction
         self._velocity_n = np.zeros(3)  # after it
+        self._acceleration_n = np.zeros(3)  # mean before it
 
     @property
     def sigma(self) -> float:
         """Standard deviation of `residual` [s]."""
-        return math.sqrt(self._variance * max(self._nis_scale, 1.0))
+        return math.sqrt(float(self._P[0, 0]) * max(self._nis_scale, 1.0))
+
+    @property
+    def missing_variance(self) -> float:
+        """Mean square of what the stamps of fixes lack [s²]."""
+        return self.sigma**2 + self.residual**2
 
     def sensitivity_of(self, nav: Array, t_ns: int, H: Array) -> Array:
         """
@@ -81,15 +101,29 @@ class ClockOffsetObserver:
         H : ndarray, shape (m, 15)
             Measurement matrix.
         """
-        T = (t_ns - self._t_ns) * 1e-9
-        acceleration_n = np.zeros(3)
-        if 0.0 < T <= MAX_INTERVAL:
-            acceleration_n = (nav[VELOCITY] - self._velocity_n) / T
         return np.asarray(
-            H @ nav[SENSITIVITY] + H[:, DP] @ nav[VELOCITY] + H[:, DV] @ acceleration_n
+            H @ nav[SENSITIVITY] + H[:, DP] @ nav[VELOCITY] + self._change_of_velocity(nav, t_ns, H)
         )
 
-    def update(self, correction: Correction, h: Array, S: Array) -> None:
+    def velocity_age_covariance(self, nav: Array, t_ns: int, H: Array) -> Array:
+        """Return what the unknown age of a velocity adds to its R, (m, m); see `sensitivity_of`."""
+        change = VELOCITY_AGE_STD * self._change_of_velocity(nav, t_ns, H)
+        return np.outer(change, change)
+
+    def _change_of_velocity(self, nav: Array, t_ns: int, H: Array) -> Array:
+        """Return how a measured velocity changes with its stamp, shape (m,)."""
+        return np.asarray(H[:, DV] @ self._mean_acceleration(nav, t_ns))
+
+    def _mean_acceleration(self, nav: Array, t_ns: int) -> Array:
+        """Return the acceleration of the time since the last correction [m/s²], NED."""
+        T = (t_ns - self._t_ns) * 1e-9
+        if 0.0 <= T < MIN_INTERVAL:
+            return self._acceleration_n
+        if not 0.0 < T <= MAX_INTERVAL:
+            return np.zeros(3)
+        return np.asarray((nav[VELOCITY] - self._velocity_n) / T)
+
+    def update(self, correction: Correction, h: Array, S: Array, informs: bool = True) -> None:
         """
         Take a correction, or a fix that was rejected, into account.
 
@@ -101,23 +135,40 @@ class ClockOffsetObserver:
             `sensitivity_of` its innovation.
         S : ndarray, shape (m, m)
             Covariance of the innovation, with R as it was fused.
+        informs : bool
+            The fix has the clock whose offset is estimated.
         """
         T = (correction.t_ns - self._t_ns) * 1e-9
         if self._t_ns and T > 0.0:
-            self._variance += RANDOM_WALK**2 * T
-        if correction.fused:
+            self._predict(T)
+        self._acceleration_n = self._mean_acceleration(correction.nav, correction.t_ns)
+        if correction.fused and informs:
             information, gradient, nis = regress(correction.z, h, S, self.residual)
             self._nis_scale += (nis / len(correction.z) - self._nis_scale) / NIS_MEMORY
-            self._variance /= 1.0 + self._variance * information
-            self.residual += self._variance * gradient
-            self._variance = max(self._variance, MIN_STD**2)
+            gain = self._P[:, 0] / (1.0 + self._P[0, 0] * information)
+            self.residual += float(gain[0]) * gradient
+            self.drift += float(gain[1]) * gradient
+            self._P = self._P - information * np.outer(gain, self._P[0])
+            self._set_variance(float(self._P[0, 0]))
         self._t_ns = correction.t_ns
         self._velocity_n = correction.nav[VELOCITY] + correction.dx[DV]
 
+    def _predict(self, T: float) -> None:
+        """Propagate offset and drift by a time [s]."""
+        F = np.array([[1.0, T], [0.0, 1.0]])
+        self.residual += T * self.drift
+        self._P = F @ self._P @ F.T + np.diag((RANDOM_WALK**2 * T, DRIFT_WALK**2 * T))
+
+    def _set_variance(self, variance: float) -> None:
+        """Replace the offset's variance [s²], bounded from below."""
+        added = max(variance, MIN_STD**2) - self._P[0, 0]
+        self._P = self._P + np.diag((added, 0.0))
+
     def set_estimate(self, residual: float, sigma: float) -> None:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
-        self.residual = residual
-        self._variance = max(sigma**2 / max(self._nis_scale, 1.0), MIN_STD**2)
+        self.residual, self.drift = residual, 0.0
+        self._P = np.diag((0.0, DRIFT_STD**2))
+        self._set_variance(sigma**2 / max(self._nis_scale, 1.0))
 
     def shift(self, by: float, nav: Array) -> Array:
         """
@@ -126,7 +177,8 @@ class ClockOffsetObserver:
         Returns the error, shape (15,), that the flat state ``nav`` has because it was not.
         """
         self.residual -= by
-        self._variance += (NONLINEARITY * by) ** 2
+        left = by * min(abs(by) / MOTION_TIME, 1.0)
+        self._P = self._P + np.diag((left**2, 0.0))
         moved = by * nav[SENSITIVITY]
         self._velocity_n = self._velocity_n + moved[DV]
         return np.asarray(moved)

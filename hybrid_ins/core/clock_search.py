@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
 from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, NavState
 
@@ -30,6 +32,12 @@ OFFSETS_NS = tuple(STEP_NS * k for k in range(-N_STEPS, N_STEPS + 1))
 MAX_OFFSET_NS = OFFSETS_NS[-1]
 OFFSET_STD = 0.05  # s, half a cell
 OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, standard deviation of the mixture's; ns, for how long
+OFFSET_BOUNDED = (0.15, 4_000_000_000)  # as enough: the rest is considered, see `clock_offset`
+WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
+"""Before that the filters differ by the time since their inflation: no evidence on the clock."""
+
+MIN_SHIFT = 0.15  # s: `clock_offset` corrects smaller ones beside a running filter
+EXCLUDED = 0.01  # weight of offsets below that, at which a running filter is replaced
 SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
 
 
@@ -74,6 +82,22 @@ class ClockSearch(MultipleModelBank):
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._lag_ns = MAX_OFFSET_NS + STEP_NS
+        self._weighed_from_ns = self._first_ns + WARM_UP_NS
+        self._fixes = 0
+
+    def _weigh(self, verdicts: list[Verdict]) -> None:
+        """See `MultipleModelBank`; the first fixes only make the filters alike."""
+        measurement = verdicts[self._best].measurement
+        self._fixes += measurement.kind == PositionFix.kind
+        if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
+            super()._weigh(verdicts)
+
+    @property
+    def shift_is_certain(self) -> bool:
+        """The offset is not one that a running filter corrects by itself."""
+        offsets_ns = np.abs(self._offsets_ns)
+        weights = np.exp(self.log_weights)
+        return bool(weights[offsets_ns < 1e9 * MIN_SHIFT].sum() < EXCLUDED * weights.sum())
 
     def clock(self) -> tuple[float, float]:
         """Return the offset still to be added to the stamps of fixes, and its σ [s]."""
@@ -95,6 +119,9 @@ class ClockSearch(MultipleModelBank):
         return decision._replace(at_edge=at_edge)
 
     def _is_known(self) -> bool:
-        std, lasting_ns = OFFSET_KNOWN
-        clock_known = self._has_lasted("clock", self.clock()[1] <= std, lasting_ns)
-        return super()._is_known() and clock_known
+        std = self.clock()[1]
+        known = [
+            self._has_lasted(("clock", limit), std <= limit, lasting_ns)
+            for limit, lasting_ns in (OFFSET_KNOWN, OFFSET_BOUNDED)
+        ]
+        return super()._is_known() and any(known)

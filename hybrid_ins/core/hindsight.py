@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import yaw_of
-from hybrid_ins.core.clock_offset import RANDOM_WALK
 from hybrid_ins.core.events import ClockShift, CovarianceInflation
 from hybrid_ins.core.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.forward_record import Stretch
@@ -39,6 +38,7 @@ Array = NDArray[np.float64]
 LOOSE = 5.0  # times its deviation: how far off a heading may be that is found once more
 LEAST_HEADING_STD = 0.05  # rad
 HEAD_NS = 20_000_000_000  # after the filter ran: what is smoothed to find the first heading
+CLOCK_WALK = 1e-3  # s per sqrt(s), of one clock against the other: drift is smoothed as a walk
 CLOCK_JUMP = 5.0  # standard deviations
 MEMORY_NS = int(MEMORY * 1e9)
 
@@ -200,7 +200,7 @@ def _clock(steps: Sequence[_Step]) -> Array:
         missing, variance = step.decided.clock_residual, step.decided.clock_variance
         offset, t_ns = step.applied + missing, step.decided.event.t_ns
         if later is not None:
-            grown = variance + RANDOM_WALK**2 * max(later[0] - t_ns, 0) * 1e-9
+            grown = variance + CLOCK_WALK**2 * max(later[0] - t_ns, 0) * 1e-9
             change = later[1] - offset
             if abs(change) < CLOCK_JUMP * math.sqrt(grown + later[2]):
                 offset += variance / grown * change

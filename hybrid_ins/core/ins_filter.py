@@ -26,9 +26,9 @@ from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
+    CLOCK_VARIANCE,
     LAST_F,
     LAST_W,
-    N_CHECKPOINT,
     N_NAV,
     PSD,
     SENSITIVITY,
@@ -55,6 +55,9 @@ class FilterSettings:
         Age of the oldest measurement that is still fused, by rewinding [s].
     clock_std : float
         Standard deviation of the clock offset of fixes at the start [s].
+    consider_clock : bool
+        The covariances that are reported and that fixes are judged by contain the uncertainty of
+        that offset.
     keep_record : bool
         Keep a `FilterRecord`, for a smoother.
     """
@@ -62,6 +65,7 @@ class FilterSettings:
     covariance_interval: float = 0.01
     max_delay: float = 1.0
     clock_std: float = 0.5
+    consider_clock: bool = False
     keep_record: bool = False
 
 
@@ -118,6 +122,9 @@ class InsFilter:
         self._update = MeasurementUpdate(
             noise, gate, ClockOffsetObserver(settings.clock_std), corrected_ns=t_ns
         )
+        self._consider_clock = settings.consider_clock
+        if self._consider_clock:
+            self.nav[CLOCK_VARIANCE] = settings.clock_std**2
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
@@ -153,7 +160,7 @@ class InsFilter:
 
     @property
     def clock(self) -> ClockOffsetObserver:
-        """Clock offset of fixes, estimated beside the state; changes nothing by itself."""
+        """Clock offset of fixes, estimated beside the state; does not change it by itself."""
         return self._update.clock
 
     @property
@@ -244,6 +251,11 @@ class InsFilter:
         self._schedule()
         return waiting
 
+    def change_settings(self, settings: FilterSettings) -> None:
+        """Change ``max_delay`` and ``consider_clock`` from now on."""
+        self._history.horizon_ns = int(settings.max_delay * 1e9)
+        self._consider_clock = settings.consider_clock
+
     def _age(self, event: Event) -> float:
         """Return how far ``event`` lies behind the last IMU sample [s]."""
         return (self.t_ns - event.t_ns) * 1e-9
@@ -276,7 +288,7 @@ class InsFilter:
         self._checkpoint()
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        outcome = self._update.apply(self.nav, event, self._age(event))
+        outcome = self._update.apply(self.nav, event, self._age(event), self._consider_clock)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:
@@ -285,7 +297,7 @@ class InsFilter:
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""
         self._history.add_checkpoint(
-            Checkpoint(self.t_ns, self.nav[:N_CHECKPOINT].copy(), copy.copy(self._update))
+            Checkpoint(self.t_ns, self.nav[:N_NAV].copy(), copy.copy(self._update))
         )
 
     def _rewind(self, late: Event) -> bool:
@@ -300,7 +312,7 @@ class InsFilter:
         waiting, again = self._pending, self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)
-        self.nav[:N_CHECKPOINT] = point.nav
+        self.nav[:N_NAV] = point.nav
         self.t_ns, self._update = point.t_ns, point.update
         self._checkpoint()
         decided = len(self.verdicts)

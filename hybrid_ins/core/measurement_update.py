@@ -20,10 +20,11 @@ from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
-from hybrid_ins.core.measurements import GNSS, IMU, Measurement
+from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
+    CLOCK_VARIANCE,
     COVARIANCE,
     N_ERROR,
     PSD,
@@ -76,7 +77,7 @@ class MeasurementUpdate:
             copy.copy(self.noise), copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns
         )
 
-    def apply(self, nav: Array, event: Event, age: float) -> Outcome:
+    def apply(self, nav: Array, event: Event, age: float, consider_clock: bool) -> Outcome:
         """
         Apply an event.
 
@@ -87,6 +88,8 @@ class MeasurementUpdate:
         event : Event
         age : float
             How far the event lies behind the IMU [s].
+        consider_clock : bool
+            See `FilterSettings`.
         """
         r_scale, verdict, moved = self.noise.fix_factor, None, False
         if isinstance(event, NoiseChange):
@@ -101,6 +104,7 @@ class MeasurementUpdate:
         else:
             verdict, moved = self._fuse(nav, event, age)
         nav[PSD] = self.noise.psd()
+        nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved)
 
     def _fuse(self, nav: Array, measurement: Measurement, age: float) -> tuple[Verdict, bool]:
@@ -114,25 +118,32 @@ class MeasurementUpdate:
         z, H, R = measurement.linearise(nav)
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
-        S, nis = innovation(nav, z, H, R)
+            h = self.clock.sensitivity_of(nav, measurement.t_ns, H)
+            if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
+                R = R + self.clock.velocity_age_covariance(nav, measurement.t_ns, H)
+        else:
+            h = H @ nav[SENSITIVITY]
+        of_clock = np.zeros_like(R)
+        if nav[CLOCK_VARIANCE] > 0.0:
+            of_clock = nav[CLOCK_VARIANCE] * np.outer(h, h)
+        S, nis = innovation(nav, z, H, R + of_clock)
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
-        verdict = self.gate.judge(measurement, z, R, S, nis, age, interval)
+        verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
         before = nav.copy()
         dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
         if verdict.accepted:
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
+        nav[SENSITIVITY] -= K @ h
+        S = S - of_clock
         if measurement.sensor != GNSS:
-            nav[SENSITIVITY] -= K @ (H @ before[SENSITIVITY])
             if verdict.accepted and measurement.sensor != IMU:
                 C_nb = matrix_from_quat(nav[QUAT])
                 self.noise.follow(
                     Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
                 )
             return verdict, False
-        h = self.clock.sensitivity_of(before, measurement.t_ns, H)
-        nav[SENSITIVITY] -= K @ h
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
@@ -143,7 +154,8 @@ class MeasurementUpdate:
         correction = Correction(
             measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
         )
-        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R)
+        informs = measurement.kind == PositionFix.kind
+        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R, informs)
         return verdict, self._learn_noise(nav, correction)
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:

@@ -12,12 +12,14 @@ The phase of a navigator with its transitions, and the filters that run in it.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment
+from hybrid_ins.core.clock_search import OFFSET_KNOWN, ClockSearch
 from hybrid_ins.core.events import Change
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
@@ -39,6 +41,11 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck
 
 Array = NDArray[np.float64]
+
+CONFIRMATION, CONTRADICTION = 1.0, 3.0
+"""Standard deviations, between a search and a filter's own clock offset."""
+
+PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
 
 
 class PhaseMachine:
@@ -194,8 +201,10 @@ class PhaseMachine:
         Returns whether the clock offset was found: stamps of fixes from now on are others.
         """
         bank = self.phase.bank
-        decision = None if bank is None else bank.decide()
-        if bank is None or decision is None:
+        if bank is None or self._keeps_running(bank):
+            return False
+        decision = bank.decide()
+        if decision is None:
             return False
         winner, running = decision.filter, self.filter
         turned = running is not None and is_contradicted(running.state, winner.state)
@@ -220,6 +229,30 @@ class PhaseMachine:
         self.collect_verdicts(winner)
         self._replace(winner, bank, decision.offset)
         return bank.clock_open
+
+    def _keeps_running(self, bank: MultipleModelBank) -> bool:
+        """
+        Tell whether the filter beside a clock search is kept.
+
+        The search goes on until it is precise, and ends where it confirms the filter's own offset.
+        """
+        running = self.filter
+        if running is None or not isinstance(bank, ClockSearch):
+            return False
+        if bank.heading_open or bank.shift_is_certain:
+            return False
+        (found, sigma), own = bank.clock(), running.clock
+        difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
+        if sigma > min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma)):
+            return True
+        if difference > CONTRADICTION * std:
+            return False
+        if difference > CONFIRMATION * std:
+            return True
+        self.clock_open = False
+        self._enter(Running(running))
+        self._events.append(ClockOffsetFound(0.0, own.residual, own.sigma))
+        return True
 
     def _replace(self, winner: InsFilter, bank: MultipleModelBank, offset: float) -> None:
         """Run the filter that a bank has become, with an offset [s] added to its fixes."""

@@ -27,7 +27,7 @@ class Checkpoint:
     """All that changes in a filter, copied."""
 
     t_ns: int
-    nav: Array  # (N_CHECKPOINT,)
+    nav: Array  # (N_NAV,)
     update: MeasurementUpdate
 
 

@@ -31,8 +31,7 @@ W_G = slice(3, 6)
 W_AB = slice(6, 9)
 W_GB = slice(9, 12)
 
-# The flat state: what a navigator needs (N_NAV) and a checkpoint holds (N_CHECKPOINT), and behind
-# it the kernels' scratch.
+# The flat state: what a checkpoint holds (N_NAV), and behind it the kernels' scratch.
 LLA = slice(0, 3)  # rad, rad, m
 VELOCITY = slice(3, 6)  # m/s, n
 QUAT = slice(6, 10)  # C_nb, xyzw
@@ -46,10 +45,10 @@ PENDING_DT = 34  # time, integrated f_n and C_nb since the covariance was last p
 PENDING_F = slice(35, 38)
 PENDING_C = slice(38, 47)
 COVARIANCE = slice(47, 47 + N_ERROR * (N_ERROR + 1) // 2)
-N_NAV = COVARIANCE.stop
-SENSITIVITY = slice(N_NAV, N_NAV + N_ERROR)  # d(error)/d(clock offset of fixes), per second
-N_CHECKPOINT = SENSITIVITY.stop
-SYSTEM = slice(N_CHECKPOINT, N_CHECKPOINT + N_ERROR * N_ERROR)
+SENSITIVITY = slice(COVARIANCE.stop, COVARIANCE.stop + N_ERROR)  # s = d(error)/d(clock offset)
+CLOCK_VARIANCE = SENSITIVITY.stop  # V [s²], of what the clock offset of fixes lacks
+N_NAV = CLOCK_VARIANCE + 1
+SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 N_FLAT = SCRATCH.stop
 
@@ -70,6 +69,17 @@ def unpack(packed, full):  # type: ignore[no-untyped-def]
             full[i, j] = packed[k]
             full[j, i] = packed[k]
             k += 1
+
+
+@register_jitable
+def unpack_total(nav, full):  # type: ignore[no-untyped-def]
+    """Write P + V s s', the covariance with the uncertain clock offset considered, (15, 15)."""
+    unpack(nav[COVARIANCE], full)
+    s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
+    if variance > 0.0:
+        for i in range(N_ERROR):
+            for j in range(N_ERROR):
+                full[i, j] += variance * s[i] * s[j]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -128,3 +138,9 @@ def covariance(nav: Array) -> Array:
     """Return P, shape (15, 15), of a flat state."""
     P: Array = nav[COVARIANCE][PLACES]
     return P
+
+
+def total_std(nav: Array) -> Array:
+    """Return the standard deviations, shape (15,), of `unpack_total`."""
+    variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
+    return np.sqrt(variance)

@@ -128,8 +128,8 @@ GNSS = (
     Parameter(
         "gnss.time_offset.estimate",
         False,
-        "Estimate the clock offset while running and correct it; if false, a wrong offset is only "
-        "reported",
+        "Estimate the clock offset and its drift while running and correct them; published "
+        "covariances include what is not known of them. If false, a wrong offset is only reported",
         runtime=True,
     ),
     Parameter(
@@ -199,7 +199,7 @@ GNSS = (
         "gnss.max_delay",
         1.0,
         "Fixes that arrive later than this after their stamp are rejected; earlier ones are fused "
-        "at their stamp",
+        "at their stamp. A negative gnss.time_offset.value is no delay",
         unit="s",
         low=0.0,
         high=5.0,

@@ -96,6 +96,7 @@ class ClockCorrection:
             return
         self._next_ns = running.t_ns + CORRECTION_NS
         correcting = self._estimate and not self._navigator.phases.clock_open
+        jumped = abs(running.clock.residual) > max(WRONG, 5.0 * running.clock.sigma)
         if correcting:
             self._correct(running)
         fault = self._fault()
@@ -104,7 +105,7 @@ class ClockCorrection:
             self._settled = None
         if (
             correcting
-            and (fault or imu_disagrees(running.noise))
+            and (jumped or imu_disagrees(running.noise))
             and running.t_ns - self._searched_ns > SEARCH_AGAIN_NS
         ):
             self._navigator.open_clock(True)

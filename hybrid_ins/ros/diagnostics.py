@@ -15,7 +15,7 @@ from hybrid_ins.core.measurements import clock_offset_ns
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.noise_innovation import InnovationNoise
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL
+from hybrid_ins.core.state import total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
 from hybrid_ins.ros.conversions import Refused
@@ -82,7 +82,7 @@ def filter_status(
     if running is None:
         return _alignment_status(navigator, waiting_for)
     since = (t_ns - fused_ns) * 1e-9 if fused_ns else math.inf
-    sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
+    sigma = total_std(running.nav)
     outage = since > DEAD_RECKONING_AFTER
     text = (
         f"dead reckoning for {since:.0f} s, position σ {max(sigma[:2]):.1f} m"

@@ -106,6 +106,9 @@ class Estimator:
 
     def _convert_gnss(self) -> None:
         """Convert fixes by the present parameters, placement and clock offset."""
+        self._parts.set_clock_offset(self.clock.offset)
+        for running in self.navigator.phases.filters:
+            running.change_settings(self._parts.settings)
         given, lever_b = GnssInput.from_parameters(self.values), self._placement.lever_b
         self._gnss = replace(given, lever_b=lever_b, time_offset=self.clock.offset)
 

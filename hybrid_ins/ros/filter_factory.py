@@ -5,6 +5,7 @@ From parameters to the parts of a filter: process noise, noise model, gate, sett
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,12 +42,22 @@ class FilterFactory:
     def __init__(self, values: Mapping[str, Any], keep_record: bool = False) -> None:
         self._values = dict(values)
         self.settings = FilterSettings(
-            values["covariance_interval"], values["gnss.max_delay"], keep_record=keep_record
+            values["covariance_interval"],
+            values["gnss.max_delay"],
+            consider_clock=values["gnss.time_offset.estimate"],
+            keep_record=keep_record,
         )
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters from now on."""
         self._values.update(changes)
+        consider = self._values["gnss.time_offset.estimate"]
+        self.settings = replace(self.settings, consider_clock=consider)
+
+    def set_clock_offset(self, offset: float) -> None:
+        """Let fixes be as late after their own stamps as before ``offset`` [s] is added."""
+        max_delay = self._values["gnss.max_delay"] + max(0.0, -offset)
+        self.settings = replace(self.settings, max_delay=max_delay)
 
     def alignment(self) -> AlignmentSettings:
         """Return what alignment is given."""

@@ -19,12 +19,11 @@ from hybrid_ins.core.earth import EARTH_RATE, ECCENTRICITY_SQ, radii
 from hybrid_ins.core.state import (
     BIAS_A,
     BIAS_G,
-    COVARIANCE,
     LAST_W,
     LLA,
     QUAT,
     VELOCITY,
-    unpack,
+    unpack_total,
 )
 from hybrid_ins.core.strapdown import rotation
 
@@ -92,7 +91,7 @@ def odometry_values(nav, origin_e, C_me, arm_b, rate_variance, out):  # type: ig
     _write_quaternion(R, out)
 
     P = np.empty((15, 15))
-    unpack(nav[COVARIANCE], P)
+    unpack_total(nav, P)
     # Pose: dp_base = dp - [arm_n x] eps, rotation about the map's axes -eps.
     J = np.zeros((6, 15))
     for i in range(3):
@@ -224,7 +223,7 @@ def fix_values(nav, arm_b, out):  # type: ignore[no-untyped-def]
     out[1] = np.degrees(lla[1] - arm_n[1] / ((transverse + lla[2]) * np.cos(lla[0])))
     out[2] = lla[2] + arm_n[2]
     P = np.empty((15, 15))
-    unpack(nav[COVARIANCE], P)
+    unpack_total(nav, P)
     # dp_base = dp - [arm_n x] eps, rows east, north, up.
     A = np.zeros((3, 15))
     A[0, 1], A[1, 0], A[2, 2] = 1.0, 1.0, -1.0
@@ -255,7 +254,7 @@ def bias_values(nav, out):  # type: ignore[no-untyped-def]
         axes FLU.
     """
     P = np.empty((15, 15))
-    unpack(nav[COVARIANCE], P)
+    unpack_total(nav, P)
     for i in range(3):
         sign = 1.0 if i == 0 else -1.0
         out[i] = sign * nav[BIAS_A][i]

@@ -21,7 +21,7 @@ from hybrid_ins.core.navigator_events import (
     HeadingCorrected,
     Restarted,
 )
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL
+from hybrid_ins.core.state import total_std
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
 from hybrid_ins.ros.input_log import InputLog, is_told
@@ -132,7 +132,7 @@ class Reporter:
             return
         if not self._announced and self._navigator.filter is not None:
             self._announced = self.ever_aligned = True
-            sigma = math.degrees(math.sqrt(running.nav[COVARIANCE][DIAGONAL][8]))
+            sigma = math.degrees(total_std(running.nav)[8])
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
         has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER
         self._reports += state_reports(

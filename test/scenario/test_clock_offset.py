@@ -123,3 +123,14 @@ def test_standing_shows_nothing_of_the_clock(seed: int) -> None:
         sigma.append(ins.clock.sigma)
     assert min(sigma) >= 1e-3
     assert sigma[-1] > 0.9 * np.sqrt(min(sigma) ** 2 + 1e-6 * stand)
+
+
+@pytest.mark.parametrize("estimate", [False, True])
+def test_fixes_behind_by_more_than_the_longest_delay_are_fused(estimate: bool) -> None:
+    """Their delay counts from their own stamp, not from the one that an offset gives them."""
+    run = stamped_early(draw(replace(SCENE, duration=15.0), 3), -1.2)
+    values = {"gnss.time_offset.value": -1.2, "gnss.time_offset.estimate": estimate}
+    estimator = through_estimator(run, late=0.2, **values)
+
+    assert estimator.counts["gnss: too old"] < 10  # those of the time before the filter's start
+    assert estimator.fixes_fused > 40

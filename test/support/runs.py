@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from tools.paper.runs import Run
 Q = np.repeat([4e-4, 4e-6], 3)
 
 
-def begin(run: Run) -> InsFilter:
+def begin(run: Run, **settings: Any) -> InsFilter:
     stamps = run.samples["t_ns"]
     ring = ImuRing()
     ring.extend(run.samples[:1])
@@ -34,7 +35,7 @@ def begin(run: Run) -> InsFilter:
         FilterNoise(ConstantNoise(Q), ProcessNoise(run.bias_walk, 0.01), NoiseMultipleModelBank()),
         Gate({3: 25.0, 6: 35.0}, 3.0),
         ring,
-        FilterSettings(max_delay=1.0),
+        FilterSettings(max_delay=1.0, **settings),
     )
 
 

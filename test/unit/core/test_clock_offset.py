@@ -8,12 +8,27 @@ from support.analytic_motion import difference
 from support.runs import begin, stamped_early
 
 from hybrid_ins.core.clock_offset import MIN_STD, ClockOffsetObserver
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.propagation import propagate_covariance
-from hybrid_ins.core.state import N_ERROR, SENSITIVITY, NavState
+from hybrid_ins.core.state import (
+    CLOCK_VARIANCE,
+    COVARIANCE,
+    DP,
+    LLA,
+    N_ERROR,
+    N_FLAT,
+    N_NAV,
+    SENSITIVITY,
+    NavState,
+    pack,
+    total_std,
+    unpack_total,
+)
 from tools.paper.runs import Run, Scenario, draw
 
 SECOND = 1_000_000_000
@@ -65,7 +80,7 @@ class Speed(VelocityFix):
 def filtered(run: Run, speeds: bool) -> InsFilter:
     """Run a filter whose noise is not adapted, over fixes and the speeds of another sensor."""
     ins = begin(run)
-    ins.noise = FilterNoise(ins.noise.model, ins.noise.process)
+    ins.submit(NoiseChange(ins.t_ns, FilterNoise(ins.noise.model, ins.noise.process)))
     ins.ring.extend(run.samples)
     for fix in run.fixes:
         ins.submit(fix)
@@ -88,3 +103,86 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_the_clock_offset(speeds:
     by_difference = difference(right.nav, wrong.nav) / late
 
     assert np.linalg.norm((by_difference - s) / sigma) < 0.1 * np.linalg.norm(s / sigma)
+
+
+def moving(t: float, rng: np.random.Generator, tau: float, std: float) -> Correction:
+    """Return a fix of a vehicle that changes its velocity all the time, tau late by its stamp."""
+    velocity_n = rng.normal(0.0, 10.0, 3)
+    z = velocity_n * tau + rng.normal(0.0, std, 3)
+    return replace(correction(round(t * SECOND), velocity_n, std), z=z)
+
+
+def test_a_clock_that_drifts_is_followed() -> None:
+    observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(2)
+    for t in np.arange(1.0, 400.0):
+        fix = moving(t, rng, 0.02 + 2e-4 * t, 0.3)
+        observer.update(fix, observer.sensitivity_of(fix.nav, fix.t_ns, fix.H), fix.S)
+
+    assert observer.sigma < 0.01
+    assert abs(observer.residual - 0.1) < 3.0 * observer.sigma
+    assert observer.drift == pytest.approx(2e-4, abs=5e-5)
+
+
+def test_fixes_with_another_clock_do_not_inform() -> None:
+    observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(3)
+    for t in np.arange(1.0, 50.0):
+        fix = moving(t, rng, 0.1, 0.3)
+        h = observer.sensitivity_of(fix.nav, fix.t_ns, fix.H)
+        observer.update(fix, h, fix.S, informs=False)
+
+    assert observer.residual == 0.0
+    assert observer.sigma >= 0.5
+
+
+@pytest.mark.parametrize("by", [2e-3, 0.4])
+def test_a_shift_leaves_what_is_not_linear_in_it(by: float) -> None:
+    observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(4)
+    for t in np.arange(1.0, 100.0):
+        fix = moving(t, rng, by, 0.3)
+        observer.update(fix, observer.sensitivity_of(fix.nav, fix.t_ns, fix.H), fix.S)
+    before = observer.sigma
+    observer.shift(by, fix.nav)
+
+    grown = np.sqrt(observer.sigma**2 - before**2)
+    assert grown < 1e-4 if by < 0.01 else grown > 0.2
+
+
+def test_what_is_not_known_of_the_clock_is_in_the_covariance() -> None:
+    """
+    GIVEN fixes whose clock is off by as much as its standard deviation allows
+    WHEN the filter considers that, and when it does not
+    THEN its covariance covers the error of position, or is far from it.
+    """
+    nees = {False: [], True: []}  # type: dict[bool, list[float]]
+    for seed in range(12):
+        offset = 0.15 * float(np.random.default_rng(seed).standard_normal())
+        run = draw(Scenario("flight", rate=50.0, duration=8.0, scored_from=0.5), seed)
+        for considered, found in nees.items():
+            ins = begin(stamped_early(run, offset), clock_std=0.15, consider_clock=considered)
+            rows = np.empty((len(run.samples) - 1, N_NAV))
+            ins.ring.extend(run.samples)
+            for fix in stamped_early(run, offset).fixes:
+                ins.submit(fix)
+            ins.predict_block(run.samples[1:], rows)
+            for k in range(1, len(run.scored)):
+                row, P = rows[run.scored[k] - 1], np.empty((N_ERROR, N_ERROR))
+                unpack_total(row, P)
+                off = (run.lla[k] - row[LLA]) * curvature_scale(run.lla[k])
+                found.append(float(off @ np.linalg.solve(P[DP, DP], off)) / 3.0)
+
+    assert 0.3 < np.mean(nees[True]) < 1.8
+    assert np.mean(nees[False]) > 3.0
+
+
+def test_covariance_that_is_reported_has_the_share_of_the_clock() -> None:
+    rng = np.random.default_rng(5)
+    nav = np.zeros(N_FLAT)
+    root = rng.standard_normal((N_ERROR, N_ERROR))
+    pack(root @ root.T, nav[COVARIANCE])
+    nav[SENSITIVITY], nav[CLOCK_VARIANCE] = rng.standard_normal(N_ERROR), 0.3
+    total = np.empty((N_ERROR, N_ERROR))
+    unpack_total(nav, total)
+
+    expected = root @ root.T + 0.3 * np.outer(nav[SENSITIVITY], nav[SENSITIVITY])
+    np.testing.assert_allclose(total, expected)
+    np.testing.assert_allclose(total_std(nav), np.sqrt(np.diag(expected)))
