@@ -75,7 +75,6 @@ class ImuMonitor:
         self.fault: ImuFault | None = None
         self.falling = self.standing = False
         self._calm_ns: int | None = None  # since when the vehicle may stand
-        self._moved = False  # it may be braking
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity
@@ -132,14 +131,18 @@ class ImuMonitor:
             return True
         if phases.filter is not None and self.fault is None and not self.falling:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
-        moves = fixes_move or not _zero_speed_is_plausible(best)
-        self._moved |= moves
-        if moves or t_ns - samples["t_ns"][0] <= SHORTEST_STAND or not is_standing(samples):
+        if (
+            fixes_move
+            or t_ns - samples["t_ns"][0] <= SHORTEST_STAND
+            or not is_standing(samples)
+            or not _zero_speed_is_plausible(best)
+        ):
             self._calm_ns = None
         elif self._calm_ns is None:
             self._calm_ns = int(samples["t_ns"][0])
-        braking_ns = _longest_braking_ns(best) if self._moved else 0
-        self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= braking_ns
+        self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
+            best
+        )
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples))
         return True
