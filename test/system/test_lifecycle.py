@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,8 +58,10 @@ class Manager(Client):
         return int(answer.current_state.id)
 
     def topics(self) -> set[str]:
-        """What the node publishes and subscribes to."""
-        node = self.node
+        """What the node publishes and subscribes to; its answers come before it is discovered."""
+        node, patience = self.node, time.monotonic() + 30.0
+        while "ins_node" not in node.get_node_names() and time.monotonic() < patience:
+            time.sleep(0.1)
         names = node.get_publisher_names_and_types_by_node("ins_node", "/")
         names += node.get_subscriber_names_and_types_by_node("ins_node", "/")
         return {name for name, _ in names}

@@ -50,8 +50,9 @@ def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> No
     processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
 
     level, output = ask("--once", "--json", "--wait", "20", "--namespace", "rover1")
-    for _ in range(5):
-        if json.loads(output)["fixes"]["judged"]:
+    for _ in range(10):
+        found = json.loads(output)
+        if found["fixes"]["judged"] and found["statuses"]["filter"]["values"]["state"] == "aligned":
             break
         level, output = ask("--once", "--json", "--namespace", "rover1")
     first = json.loads(output)
