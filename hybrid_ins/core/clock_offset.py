@@ -48,6 +48,8 @@ VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
 MIN_INTERVAL, MAX_INTERVAL = 0.02, 60.0  # s, over which a mean acceleration is meaningful
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
+MARGIN = 1.2  # factor on σ: innovations are not quite white. Without it, the largest error in a
+# quarter of an hour of smooth driving with metre fixes was 3.1 and 3.4 σ
 
 
 class ClockOffsetObserver:
@@ -81,7 +83,7 @@ class ClockOffsetObserver:
     @property
     def sigma(self) -> float:
         """Standard deviation of `residual` [s]."""
-        return math.sqrt(float(self._P[0, 0]) * max(self._nis_scale, 1.0))
+        return MARGIN * math.sqrt(float(self._P[0, 0]) * max(self._nis_scale, 1.0))
 
     @property
     def missing_variance(self) -> float:
@@ -168,7 +170,7 @@ class ClockOffsetObserver:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
         self.residual, self.drift = residual, 0.0
         self._P = np.diag((0.0, DRIFT_STD**2))
-        self._set_variance(sigma**2 / max(self._nis_scale, 1.0))
+        self._set_variance((sigma / MARGIN) ** 2 / max(self._nis_scale, 1.0))
 
     def shift(self, by: float, nav: Array) -> Array:
         """
