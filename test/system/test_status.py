@@ -50,9 +50,10 @@ def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> No
     processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
 
     level, output = ask("--once", "--json", "--wait", "20", "--namespace", "rover1")
-    for _ in range(10):
+    for _ in range(12):  # until the flight is well under way
         found = json.loads(output)
-        if found["fixes"]["judged"] and found["statuses"]["filter"]["values"]["state"] == "aligned":
+        state = found["statuses"].get("filter", {"values": {"state": ""}})["values"]["state"]
+        if level == 0 and found["fixes"]["judged"] and state == "aligned":
             break
         level, output = ask("--once", "--json", "--namespace", "rover1")
     first = json.loads(output)
