@@ -1,7 +1,9 @@
 """What the tests share: the recorded flights, a ROS domain of their own, child processes."""
 
+import fcntl
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from support.paths import ROOT
 
 from hybrid_ins import kernel_cache
 from tools.processes import Processes, isolated_ros
+
+LIVE_LOCK = Path(tempfile.gettempdir()) / f"hybrid_ins-live-tests-{os.getuid()}.lock"
 
 kernel_cache.enable()
 
@@ -24,6 +28,21 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Before anything imports rclpy: whatever runs beside these tests neither hears nor disturbs them.
 os.environ.update(isolated_ros())
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the live tests first: they wait for each other while the rest keeps a processor busy."""
+    items.sort(key=lambda item: item.get_closest_marker("live") is None)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Let no two live tests run at once: they would lose messages on a slow machine."""
+    if item.get_closest_marker("live") is None:
+        return (yield)
+    with LIVE_LOCK.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return (yield)
 
 
 @pytest.fixture(scope="session")

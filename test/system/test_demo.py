@@ -9,6 +9,8 @@ from support.paths import ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the ros extra")
 
+pytestmark = pytest.mark.live
+
 
 def demo(*options: object) -> subprocess.CompletedProcess[str]:
     """Run the demo without its set-up step, in the environment of the tests."""

@@ -24,6 +24,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 
+pytestmark = pytest.mark.live
+
 MANAGED = ("-p", "autostart:=false")
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = (
     State.PRIMARY_STATE_UNCONFIGURED,

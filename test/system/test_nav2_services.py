@@ -25,6 +25,8 @@ from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 
+pytestmark = pytest.mark.live
+
 DATUM = (32.1, 34.8, 50.0)
 
 

@@ -22,8 +22,10 @@ from tools.processes import Processes
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 
+pytestmark = pytest.mark.live
+
 DURATION = 20.0
-RATE = 4.0
+RATE = 2.0
 
 
 @pytest.fixture(scope="module")

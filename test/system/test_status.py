@@ -16,6 +16,8 @@ from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 
+pytestmark = pytest.mark.live
+
 STATUS = [sys.executable, "-m", "hybrid_ins.cli.status"]
 
 

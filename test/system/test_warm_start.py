@@ -17,6 +17,8 @@ from tools.processes import Processes
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.live
+
 
 @pytest.fixture
 def client() -> Iterator[Client]:
