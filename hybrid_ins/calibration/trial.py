@@ -37,6 +37,50 @@ class Trial:
     used: float  # share of the other fixes that were fused
 
 
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """Odometry in the map frame, its axes ENU, and where to find it by time."""
+
+    t_ns: Array  # (N,) int64, IMU clock
+    pose: Array  # (N, 43) position, quaternion (x y z w), 6 x 6 covariance: as in Odometry
+    frame: LocalFrame
+
+    def antenna(self, t_ns: int, antenna_b: Array) -> tuple[Array, Array] | None:
+        """Return the antenna's position and its covariance (3, 3); None outside the odometry."""
+        i = int(np.searchsorted(self.t_ns, t_ns))
+        if not 0 < i < len(self.t_ns) or self.t_ns[i] - self.t_ns[i - 1] > MAX_STEP * 1e9:
+            return None
+        a = (t_ns - self.t_ns[i - 1]) / (self.t_ns[i] - self.t_ns[i - 1])
+        before, after = self.pose[i - 1], self.pose[i]
+        position = before[:3] + a * (after[:3] - before[:3])
+        covariance = after[7:].reshape(6, 6)[:3, :3]
+        return position + matrix_from_quat(after[3:7]) @ antenna_b, covariance
+
+
+@dataclass(frozen=True, eq=False)
+class _Withheld:
+    """A fix that the estimator did not get."""
+
+    t_ns: int  # IMU clock
+    lla: Array
+    covariance_n: Array
+
+    def compare(self, track: _Track, antenna_b: Array) -> tuple[float, float]:
+        """Return the distance of the track to the fix [m] and its normalised square over its axes.
+
+        Both are NaN where there is no odometry.
+        """
+        found = track.antenna(self.t_ns, antenna_b)
+        if found is None:
+            return math.nan, math.nan
+        away = found[0] - track.frame.position(self.lla) @ SWAP
+        S = found[1] + SWAP @ self.covariance_n @ SWAP.T
+        seen = np.isfinite(away) & np.isfinite(np.diag(S))
+        away, S = away[seen], S[np.ix_(seen, seen)]
+        nis = away @ np.linalg.solve(S, away) / max(len(away), 1)
+        return float(np.linalg.norm(away)), float(nis)
+
+
 def run_trial(
     path: Path, values: Mapping[str, Any], topics: InputTopics, longest: float = math.inf
 ) -> Trial:
@@ -55,10 +99,26 @@ def run_trial(
         Use only this much time from the first sample on [s].
     """
     estimator = Estimator(values, lambda level, text: None)
+    track, withheld, given = _run(path, values, topics, longest, estimator)
+    antenna_b = np.asarray(values["gnss.antenna_position"], float)
+    error, nis = np.full(len(withheld), np.nan), np.full(len(withheld), np.nan)
+    if track is not None:
+        for k, fix in enumerate(withheld):
+            error[k], nis[k] = fix.compare(track, antenna_b)
+    return Trial(error, nis, min(estimator.fixes_fused / given, 1.0) if given else 0.0)
+
+
+def _run(
+    path: Path,
+    values: Mapping[str, Any],
+    topics: InputTopics,
+    longest: float,
+    estimator: Estimator,
+) -> tuple[_Track | None, list[_Withheld], int]:
+    """Return the odometry, the withheld fixes, and how many an aligned estimator was given."""
     convert = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
-    antenna = np.asarray(values["gnss.antenna_position"], float)
-    expected: list[tuple[int, Array, Array]] = []  # stamps, IMU clock; lla; covariances, NED
-    t_blocks, row_blocks = [np.empty(0, np.int64)], [np.empty((0, 85))]
+    withheld: list[_Withheld] = []
+    t_blocks, pose_blocks = [np.empty(0, np.int64)], [np.empty((0, 43))]
     with BagReader(path) as bag:
         imu = bag.imu(topics["imu_topic"])
         end_ns = int(imu.stamp_ns[0]) + round(min(longest, 1e9) * 1e9)
@@ -76,7 +136,7 @@ def run_trial(
             part = slice(start, max(start, stop))
             for block in estimator.handle_imu_block(stamps[part], force[part], rate[part]):
                 t_blocks.append(block.t_ns)
-                row_blocks.append(block.in_map[:, :43].copy())
+                pose_blocks.append(block.in_map[:, :43].copy())
             estimator.pop_reports()
             start = part.stop
 
@@ -85,35 +145,22 @@ def run_trial(
             if start == len(stamps):
                 break
             first_ns = first_ns or at_ns
-            withheld = int((at_ns - first_ns) * 1e-9 / SPAN) % EVERY == EVERY - 1
-            if topic == velocity_topic and not withheld:
+            withhold = int((at_ns - first_ns) * 1e-9 / SPAN) % EVERY == EVERY - 1
+            if topic == velocity_topic and not withhold:
                 estimator.handle_velocity(message)
-            elif topic == fix_topic and withheld:
+            elif topic == fix_topic and withhold:
                 fix = convert.position(message)
                 if not isinstance(fix, Refused):
                     offset_ns = round(estimator.clock.offset * 1e9)
-                    expected.append((fix.t_ns + offset_ns, fix.lla, fix.covariance_n))
+                    withheld.append(_Withheld(fix.t_ns + offset_ns, fix.lla, fix.covariance_n))
             elif topic == fix_topic:
                 given += estimator.aligned
                 estimator.handle_fix(message)
         advance(len(stamps))
-    t_ns, rows = np.concatenate(t_blocks), np.vstack([r[:, :43] for r in row_blocks])
-    error, nis = np.full(len(expected), np.nan), np.full(len(expected), np.nan)
-    frame = estimator.map_frame and LocalFrame(estimator.map_frame.datum_lla)
-    for k, (at_ns, lla, R) in enumerate(expected):
-        i = int(np.searchsorted(t_ns, at_ns))
-        if frame is None or not 0 < i < len(t_ns) or t_ns[i] - t_ns[i - 1] > MAX_STEP * 1e9:
-            continue
-        a = (at_ns - t_ns[i - 1]) / (t_ns[i] - t_ns[i - 1])
-        place = rows[i - 1, :3] + a * (rows[i, :3] - rows[i - 1, :3])
-        away = place + matrix_from_quat(rows[i, 3:7]) @ antenna - frame.position(lla) @ SWAP
-        P = rows[i, 7:43].reshape(6, 6)[:3, :3] + SWAP @ R @ SWAP.T
-        seen = np.isfinite(away) & np.isfinite(np.diag(P))
-        error[k] = np.linalg.norm(away[seen])
-        nis[k] = (
-            away[seen] @ np.linalg.solve(P[np.ix_(seen, seen)], away[seen]) / max(seen.sum(), 1)
-        )
-    return Trial(error, nis, min(estimator.fixes_fused / given, 1.0) if given else 0.0)
+    if estimator.map_frame is None:
+        return None, withheld, given
+    frame = LocalFrame(estimator.map_frame.datum_lla)
+    return _Track(np.concatenate(t_blocks), np.vstack(pose_blocks), frame), withheld, given
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,6 +21,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
+from hybrid_ins.replay import log_message
 from hybrid_ins.ros.axes_monitor import describe
 
 DESCRIPTION = """\
@@ -95,8 +95,8 @@ def _body(args: argparse.Namespace) -> int:
     for recording in recordings:
         fault = axes_fault(recording, values)
         if fault is not None:
-            _log("warning", f"{recording.name}: {describe(fault).text}")
-    kernels.prepare(partial(_log, "info"), calibration=True)
+            log_message("warn", f"{recording.name}: {describe(fault).text}")
+    kernels.prepare(partial(log_message, "info"), calibration=True)
     with _Stages() as stages:
         found = calibrate(
             recordings,
@@ -107,7 +107,7 @@ def _body(args: argparse.Namespace) -> int:
             trust_fixes=args.use_truth,
             antenna_is_base=antenna_is_base(args.bags, values, args.fix_topic),
             on_stage=stages.start,
-            log=_log,
+            log=log_message,
         )
     comparison = None if args.use_truth else _compare(args, values, found.values)
     objection = _objection(found, comparison)
@@ -122,7 +122,7 @@ def _body(args: argparse.Namespace) -> int:
     if objection and args.out and not args.force:
         raise InputError(f"{objection}; {args.out} is not written: --force writes it all the same")
     if objection:
-        _log("warn", objection)
+        log_message("warn", objection)
     if args.out:
         print(f"{args.out}: for ins_node --ros-args --params-file, ins_replay --params-file")
     return 0
@@ -147,10 +147,6 @@ def _objection(found: Calibration, comparison: Comparison | None) -> str:
         return f"does not fit: check units, axes and mount: {'; '.join(found.misfits)}"
     worse = "" if comparison is None else comparison.worse
     return f"worse than the given parameters: {worse}" if worse else ""
-
-
-def _log(level: str, text: str) -> None:
-    tqdm.write(f"ins_calibrate: {level}: {text}", file=sys.stderr)
 
 
 class _Stages:
