@@ -54,6 +54,35 @@ def update(nav, z, H, R):  # type: ignore[no-untyped-def]
     return dx, K
 
 
+@kernel()
+def linearisation(packed, z, H, R):  # type: ignore[no-untyped-def]
+    """
+    Return the linear correction that `update` comes down to, in the transformed error.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (120,)
+        Upper triangle of P, before the correction.
+    z, H, R : ndarray
+        See `update`.
+
+    Returns
+    -------
+    z_x, H_x : ndarray, shape (m,), (m, 15)
+        Innovation and measurement matrix at the correction.
+    x : ndarray, shape (15,)
+        The correction, K z_x.
+    G : ndarray, shape (15, 15)
+        Derivative of the error by the transformed one: about the new estimate P is G P G'.
+    """
+    x, K = gain(packed, z, H, R)
+    if is_nonlinear(packed, x, H, R):
+        converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, x, K)
+        if converged:
+            return z_x, H_x, K_x @ z_x, G
+    return z.copy(), H.copy(), x, np.eye(N_ERROR)
+
+
 @register_jitable
 def is_nonlinear(packed, dx, H, R):  # type: ignore[no-untyped-def]
     """Tell whether the difference of half φ × δ is noticeable in the measurement."""

@@ -141,7 +141,19 @@ class MeasurementUpdate:
             if verdict.accepted and measurement.sensor != IMU:
                 C_nb = matrix_from_quat(nav[QUAT])
                 self.noise.follow(
-                    Correction(measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
+                    Correction(
+                        measurement.t_ns,
+                        z,
+                        S,
+                        H,
+                        K,
+                        dx,
+                        C_nb,
+                        interval,
+                        before,
+                        True,
+                        weight=verdict.weight,
+                    )
                 )
             return verdict, False
         if verdict.accepted:
@@ -152,7 +164,17 @@ class MeasurementUpdate:
             return verdict, False
         C_nb = matrix_from_quat(nav[QUAT])
         correction = Correction(
-            measurement.t_ns, z, S, H, K, dx, C_nb, interval, before, verdict.accepted
+            measurement.t_ns,
+            z,
+            S,
+            H,
+            K,
+            dx,
+            C_nb,
+            interval,
+            before,
+            verdict.accepted,
+            weight=verdict.weight,
         )
         informs = measurement.kind == PositionFix.kind
         self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R, informs)

@@ -60,6 +60,8 @@ class Correction:
         False for a measurement that the gate rejected: K and dx are zero.
     restarted : bool
         The state was changed by other means than measurements since the previous correction.
+    weight : float
+        With which it was fused: its covariance was divided by that.
     """
 
     t_ns: int
@@ -73,6 +75,7 @@ class Correction:
     nav: Array
     fused: bool
     restarted: bool = False
+    weight: float = 1.0
 
 
 class NoiseModel(Protocol):

@@ -13,7 +13,8 @@ above the frequencies of motion need not extend down to those that integrate int
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
-keeps the offset of its own estimate from the running one.
+keeps the offset of its own estimate from the running one. A correction that the running filter
+found by iteration is one of the hypotheses, too: of the same linearisation, at its result.
 
 References
 ----------
@@ -31,10 +32,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import advance, mean_system
 from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY, covariance
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DV,
+    N_ERROR,
+    PACKED_COLUMNS,
+    PACKED_ROWS,
+    PLACES,
+    QUAT,
+    VELOCITY,
+    covariance,
+)
 
 Array = NDArray[np.float64]
 
@@ -66,6 +78,7 @@ _LOG_PRIOR = -sum(
 )
 _DECADES = np.stack((_A, _G, _R))
 _FACTORS = 10.0**_DECADES
+_IDENTITY = np.eye(N_ERROR)
 _FACTORS_OF_IMU = np.stack((_FACTORS[0], _FACTORS[1], np.ones(_A.size)))
 
 
@@ -158,7 +171,11 @@ class NoiseMultipleModelBank:
         nav = correction.nav
         C_nb = matrix_from_quat(nav[QUAT])
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
-        R = (correction.S - correction.H @ covariance(nav) @ correction.H.T) / fix_factor
+        z, H, dx = correction.z, correction.H, correction.dx
+        R = correction.S - H @ covariance(nav) @ H.T
+        G = None
+        if correction.fused:
+            z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
         self._P, self._state_offset, log_likelihood = advance(
             self._P,
             self._state_offset,
@@ -167,16 +184,26 @@ class NoiseMultipleModelBank:
             C_mean,
             psd,
             factors,
-            correction.z,
-            correction.H,
-            R,
-            correction.dx,
+            z,
+            H,
+            R / fix_factor,
+            dx,
             TAIL_DOF,
         )
+        if G is not None and not np.array_equal(G, _IDENTITY):
+            self._transform(G)
         self._t_ns = correction.t_ns
         self._velocity_n = nav[VELOCITY] + correction.dx[DV]
         self._C_nb = C_nb
         return np.asarray(log_likelihood)
+
+    def _transform(self, G: Array) -> None:
+        """Refer the hypotheses to the error about the corrected state, see `iterated_update`."""
+        assert self._P is not None
+        full = self._P[PLACES]
+        full = np.einsum("ik,klh,jl->ijh", G, full, G, optimize=True)
+        self._P = np.ascontiguousarray(full[PACKED_ROWS, PACKED_COLUMNS])
+        self._state_offset = G @ self._state_offset
 
     def _mix(self, weights: Array) -> StateCorrection | None:
         """Set the factors to the mixture's mean; where they have risen, correct the state."""

@@ -9,6 +9,7 @@ import pytest
 from support.runs import fly, moved
 
 from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.state import N_NAV
 from tools.paper.runs import Scenario, draw
 
@@ -28,6 +29,20 @@ def test_an_outage_is_no_evidence_against_the_imu(seed: int) -> None:
     # GIVEN a flight with a right model, and a quarter of a minute without fixes
     _, factors = fly(draw(replace(SCENE, outages=((20.0, 15.0),)), seed))
 
+    assert np.all(factors < 3.0)
+
+
+@pytest.mark.parametrize(("seed", "error"), [(1, 0.4), (2, 0.4), (7, -0.4)])
+def test_an_unknown_heading_is_no_evidence_against_the_imu(seed: int, error: float) -> None:
+    # GIVEN a start whose heading is off by 0.4 rad, with a standard deviation that says so
+    run = draw(replace(SCENE, duration=30.0), seed)
+    P = run.start.P.copy()
+    P[8, 8] = 0.5**2
+    turn = quat_from_rotvec(np.array([0.0, 0.0, error]))
+    quat = quat_multiply(turn, run.start.quat_xyzw)
+    # WHEN the filter runs, whose first corrections are far from linear
+    _, factors = fly(replace(run, start=replace(run.start, quat_xyzw=quat, P=P)))
+    # THEN the noise is not raised: without the filter's linearisation, by 70 to 7000
     assert np.all(factors < 3.0)
 
 

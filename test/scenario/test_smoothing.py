@@ -87,15 +87,9 @@ def test_smoothing_is_repeatable(tmp_path: Path) -> None:
 
 
 def smoothed(run: Run, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return stamps and odometry (N, 85) of a run whose fixes come ``late`` [s].
-
-    The noise is not scaled by the innovations: how much depends on the stand before the flight,
-    which late fixes do not confirm in time.
-    """
+    """Return stamps and odometry (N, 85) of a run whose fixes come ``late`` [s]."""
     record = RunRecord()
-    values = {"gnss.max_delay": 1.0, "noise.innovation_scale": False}
-    estimator = through_estimator(run, late, record, **values)
+    estimator = through_estimator(run, late, record, **{"gnss.max_delay": 1.0})
     blocks = [block for block, _ in smoothed_run(estimator, record, RowFile)]
     return (
         np.concatenate([block.t_ns for block in blocks]),
