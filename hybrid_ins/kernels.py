@@ -33,7 +33,7 @@ from hybrid_ins.core import (
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
 from hybrid_ins.noise_regressor import window
-from hybrid_ins.ros import imu_input, odom_frame, output
+from hybrid_ins.ros import imu_admission, odom_frame, output
 
 COMPILING = "compiling the filter for this machine, once: 10 to 60 s"
 WAITING = "another process compiles the filter for this machine; waiting for it: up to 60 s"
@@ -168,9 +168,9 @@ def _compile_output() -> None:
         6.0,
     )
     clock_offset.regress(zero, zero, turn, 0.0)
-    imu_input.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
+    imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
-    imu_input.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
+    imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)

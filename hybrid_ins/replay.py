@@ -34,6 +34,8 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros import aiding_sources
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_admission import NO_READING
+from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.message_types import OUTPUTS, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Report
@@ -97,10 +99,10 @@ def replay_bag(
         BagWriter(target, overwrite, inputs=[source], keep_partial=keep_partial) as out,
     ):
         estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
-        if not estimator.ever_aligned:
+        if not estimator.reporter.ever_aligned:
             out.discard()
             raise InputError(
-                f"{source}: the filter never started: it waited for {estimator.waiting_for};"
+                f"{source}: the filter never started: it waited for {estimator.status.waiting_for};"
                 f" {target} is not written"
             )
         return Replayed(estimator, (bag.end_ns - bag.start_ns) * 1e-9)
@@ -149,7 +151,7 @@ def replay(
     topics = imu_topic, fix_topic, velocity_topic
     run = _Replay(bag, out, values, *topics, log or log_message, record)
     estimator = run.filter()
-    if record is not None and estimator.ever_aligned:
+    if record is not None and estimator.reporter.ever_aligned:
         run.smooth(record)
     return estimator
 
@@ -178,7 +180,7 @@ class _Replay:
         kernels.prepare(partial(log, "info"))
         self._estimator = estimator = Estimator(values, log, record)
         complete = imu.has_reading
-        estimator.preload(
+        estimator.noise.preload(
             self._stamps_ns[complete], imu.specific_force[complete], imu.angular_rate[complete]
         )
         self._odometry = [
@@ -242,8 +244,9 @@ class _Replay:
         imu = self._imu
         complete = imu.has_reading[rows]
         for _ in range(len(complete) - np.count_nonzero(complete)):
-            self._estimator.handle_missing_reading()
-        for stamps_ns, *by_frame in self._estimator.handle_imu_block(
+            self._estimator.inputs.count_and_warn("imu/data", NO_READING)
+        for stamps_ns, *by_frame in handle_imu_block(
+            self._estimator,
             self._stamps_ns[rows][complete],
             imu.specific_force[rows][complete],
             imu.angular_rate[rows][complete],

@@ -17,6 +17,7 @@ from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 
 Array = NDArray[np.float64]
 
@@ -105,7 +106,7 @@ def run_trial(
     if track is not None:
         for k, fix in enumerate(withheld):
             error[k], nis[k] = fix.compare(track, antenna_b)
-    return Trial(error, nis, min(estimator.fixes_fused / given, 1.0) if given else 0.0)
+    return Trial(error, nis, min(estimator.reporter.fixes_fused / given, 1.0) if given else 0.0)
 
 
 def _run(
@@ -128,13 +129,13 @@ def _run(
         usable = imu.has_reading & (imu.stamp_ns <= end_ns)
         stamps, log_ns = imu.stamp_ns[usable], imu.log_ns[usable]
         force, rate = imu.specific_force[usable], imu.angular_rate[usable]
-        estimator.preload(stamps, force, rate)
+        estimator.noise.preload(stamps, force, rate)
         given, start, first_ns = 0, 0, 0
 
         def advance(stop: int) -> None:
             nonlocal start
             part = slice(start, max(start, stop))
-            for block in estimator.handle_imu_block(stamps[part], force[part], rate[part]):
+            for block in handle_imu_block(estimator, stamps[part], force[part], rate[part]):
                 t_blocks.append(block.t_ns)
                 pose_blocks.append(block.in_map[:, :43].copy())
             estimator.pop_reports()
@@ -157,9 +158,9 @@ def _run(
                 given += estimator.aligned
                 estimator.handle_fix(message)
         advance(len(stamps))
-    if estimator.map_frame is None:
+    if estimator.odometry.map is None:
         return None, withheld, given
-    frame = LocalFrame(estimator.map_frame.datum_lla)
+    frame = LocalFrame(estimator.odometry.map.datum_lla)
     return _Track(np.concatenate(t_blocks), np.vstack(pose_blocks), frame), withheld, given
 
 

@@ -95,7 +95,7 @@ def _run(args: argparse.Namespace) -> int:
     replayed = replay_bag(
         source, args.output, values, topics, overwrite=args.overwrite, smooth=args.smooth
     )
-    print(replayed.estimator.summary())
+    print(replayed.estimator.status.summary())
     if args.plot is not None:
         plot_bag(args.output, args.plot)
         print(f"picture: {args.plot}")
@@ -126,8 +126,8 @@ def _replay_one(
     )
     return {
         "duration [s]": replayed.duration,
-        "fixes fused": replayed.estimator.fixes_fused,
-        "refused or remarkable": sum(replayed.estimator.counts.values()),
+        "fixes fused": replayed.estimator.reporter.fixes_fused,
+        "refused or remarkable": sum(replayed.estimator.inputs.counts.values()),
         "warnings": levels.count("warn"),
     }
 

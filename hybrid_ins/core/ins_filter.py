@@ -98,6 +98,8 @@ class InsFilter:
         Its stamp [ns].
     long_step_ns : int
         A longer step [ns] is a gap in the samples.
+    covariance_interval : float
+        Time that is pending when the covariance is propagated [s].
     verdicts : deque of Verdict
         One per measurement submitted, in order of decision; the owner empties it.
     record : FilterRecord or None
@@ -128,7 +130,7 @@ class InsFilter:
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
-        self._interval = settings.covariance_interval - 1e-6
+        self.covariance_interval = settings.covariance_interval - 1e-6
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
         self.record: FilterRecord | None = None
@@ -137,12 +139,16 @@ class InsFilter:
         self._checkpoint()
         self._schedule()
 
-    @property
-    def state(self) -> NavState:
-        """Copy of the state after the last sample, its covariance up to date."""
+    def flat_state(self) -> Array:
+        """Return a copy of the flat state after the last sample, its covariance up to date."""
         nav = self.nav.copy()
         propagation.propagate_covariance(nav)
-        return NavState.from_flat(nav)
+        return nav
+
+    @property
+    def state(self) -> NavState:
+        """The same, unpacked."""
+        return NavState.from_flat(self.flat_state())
 
     @property
     def noise(self) -> FilterNoise:
@@ -150,23 +156,9 @@ class InsFilter:
         return self._update.noise
 
     @property
-    def gate(self) -> Gate:
-        """The gate in force."""
-        return self._update.gate
-
-    @gate.setter
-    def gate(self, gate: Gate) -> None:
-        self._update.gate = gate
-
-    @property
     def clock(self) -> ClockOffsetObserver:
         """Clock offset of fixes, estimated beside the state; does not change it by itself."""
         return self._update.clock
-
-    @property
-    def covariance_interval(self) -> float:
-        """Time that is pending when the covariance is propagated [s]."""
-        return self._interval
 
     @property
     def sample(self) -> Array:
@@ -192,7 +184,7 @@ class InsFilter:
             self.predict_block(sample)
             return
         propagation.step(
-            self.nav, (t_ns - self.t_ns) * 1e-9, fx, fy, fz, wx, wy, wz, self._interval
+            self.nav, (t_ns - self.t_ns) * 1e-9, fx, fy, fz, wx, wy, wz, self.covariance_interval
         )
         self.t_ns = t_ns
 
@@ -240,7 +232,7 @@ class InsFilter:
             verdict = Verdict.rejected(event, "too old", self._age(event))
             self.verdicts.append(verdict)
             if self.record is not None:
-                threshold = self.gate.threshold(len(event.linearise(self.nav)[0]))
+                threshold = self._update.gate.threshold(len(event.linearise(self.nav)[0]))
                 verdict = replace(verdict, threshold=threshold)
                 self.record.add_too_old(verdict, self.noise, self.clock)
 
@@ -256,6 +248,10 @@ class InsFilter:
         self._history.horizon_ns = int(settings.max_delay * 1e9)
         self._consider_clock = settings.consider_clock
 
+    def change_gate(self, gate: Gate) -> None:
+        """Judge measurements by another gate from now on."""
+        self._update.gate = gate
+
     def _age(self, event: Event) -> float:
         """Return how far ``event`` lies behind the last IMU sample [s]."""
         return (self.t_ns - event.t_ns) * 1e-9
@@ -268,19 +264,19 @@ class InsFilter:
         """Run samples with no event between them."""
         if len(samples) == 0:
             return
-        stamps = samples["t_ns"]
+        stamps, interval = samples["t_ns"], self.covariance_interval
         steps = steps_since(self.t_ns, stamps)
         dt = steps * 1e-9
         readings = readings_of(samples)
         start = 0
         for k in np.flatnonzero(steps > self.long_step_ns).tolist():
-            propagation.run(self.nav, dt[start:k], readings[start:k], self._interval, rows[start:k])
-            gap.bridge(self.nav, readings[k], dt[k], self._interval)
+            propagation.run(self.nav, dt[start:k], readings[start:k], interval, rows[start:k])
+            gap.bridge(self.nav, readings[k], dt[k], interval)
             self.noise.restart(keep_weights=True)
             if len(rows):
                 rows[k] = self.nav[:N_NAV]
             start = k + 1
-        propagation.run(self.nav, dt[start:], readings[start:], self._interval, rows[start:])
+        propagation.run(self.nav, dt[start:], readings[start:], interval, rows[start:])
         self.t_ns = int(stamps[-1])
 
     def _apply(self, event: Event) -> None:
@@ -296,9 +292,8 @@ class InsFilter:
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""
-        self._history.add_checkpoint(
-            Checkpoint(self.t_ns, self.nav[:N_NAV].copy(), copy.copy(self._update))
-        )
+        point = Checkpoint(self.t_ns, self.nav[:N_NAV].copy(), copy.copy(self._update))
+        self._history.add_checkpoint(point)
 
     def _rewind(self, late: Event) -> bool:
         """Apply a late event at its own stamp; False when that is out of reach."""
@@ -315,15 +310,12 @@ class InsFilter:
         self.nav[:N_NAV] = point.nav
         self.t_ns, self._update = point.t_ns, point.update
         self._checkpoint()
-        decided = len(self.verdicts)
+        decided, self.verdicts = self.verdicts, deque()
         self._pending = sorted([*again, late], key=order)
         self.predict_block(samples)
         self._pending = waiting
         self._schedule()
-        while len(self.verdicts) > decided:
-            verdict = self.verdicts.pop()
-            if verdict.measurement is late:
-                own = verdict
-        if not isinstance(late, Change):
-            self.verdicts.append(replace(own, age=self._age(late)))
+        own = [replace(v, age=self._age(late)) for v in self.verdicts if v.measurement is late]
+        self.verdicts = decided
+        self.verdicts.extend(own)
         return True

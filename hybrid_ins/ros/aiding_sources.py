@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import propagation
 from hybrid_ins.core.aiding import (
     AidingSensor,
     AidingState,
@@ -117,9 +116,7 @@ class AidingSources:
         running = self._navigator.filter
         assert running is not None
         if t_ns > running.t_ns - 30_000_000 or not self._states:
-            nav = running.nav.copy()
-            propagation.propagate_covariance(nav)
-            return nav
+            return running.flat_state()
         if t_ns < self._states[0][0] - 60_000_000:
             return None
         return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1]
@@ -130,9 +127,7 @@ class AidingSources:
         heard = (self._velocity, self._heading, self._height)
         if running is None or all(s.state(t_ns) is AidingState.ABSENT for s in heard):
             return
-        nav = running.nav.copy()
-        propagation.propagate_covariance(nav)
-        self._states.append((t_ns, nav))
+        self._states.append((t_ns, running.flat_state()))
         for sensor in heard:
             self._tell(sensor)
 

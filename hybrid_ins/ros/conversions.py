@@ -309,6 +309,11 @@ def imu_yaw(orientation_xyzw: Sequence[float], mount: Array) -> float | None:
     return float(rpy_from_quat(quat_from_matrix(C_nb))[2])
 
 
+def lla_from_degrees(latitude: float, longitude: float, height: float) -> Array:
+    """Return a position, shape (3,) [rad, rad, m], of degrees and metres."""
+    return np.array([math.radians(latitude), math.radians(longitude), height])
+
+
 class MapFrame:
     """
     The map: ENU at a datum.

@@ -12,9 +12,12 @@ import numpy as np
 
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
@@ -58,6 +61,20 @@ class FilterFactory:
         """Let fixes be as late after their own stamps as before ``offset`` [s] is added."""
         max_delay = self._values["gnss.max_delay"] + max(0.0, -offset)
         self.settings = replace(self.settings, max_delay=max_delay)
+
+    def navigator(self, record: RunRecord | None) -> Navigator:
+        """Return a navigator whose filters are made of these parts; it fills the record."""
+        values = self._values
+        return Navigator(
+            self.alignment(), self, values["imu.max_gap"], values["imu.zero_updates"], record
+        )
+
+    def change_running(self, running: InsFilter, changes: Mapping[str, Any]) -> None:
+        """Change the gate of a filter that runs, and its noise where that changes."""
+        running.change_gate(self.gate())
+        if any(name.startswith("noise.") or name.endswith("_bias_walk") for name in changes):
+            noise = self.noise(running.noise.process.period)
+            running.submit(NoiseChange(running.t_ns, noise))
 
     def alignment(self) -> AlignmentSettings:
         """Return what alignment is given."""

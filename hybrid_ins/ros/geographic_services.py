@@ -65,7 +65,7 @@ class GeographicServices:
 
     def offer(self) -> None:
         """Offer the conversions where they are possible by now; clients wait for a service."""
-        if self._converting or self._estimator.map_frame is None:
+        if self._converting or self._estimator.odometry.map is None:
             return
         self._converting = True
         self._offer(FromLL, "fromLL", self._from_ll)
@@ -89,7 +89,7 @@ class GeographicServices:
 
     @property
     def _map(self) -> MapFrame:
-        found = self._estimator.map_frame
+        found = self._estimator.odometry.map
         assert found is not None
         return found
 

@@ -222,7 +222,7 @@ class LiveEstimator:
         self._publish_reports()
         self._warm_start.save_at_end()
         now = self._node.get_clock().now().nanoseconds
-        first, *others = self.estimator.diagnostics(now)
+        first, *others = self.estimator.status.diagnostics(now)
         first = first._replace(text=f"{state}; {first.text}")
         self._topics.publish_diagnostics(now, [first, *others])
 
@@ -335,7 +335,7 @@ class LiveEstimator:
         self._topics.publish_diagnostics(
             now,
             [
-                *self.estimator.diagnostics(now),
+                *self.estimator.status.diagnostics(now),
                 status(
                     "imu",
                     2,

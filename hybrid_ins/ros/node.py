@@ -151,7 +151,7 @@ class InsNode(LifecycleNode):
     def _activate(self) -> None:
         assert self._live is not None
         self._live.activate()
-        waiting_for = self._live.estimator.waiting_for
+        waiting_for = self._live.estimator.status.waiting_for
         self.get_logger().info("ready" + (f": waiting for {waiting_for}" if waiting_for else ""))
 
     def _deactivate(self, state: str = "inactive") -> None:

@@ -39,8 +39,6 @@ class SensorPlacement:
     ----------
     mount : ndarray, shape (3, 3)
         From the IMU message's axes to b.
-    mount_rows : tuple of float
-        The same, row by row.
     arm_b : ndarray, shape (3,)
         IMU relative to the base frame's origin [m], b.
     lever_b : ndarray, shape (3,)
@@ -60,6 +58,11 @@ class SensorPlacement:
         self._transforms = StaticTransforms()
         self._frames = dict.fromkeys(PARAMETERS, "")
         self._place()
+
+    def to_body(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+        """Return a vector in b of one in the IMU message's axes: once per reading, no arrays."""
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = self._mount_rows
+        return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
 
     def frame_of(self, topic: str) -> str:
         """Return the frame_id of the last message on ``imu/data`` or ``gnss/fix``."""
@@ -121,7 +124,7 @@ class SensorPlacement:
         if not self._is_given["gnss/fix"]:
             antenna = self._find("gnss/fix")[1].tolist()
         self.mount = mount
-        self.mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
+        self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
         self.arm_b: Array = FLIP @ np.array(position)
         self.lever_b: Array = FLIP @ np.subtract(antenna, position)
 

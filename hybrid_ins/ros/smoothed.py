@@ -40,7 +40,7 @@ def smoothed_run(
         See `hindsight.smoother_of`; ``progress`` is called for each sample three times.
     """
     source, report_ns = OdometrySource(), 0
-    source.map = estimator.map_frame
+    source.map = estimator.odometry.map
     frame = estimator.values["base_frame"]
     for stretch in record.finish():
         process = stretch.filters[-1][0].noise.process
@@ -48,14 +48,16 @@ def smoothed_run(
         for t_ns, rows in smoother_of(stretch, make_store, progress).smooth():
             for part in _parts(rows):
                 levels = process.q(rows[part.start, PSD][:6])
-                block = source.make_block(t_ns[part], rows[part], estimator.arm_b, levels[3:])
+                block = source.make_block(
+                    t_ns[part], rows[part], estimator.placement.arm_b, levels[3:]
+                )
                 if block is None:
                     continue
                 reports: list[tuple[int, Report]] = []
                 for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
                     if stamp >= report_ns:
                         report_ns = stamp + REPORT_NS
-                        made = state_reports(stamp, row, levels, estimator.arm_b, frame)
+                        made = state_reports(stamp, row, levels, estimator.placement.arm_b, frame)
                         reports += [(stamp, report) for report in made]
                 yield block, reports
 

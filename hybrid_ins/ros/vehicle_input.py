@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import propagation
 from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.ins_filter import InsFilter
@@ -102,8 +101,7 @@ class VehicleInput:
     def _observe(self, running: InsFilter, t_ns: int) -> None:
         observer = self.observer
         assert observer is not None
-        nav = running.nav.copy()
-        propagation.propagate_covariance(nav)
+        nav = running.flat_state()
         rate_b = self._navigator.ring.after(t_ns - RATE_NS)["w"].mean(axis=0)
         held = observer.holds
         fused = not self._fixes.settled(t_ns)

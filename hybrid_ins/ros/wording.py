@@ -135,6 +135,12 @@ def _describe_search(bank: MultipleModelBank) -> str:
     )
 
 
+def describe_heading(yaw: float, std: float) -> str:
+    """Return a heading and its standard deviation [rad], clockwise from north."""
+    heading, sigma = math.degrees(yaw), math.degrees(std)
+    return f"heading {heading % 360.0:.1f}° ± {sigma:.1f}° from north"
+
+
 def describe_correction(found: HeadingCorrected) -> str:
     """Return what the motion has shown of the heading, and what to check."""
     before, after = (math.degrees(yaw) % 360.0 for yaw in (found.before, found.after))

@@ -94,7 +94,7 @@ def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
     run = stamped_early(draw(SCENE, 5), 0.15)
     estimator = through_estimator(run)
     assert estimator.clock.offset == 0.0
-    assert estimator.counts["gnss: clock offset"] > 0
+    assert estimator.inputs.counts["gnss: clock offset"] > 0
     assert "run ins_calibrate" in estimator.clock.status().text
     # AND nothing is told of a right one
     assert through_estimator(draw(SCENE, 5)).counts["gnss: clock offset"] == 0
@@ -132,5 +132,7 @@ def test_fixes_behind_by_more_than_the_longest_delay_are_fused(estimate: bool) -
     values = {"gnss.time_offset.value": -1.2, "gnss.time_offset.estimate": estimate}
     estimator = through_estimator(run, late=0.2, **values)
 
-    assert estimator.counts["gnss: too old"] < 10  # those of the time before the filter's start
-    assert estimator.fixes_fused > 40
+    assert (
+        estimator.inputs.counts["gnss: too old"] < 10
+    )  # those of the time before the filter's start
+    assert estimator.reporter.fixes_fused > 40

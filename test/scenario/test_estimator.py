@@ -54,7 +54,7 @@ def test_a_pose_without_rotation_changes_nothing() -> None:
     before = drive.odometry.copy()
     drive.estimator.handle_initial_pose(new_message("geometry_msgs/msg/PoseWithCovarianceStamped"))
     assert drive.estimator.aligned and np.array_equal(before, drive.odometry)
-    assert drive.estimator.counts["initialpose: no orientation"] == 1
+    assert drive.estimator.inputs.counts["initialpose: no orientation"] == 1
 
 
 def test_a_pose_in_another_frame_is_refused_with_the_remedy() -> None:
@@ -66,7 +66,7 @@ def test_a_pose_in_another_frame_is_refused_with_the_remedy() -> None:
     drive.estimator.handle_initial_pose(pose)
 
     assert drive.estimator.aligned
-    assert drive.estimator.counts["initialpose: other frame"] == 1
+    assert drive.estimator.inputs.counts["initialpose: other frame"] == 1
     [line] = drive.warnings()
     assert "not 'map'" in line and len(line) < 300
 
@@ -96,7 +96,7 @@ def test_a_flood_of_fixes_is_cut_and_told() -> None:
     for k in range(600):
         drive.fix(k % len(drive.fix_t))
 
-    assert drive.estimator.counts["gnss: too many messages"] == 500
+    assert drive.estimator.inputs.counts["gnss: too many messages"] == 500
     assert any("more than 100 in a second" in line for line in drive.warnings())
 
 
@@ -140,7 +140,7 @@ def test_accelerations_of_zero_are_no_free_fall() -> None:
     drive.play(20.0, 20.3, force=np.zeros_like)
 
     assert np.array_equal(before, drive.odometry)
-    assert drive.estimator.counts["imu: no acceleration"] == 30
+    assert drive.estimator.inputs.counts["imu: no acceleration"] == 30
     assert any("exactly zero" in text for text in drive.warnings())
     drive.play(20.3, 30.0)
     assert drive.error(29.99) < 0.5
@@ -174,7 +174,7 @@ def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> Non
 
     drive.play(30.0, 33.0)
 
-    assert drive.estimator.counts["gnss: same position while moving"] == 14
+    assert drive.estimator.inputs.counts["gnss: same position while moving"] == 14
     assert drive.error(32.99) < 2.0
 
 

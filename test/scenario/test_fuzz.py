@@ -8,7 +8,7 @@ MESSAGES = 20_000
 def test_sound_messages_with_odd_ones_between_them() -> None:
     estimator, renewed = run(1, 0.05, MESSAGES)
     assert renewed > 0.2 * MESSAGES
-    assert len(estimator.counts) > 10
+    assert len(estimator.inputs.counts) > 10
 
 
 def test_mostly_odd_messages() -> None:

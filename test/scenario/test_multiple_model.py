@@ -124,7 +124,7 @@ def test_each_fix_is_told_of_once(value: float, true: float) -> None:
     estimator = estimating(run, **{"gnss.time_offset.value": value})
 
     assert offset(estimator) == pytest.approx(true, abs=0.02)
-    assert (estimator.counts["gnss: clock offset found"] > 0) == (value > true)
+    assert (estimator.inputs.counts["gnss: clock offset found"] > 0) == (value > true)
     told = told_and_waiting(estimator)
     np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
 
@@ -136,8 +136,8 @@ def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) 
     estimator = estimating(run)
     # THEN it shows in the state, or in the noise that the IMU would need, and the new one is found
     assert offset(estimator) == pytest.approx(by, abs=0.02)
-    assert estimator.counts["gnss: clock offset"] == 1
-    assert estimator.counts["gnss: state opened"] == opened
+    assert estimator.inputs.counts["gnss: clock offset"] == 1
+    assert estimator.inputs.counts["gnss: state opened"] == opened
 
 
 def test_the_filter_that_takes_over_knows_what_all_of_them_did(
@@ -162,7 +162,7 @@ def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
     t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9
     estimator = estimating(replace(run, samples=run.samples[(t < 19.0) | (t > 21.0)]))
     # THEN the filter that starts after that knows the clock from its beginning
-    assert estimator.counts["restart: no IMU samples"] == 1
+    assert estimator.inputs.counts["restart: no IMU samples"] == 1
     assert estimator.navigator.phase.bank is None
     missing, sigma = found(estimator)
     assert sigma < 0.06
@@ -206,7 +206,7 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
     # THEN there are
     bank = estimator.navigator.phase.bank
     assert bank is not None and len(bank.filters) > N_HEADINGS
-    assert "clock offset" in estimator.waiting_for
+    assert "clock offset" in estimator.status.waiting_for
 
 
 def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:

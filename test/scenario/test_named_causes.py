@@ -46,7 +46,7 @@ def test_fixes_by_another_clock_are_named_with_the_remedy(ahead: float, words: s
 
     assert not drive.estimator.aligned
     [line] = [text for text in drive.warnings() if "of no use" in text]
-    for text in (line, drive.estimator.waiting_for, drive.status("filter").text):
+    for text in (line, drive.estimator.status.waiting_for, drive.status("filter").text):
         assert words in text and "use_receive_time: true" in text
 
 
@@ -62,7 +62,7 @@ def test_usable_fixes_are_not_blamed() -> None:
     drive = Drive()
     drive.play(0.0, 3.5)
 
-    assert "of no use" not in drive.estimator.waiting_for
+    assert "of no use" not in drive.estimator.status.waiting_for
     assert not any("of no use" in text for text in drive.warnings())
 
 
@@ -88,7 +88,7 @@ def test_a_sound_flight_is_not_accused() -> None:
     drive.play(0.0, 59.0)
 
     assert not any("axes" in text or "mount" in text for text in drive.warnings())
-    assert not [name for name in drive.estimator.counts if name.startswith("imu:")]
+    assert not [name for name in drive.estimator.inputs.counts if name.startswith("imu:")]
 
 
 def set_covariance(drive: Drive, values: np.ndarray, kind: int) -> None:
@@ -135,7 +135,7 @@ def test_fixes_that_wait_for_the_filter_do_not_make_the_input_suspect() -> None:
     drive = Drive()
     drive.play(0.0, 10.0)
 
-    assert drive.estimator.counts["gnss: aligning"] > 0
+    assert drive.estimator.inputs.counts["gnss: aligning"] > 0
     assert (drive.status("input").level, drive.status("input").text) == (0, "all input used")
 
 
@@ -177,5 +177,5 @@ def test_restarts_again_and_again_do_not_fill_the_log() -> None:
         drive.play(1.0, 1.1)
 
     told = [text for text in drive.warnings() if "stamps went back" in text]
-    assert drive.estimator.counts["restart: the IMU's stamps went back"] == 59
+    assert drive.estimator.inputs.counts["restart: the IMU's stamps went back"] == 59
     assert len(told) == 10

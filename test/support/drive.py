@@ -78,4 +78,4 @@ class Drive:
 
     def status(self, name: str) -> Any:
         t_ns = self.estimator.navigator.last_ns
-        return next(s for s in self.estimator.diagnostics(t_ns) if s.name.endswith(name))
+        return next(s for s in self.estimator.status.diagnostics(t_ns) if s.name.endswith(name))

@@ -19,6 +19,7 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 from tools.paper.runs import Run
 
 Q = np.repeat([4e-4, 4e-6], 3)
@@ -92,7 +93,8 @@ def through_estimator(
     stamps, start = run.samples["t_ns"], 0
     for f in run.fixes:
         stop = int(np.searchsorted(stamps, f.t_ns + round(late * 1e9), side="right"))
-        estimator.handle_imu_block(
+        handle_imu_block(
+            estimator,
             stamps[start:stop],
             run.samples["f"][start:stop] @ FLIP,
             run.samples["w"][start:stop] @ FLIP,

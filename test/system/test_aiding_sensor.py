@@ -13,6 +13,7 @@ from support.paths import ROOT
 from hybrid_ins import parameters
 from hybrid_ins.core.aiding_measurements import BarometricHeight
 from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.imu_block import handle_imu_block
 
 BLOCKS = 5
 
@@ -82,28 +83,28 @@ def test_a_bad_first_reading_is_counted_and_ends_nothing(example: dict[str, Any]
         estimator.handle_pressure(bad)
     estimator.run_periodic()
 
-    assert estimator.counts["baro: no pressure"] == 4
-    assert estimator.counts["baro: zero stamp"] == 2
+    assert estimator.inputs.counts["baro: no pressure"] == 4
+    assert estimator.inputs.counts["baro: zero stamp"] == 2
     assert any(line.startswith("baro/pressure: ") for line in log)
-    assert estimator.fixes_fused == 0
+    assert estimator.reporter.fixes_fused == 0
 
 
 def test_readings_without_fixes_stay_dead_reckoning(example: dict[str, Any]) -> None:
     """GIVEN a filter without fixes WHEN the barometer goes on THEN it is not GNSS that is fused."""
     estimator, stamped = example["estimator"], example["stamped"]
-    start_ns, fused = estimator.navigator.last_ns, estimator.fixes_fused
+    start_ns, fused = estimator.navigator.last_ns, estimator.reporter.fixes_fused
 
     for k in range(1, 100):
         t_ns = start_ns + k * 10**8 + np.arange(-9, 1, dtype=np.int64) * 10**7
-        estimator.handle_imu_block(t_ns, np.tile([0.0, 0.0, 9.797], (10, 1)), np.zeros((10, 3)))
+        handle_imu_block(estimator, t_ns, np.tile([0.0, 0.0, 9.797], (10, 1)), np.zeros((10, 3)))
         estimator.handle_pressure(
             stamped(int(t_ns[-1]), fluid_pressure=101325.0 - 12.0, variance=13.0)
         )
     estimator.handle_pressure(stamped(int(t_ns[-1]) - 1, fluid_pressure=9e4, variance=13.0))
     estimator.run_periodic()
 
-    status = estimator.diagnostics(estimator.navigator.last_ns)[0]
-    assert estimator.fixes_fused == fused
+    status = estimator.status.diagnostics(estimator.navigator.last_ns)[0]
+    assert estimator.reporter.fixes_fused == fused
     assert "dead reckoning" in status.text
-    assert estimator.counts["baro: innovation beyond the gate"] == 1
-    assert not any(name.startswith("gnss: innovation") for name in estimator.counts)
+    assert estimator.inputs.counts["baro: innovation beyond the gate"] == 1
+    assert not any(name.startswith("gnss: innovation") for name in estimator.inputs.counts)

@@ -24,9 +24,9 @@ LOADED = """
 import numpy as np
 from hybrid_ins import kernel_cache
 kernel_cache.enable()
-from hybrid_ins.ros import imu_input
-imu_input.end_of_stretch(np.arange(1), np.ones((1, 3)), np.ones((1, 3)), 0, 0, 1, 2, 9.0, 9.0)
-stats = imu_input.end_of_stretch.stats
+from hybrid_ins.ros import imu_admission
+imu_admission.end_of_stretch(np.arange(1), np.ones((1, 3)), np.ones((1, 3)), 0, 0, 1, 2, 9.0, 9.0)
+stats = imu_admission.end_of_stretch.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
 
@@ -64,7 +64,7 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     with BagReader(bag) as source, BagWriter(tmp_path / "out.mcap") as out:
         estimator = replay(source, out, parameters.defaults())
 
-    assert estimator.fixes_fused > 100
+    assert estimator.reporter.fixes_fused > 100
     assert min(before.values()) >= 1
     assert compiled() == before
 

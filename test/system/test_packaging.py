@@ -246,8 +246,8 @@ for k in range(1, 1500):
     if k % 20 == 0:
         set_stamp(fix.header.stamp, k * 10_000_000)
         estimator.handle_fix(fix)
-assert estimator.aligned and estimator.fixes_fused > 10
-print([s for s in estimator.diagnostics(15 * 10**9) if s.name.endswith("process noise")])
+assert estimator.aligned and estimator.reporter.fixes_fused > 10
+print([s for s in estimator.status.diagnostics(15 * 10**9) if s.name.endswith("process noise")])
 """
 
 

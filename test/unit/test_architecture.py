@@ -33,10 +33,6 @@ NOT_FOR_EVERYONE = {
 
 
 LONG_FILES = {"hybrid_ins.parameters.declared"}
-LONG_CLASSES = {
-    "hybrid_ins.core.ins_filter.InsFilter",
-    "hybrid_ins.ros.estimator.Estimator",
-}
 
 
 def imports(module: str) -> frozenset[str]:
@@ -91,7 +87,7 @@ def test_no_import_goes_in_a_circle() -> None:
 
 def test_no_more_files_and_classes_are_long() -> None:
     assert not structure.long_files(MODULES)
-    assert set(structure.long_classes(MODULES)) <= LONG_CLASSES
+    assert not structure.long_classes(MODULES)
 
 
 def test_an_imu_message_is_a_few_steps_from_the_covariance_equation() -> None:
@@ -99,8 +95,8 @@ def test_an_imu_message_is_a_few_steps_from_the_covariance_equation() -> None:
 
     assert road[0] == "ros/live_estimator.py: _on_imu"
     assert road[-1] == "core/_covariance_step.py: covariance_step"
-    assert len({step.partition(":")[0] for step in road[:-1]}) <= 6
-    assert len(road) <= 8
+    assert len({step.partition(":")[0] for step in road[:-1]}) <= 5
+    assert len(road) <= 7
 
 
 def test_a_cycle_and_what_is_too_long_are_found(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from hybrid_ins.resources import share_path
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.smoothed import smoothed_run
 from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 from hybrid_ins.simulation.sensors import RTK_STD
@@ -256,8 +257,8 @@ def fly(
         if stop > start:
             done += [
                 (t, v)
-                for t, v, _ in estimator.handle_imu_block(
-                    flight.stamp_ns[start:stop], force[start:stop], rate[start:stop]
+                for t, v, _ in handle_imu_block(
+                    estimator, flight.stamp_ns[start:stop], force[start:stop], rate[start:stop]
                 )
             ]
             start = stop
@@ -268,8 +269,8 @@ def fly(
         estimator.pop_reports()
     done += [
         (t, v)
-        for t, v, _ in estimator.handle_imu_block(
-            flight.stamp_ns[start:], force[start:], rate[start:]
+        for t, v, _ in handle_imu_block(
+            estimator, flight.stamp_ns[start:], force[start:], rate[start:]
         )
     ]
 

@@ -28,6 +28,7 @@ from hybrid_ins.core.state import DP, LLA, PLACES, SENSITIVITY, covariance
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -152,7 +153,7 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
         try:
             for k in range(len(gnss.t)):
                 stop = int(np.searchsorted(stamps, _stamps(gnss.t[k]), side="right"))
-                estimator.handle_imu_block(stamps[start:stop], force[start:stop], rate[start:stop])
+                handle_imu_block(estimator, stamps[start:stop], force[start:stop], rate[start:stop])
                 start = stop
                 stamp = int(_stamps(gnss.t[k] - offset))
                 conversions.set_stamp(fix.header.stamp, stamp)
@@ -168,9 +169,9 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
         except (ValueError, ZeroDivisionError) as error:
             failure = f"{error} at {gnss.t[k]:.0f} s"
             break
-        estimator.handle_imu_block(stamps[start:], force[start:], rate[start:])
+        handle_imu_block(estimator, stamps[start:], force[start:], rate[start:])
     columns = np.array(rows).T
-    return Day(*columns[:4], columns[4:7].T, *columns[7:], estimator.summary(), failure)
+    return Day(*columns[:4], columns[4:7].T, *columns[7:], estimator.status.summary(), failure)
 
 
 def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:

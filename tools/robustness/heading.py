@@ -27,6 +27,7 @@ from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, car_drive, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
@@ -113,8 +114,8 @@ def estimate(case: Case, yaw: float | None) -> Found:
     done, start = [], 0
     for k, fix_ns in enumerate(case.fix_ns.tolist()):
         stop = int(np.searchsorted(case.stamp_ns, fix_ns, side="right"))
-        done += estimator.handle_imu_block(
-            case.stamp_ns[start:stop], case.force[start:stop], case.rate[start:stop]
+        done += handle_imu_block(
+            estimator, case.stamp_ns[start:stop], case.force[start:stop], case.rate[start:stop]
         )
         start = stop
         conversions.set_stamp(message.header.stamp, fix_ns)

@@ -19,6 +19,7 @@ from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.trajectory import Array
 from tools.vehicles.aiding import Aiding
 from tools.vehicles.drives import Drive
@@ -96,8 +97,8 @@ def run(
             part = slice(start, stop)
             done.extend(
                 (block.t_ns, block.in_map)
-                for block in estimator.handle_imu_block(
-                    drive.imu_ns[part], drive.force[part], drive.rate[part]
+                for block in handle_imu_block(
+                    estimator, drive.imu_ns[part], drive.force[part], drive.rate[part]
                 )
             )
             start = stop

@@ -98,9 +98,9 @@ def ends(
     starts = begins(drive)
     out = np.any([(t > start) & (t < start + LENGTH) for start in starts], axis=0)
     estimator, t_ns, rows = run(drive.thinned(~out), values, log, aiding)
-    if len(t_ns) < 2 or estimator.map_frame is None:
+    if len(t_ns) < 2 or estimator.odometry.map is None:
         return []
-    truth = LocalFrame(estimator.map_frame.datum_lla).position(drive.truth_lla) @ SWAP
+    truth = LocalFrame(estimator.odometry.map.datum_lla).position(drive.truth_lla) @ SWAP
     found = []
     truth_t = (drive.truth_ns - drive.imu_ns[0]) * 1e-9
     for start in starts:

@@ -394,7 +394,7 @@ class Standing:
     @property
     def told(self) -> dict[str, str]:
         """The diagnostics of the process noise."""
-        statuses = self.estimator.diagnostics(self.t_ns)
+        statuses = self.estimator.status.diagnostics(self.t_ns)
         status = next(s for s in statuses if "noise" in s.name)
         return {"message": status.text, **dict(status.values)}
 

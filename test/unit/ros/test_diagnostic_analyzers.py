@@ -11,7 +11,7 @@ def test_analyzers_find_every_status() -> None:
     group = section["ros__parameters"]["analyzers"]["navigation"]
     (analyzer,) = group["analyzers"].values()
 
-    statuses = Drive().estimator.diagnostics(1)
+    statuses = Drive().estimator.status.diagnostics(1)
 
     assert len(statuses) >= 4
     for status in statuses:

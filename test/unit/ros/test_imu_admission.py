@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hybrid_ins.ros.imu_input import end_of_stretch, is_usable, refusal
+from hybrid_ins.ros.imu_admission import end_of_stretch, is_usable, refusal
 
 MAX_FORCE, MAX_RATE = 100.0, 10.0
 LEVEL, STILL = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)

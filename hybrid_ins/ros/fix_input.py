@@ -1,0 +1,82 @@
+"""
+Messages of the receiver into measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.ros.clock_correction import ClockCorrection
+from hybrid_ins.ros.conversions import GnssInput, Message, Refused
+from hybrid_ins.ros.filter_factory import FilterFactory
+from hybrid_ins.ros.flood_guard import FloodGuard
+from hybrid_ins.ros.sensor_placement import SensorPlacement
+
+
+class FixInput:
+    """
+    Converts fixes by the parameters, the placement and the clock offset in force.
+
+    Parameters
+    ----------
+    values : mapping
+        The parameters in force: they may change.
+    navigator : Navigator
+    parts : FilterFactory
+        How late fixes may be depends on the clock offset.
+    placement : SensorPlacement
+        Where the antenna is.
+    clock : ClockCorrection
+        Offset of the fixes' clock.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        parts: FilterFactory,
+        placement: SensorPlacement,
+        clock: ClockCorrection,
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._parts = parts
+        self._placement = placement
+        self._clock = clock
+        self._flood = FloodGuard()
+        self.configure()
+
+    def configure(self) -> None:
+        """Use the present parameters, placement and clock offset."""
+        self._parts.set_clock_offset(self._clock.offset)
+        for running in self._navigator.phases.filters:
+            running.change_settings(self._parts.settings)
+        self._gnss = replace(
+            GnssInput.from_parameters(self._values),
+            lever_b=self._placement.lever_b,
+            time_offset=self._clock.offset,
+        )
+
+    def follow_clock(self) -> None:
+        """Use the present clock offset, where it has changed."""
+        if self._clock.offset != self._gnss.time_offset:
+            self.configure()
+
+    def position(self, message: Message, received_ns: int | None) -> PositionFix | Refused:
+        """Convert a sensor_msgs/NavSatFix; see `GnssInput.position`."""
+        return self._gnss.position(message, self._by_receipt(received_ns))
+
+    def velocity(self, message: Message, received_ns: int | None) -> Measurement | Refused:
+        """Convert a geometry_msgs/TwistWithCovarianceStamped; see `GnssInput.velocity`."""
+        return self._gnss.velocity(message, self._by_receipt(received_ns))
+
+    def _by_receipt(self, received_ns: int | None) -> int | None:
+        return received_ns if self._values["use_receive_time"] else None
+
+    def admit(self, topic: str, measurement: Measurement) -> Measurement | Refused:
+        """Return a measurement of a topic, or why it is one too many."""
+        return self._flood.check(topic, self._navigator.last_ns) or measurement
