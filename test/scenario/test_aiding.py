@@ -1,46 +1,20 @@
 """Aiding sensors on drives: wheels through an outage, a heading that is wrong, a barometer."""
 
 from dataclasses import replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
+from support.outage_drives import calibrated, drive, recording
 
-from hybrid_ins import parameters
 from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.simulation.vehicles import Recording, record
 from tools.vehicles.aiding import Aiding, barometer, compass, in_order, wheels
-from tools.vehicles.drives import Drive, from_simulation
+from tools.vehicles.drives import Drive
 from tools.vehicles.judge import run
-from tools.vehicles.outages import ends, every_vehicle
-
-VALUES: dict[str, Any] = {
-    "imu.gyroscope_bias_std": [0.004],
-    "imu.accelerometer_bias_std": [0.08],
-    "noise.mode": "constant",
-    "noise.q_accelerometer": 0.02,
-    "noise.q_gyroscope": 1e-4,
-}
-
-
-@cache
-def recording(duration: float) -> Recording:
-    vehicle = replace(every_vehicle()["road car"], duration=duration, imu_rate=50.0)
-    return record(vehicle, 2)
-
-
-@cache
-def drive(duration: float) -> Drive:
-    return from_simulation(recording(duration))
-
-
-def values(**changes: Any) -> dict[str, Any]:
-    return {**parameters.check_all(VALUES), **changes}
+from tools.vehicles.outages import ends
 
 
 def aiding_values(estimator: Estimator, t_ns: int) -> dict[str, str]:
-    return dict(next(s for s in estimator.diagnostics(t_ns) if "aiding" in s.name).values)
+    return dict(next(s for s in estimator.status.diagnostics(t_ns) if "aiding" in s.name).values)
 
 
 def test_wheels_bridge_an_outage_with_their_scale_found() -> None:
@@ -49,10 +23,10 @@ def test_wheels_bridge_an_outage_with_their_scale_found() -> None:
     WHEN fixes are missing for 60 s
     THEN the error is below 1 % of the distance, and half of that of the constraint alone.
     """
-    aiding = in_order(wheels(recording(230.0), 1.01), barometer(recording(230.0)))
+    aiding = in_order(wheels(recording("road car"), 1.01), barometer(recording("road car")))
 
-    aided = ends(drive(230.0), values(), aiding=aiding)
-    alone = ends(drive(230.0), values(**{"vehicle.kind": "other"}))
+    aided = ends(drive("road car"), calibrated(), aiding=aiding)
+    alone = ends(drive("road car"), calibrated(**{"vehicle.kind": "other"}))
 
     assert aided[-1].error < 0.01 * aided[-1].distance
     assert aided[-1].error < 0.1 * alone[-1].error
@@ -67,20 +41,20 @@ def horizontal(found: Drive, aiding: list[Aiding], until: float) -> tuple[Estima
     cut = replace(found, imu_ns=found.imu_ns[:n], force=found.force[:n], rate=found.rate[:n])
     cut = cut.thinned(cut.arrival_ns < end_ns)
     aiding = [one for one in aiding if one.arrival_ns < end_ns]
-    return run(cut, values(), lambda _, text: log.append(text), aiding)[0], log
+    return run(cut, calibrated(), lambda _, text: log.append(text), aiding)[0], log
 
 
 def test_scale_and_offset_are_in_the_diagnostics_and_nothing_counts_as_a_fix() -> None:
-    aiding = in_order(wheels(recording(230.0), 1.01), barometer(recording(230.0)))
+    aiding = in_order(wheels(recording("road car"), 1.01), barometer(recording("road car")))
 
-    estimator, log = horizontal(drive(230.0), aiding, 125.0)
-    plain, _ = horizontal(drive(230.0), [], 125.0)
+    estimator, log = horizontal(drive("road car"), aiding, 125.0)
+    plain, _ = horizontal(drive("road car"), [], 125.0)
 
     found = aiding_values(estimator, estimator.navigator.last_ns)
     assert (found["velocity"], found["baro"], found["heading"]) == ("aiding", "aiding", "absent")
     assert float(found["velocity_scale"]) == pytest.approx(1.01, abs=0.003)
     assert float(found["baro_offset"]) == pytest.approx(30.0, abs=3.0)
-    assert estimator.fixes_fused == plain.fixes_fused
+    assert estimator.reporter.fixes_fused == plain.reporter.fixes_fused
     assert any("velocity agrees with the motion" in line for line in log)
     best, other = estimator.navigator.filter, plain.navigator.filter
     assert best is not None
@@ -94,10 +68,10 @@ def test_a_wrong_heading_is_found_within_15_s_of_motion_and_does_no_harm() -> No
     WHEN the car has moved for 15 s
     THEN it is refused, and the state is that without it, to the bit.
     """
-    wrong = compass(recording(230.0), np.radians(30.0), np.radians(2.0))
+    wrong = compass(recording("road car"), np.radians(30.0), np.radians(2.0))
 
-    with_it, log = horizontal(drive(230.0), wrong, 10.0 + 2.5 + 15.0)
-    without, _ = horizontal(drive(230.0), [], 10.0 + 2.5 + 15.0)
+    with_it, log = horizontal(drive("road car"), wrong, 10.0 + 2.5 + 15.0)
+    without, _ = horizontal(drive("road car"), [], 10.0 + 2.5 + 15.0)
 
     found = aiding_values(with_it, with_it.navigator.last_ns)
     assert found["heading"] == "refused"
@@ -109,10 +83,10 @@ def test_a_wrong_heading_is_found_within_15_s_of_motion_and_does_no_harm() -> No
 
 
 def test_a_right_heading_is_used() -> None:
-    right = compass(recording(230.0), 0.0, np.radians(2.0))
+    right = compass(recording("road car"), 0.0, np.radians(2.0))
 
-    estimator, _ = horizontal(drive(230.0), right, 60.0)
+    estimator, _ = horizontal(drive("road car"), right, 60.0)
 
     found = aiding_values(estimator, estimator.navigator.last_ns)
     assert found["heading"] == "aiding"
-    assert not any(name.startswith("heading: innovation") for name in estimator.counts)
+    assert not any(name.startswith("heading: innovation") for name in estimator.inputs.counts)

@@ -2,42 +2,23 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
+from support.outage_drives import calibrated, drive
 
 from hybrid_ins import parameters
 from hybrid_ins.ros.vehicle_input import VehicleInput
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import record
 from tools.vehicles.constraint import row
-from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import run
-from tools.vehicles.outages import End, ends, every_vehicle
-
-CALIBRATED = {
-    "imu.gyroscope_bias_std": [0.004],
-    "imu.accelerometer_bias_std": [0.08],
-    "noise.mode": "constant",
-    "noise.q_accelerometer": 0.02,
-    "noise.q_gyroscope": 1e-4,
-}
-
-
-@cache
-def drive(name: str, seed: int, duration: float) -> Drive:
-    vehicle = replace(every_vehicle()[name], duration=duration, imu_rate=50.0)
-    return from_simulation(record(vehicle, seed))
-
-
-def values(kind: str) -> dict[str, Any]:
-    return {**parameters.check_all(CALIBRATED), "vehicle.kind": kind}
+from tools.vehicles.outages import End, ends
 
 
 @cache
 def found(name: str, kind: str) -> tuple[End, ...]:
-    return tuple(ends(drive(name, 2, 230.0), values(kind)))
+    return tuple(ends(drive(name), calibrated(**{"vehicle.kind": kind})))
 
 
 def test_constraint_bridges_an_outage() -> None:
@@ -58,7 +39,7 @@ def states(name: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> list[tuple[
     """Return time [s], whether the constraint holds, and whether it is fused."""
     seen: list[tuple[float, bool, bool]] = []
     run_periodic = VehicleInput.run_periodic
-    whole = drive(name, 2, 230.0)
+    whole = drive(name)
     start_ns = int(whole.imu_ns[0])
 
     def observed(self: VehicleInput, t_ns: int) -> None:
@@ -67,7 +48,7 @@ def states(name: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> list[tuple[
             seen.append(((t_ns - start_ns) * 1e-9, self.observer.holds, self.fused))
 
     monkeypatch.setattr(VehicleInput, "run_periodic", observed)
-    run(whole, values(kind))
+    run(whole, calibrated(**{"vehicle.kind": kind}))
     return seen
 
 
@@ -117,7 +98,7 @@ def test_the_new_vehicles_move_as_they_say() -> None:
 
 
 def test_the_table_says_for_how_long_the_constraint_was_held() -> None:
-    rolling, sliding = row(drive("road car", 2, 230.0)), row(drive("car on ice", 2, 230.0))
+    rolling, sliding = row(drive("road car")), row(drive("car on ice"))
 
     assert float(rolling.split("|")[2].removesuffix(" % ")) > 50.0
     assert "| 0 % | 0 | - |" in sliding
