@@ -37,7 +37,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def messages(flight: Flight) -> list[str]:
-    return [f"{e.log_ns} {e.topic} {e.message}" for e in flight.entries]
+    return [f"{e.log_ns} {e.topic} {e.data!r}" for e in flight.entries]
 
 
 def test_names_are_unique_and_those_chosen_exist() -> None:
@@ -94,7 +94,7 @@ def test_an_exception_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(fault_campaign, "replayed", crash)
 
-    row = fault_campaign.attempt(CASE, FAULTS[0].name, CLEAN)
+    row = fault_campaign.attempt(CASE, FAULTS[0].name, [CLEAN])
 
     assert row.failures[0] == "crash: ZeroDivisionError: of the test"
 

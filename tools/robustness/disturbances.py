@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_ins.bags.messages import TYPES as ROS_TYPES
 from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
@@ -25,11 +26,26 @@ TYPES = {
 
 @dataclass(slots=True)
 class Entry:
-    """One message of a recording."""
+    """One message of a recording, decoded where a fault reads it."""
 
     log_ns: int
     topic: str
-    message: Message | bytes  # bytes: as they are
+    type_name: str
+    content: Message | bytes
+
+    @property
+    def message(self) -> Message:
+        """The message object; what changes in it is written."""
+        if isinstance(self.content, bytes):
+            self.content = ROS_TYPES.deserialize_cdr(self.content, self.type_name)
+        return self.content
+
+    @property
+    def data(self) -> bytes:
+        """The bytes as they are written."""
+        if isinstance(self.content, bytes):
+            return self.content
+        return bytes(ROS_TYPES.serialize_cdr(self.content, self.type_name))
 
 
 @dataclass
@@ -60,16 +76,16 @@ class Flight:
     def read(cls, path: Path, start: float, duration: float, seed: int = 0) -> Flight:
         """Read a bag; the fault lasts from ``start`` for ``duration`` [s]."""
         with BagReader(path) as bag:
+            types = {**bag.topics, **TYPES}
             entries = [
-                Entry(log_ns, topic, message)
-                for topic, log_ns, message in bag.messages()
+                Entry(log_ns, topic, types[topic], bytes(data))
+                for topic, log_ns, data in bag.raw()
                 if topic in (IMU, FIX, VELOCITY) or topic.startswith("/truth/")
             ]
             origin = bag.start_ns
-            types = dict(bag.topics)
         return cls(
             entries,
-            {**types, **TYPES},
+            types,
             origin,
             origin + round(start * 1e9),
             origin + round((start + duration) * 1e9),
@@ -80,11 +96,7 @@ class Flight:
         """Write the bag in order of log time."""
         with BagWriter(path, overwrite=True) as bag:
             for entry in sorted(self.entries, key=lambda e: e.log_ns):
-                if isinstance(entry.message, bytes):
-                    kind = self.types[entry.topic]
-                    bag.write_raw(entry.topic, kind, entry.message, entry.log_ns)
-                else:
-                    bag.write(entry.topic, entry.message, entry.log_ns)
+                bag.write_raw(entry.topic, entry.type_name, entry.data, entry.log_ns)
 
     def within(self, topic: str) -> Iterator[Entry]:
         """Yield the entries of a topic that the fault is to change."""
@@ -105,7 +117,7 @@ class Flight:
 
     def insert(self, topic: str, log_ns: int, message: Message | bytes) -> None:
         """Add a message."""
-        self.entries.append(Entry(log_ns, topic, message))
+        self.entries.append(Entry(log_ns, topic, self.types[topic], message))
 
     def sort(self) -> None:
         """Bring the entries into the order of their log times."""

@@ -9,6 +9,8 @@ of the sensors' noise.
 from __future__ import annotations
 
 import argparse
+import datetime
+import itertools
 import logging
 import math
 import os
@@ -16,7 +18,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -59,9 +61,9 @@ class Case:
     others: tuple[Path, ...] = ()
 
     @property
-    def variants(self) -> list[Case]:
-        """The flight with each of the other draws of noise."""
-        return [replace(self, bag=bag, others=()) for bag in self.others]
+    def draws(self) -> list[Case]:
+        """The flight with each draw of noise."""
+        return [replace(self, bag=bag, others=()) for bag in (self.bag, *self.others)]
 
 
 @dataclass(frozen=True)
@@ -159,23 +161,22 @@ def _origin(case: Case) -> int:
         return bag.start_ns
 
 
-def attempt(case: Case, name: str, clean: Trace) -> Row:
-    """Run one fault; an exception is a result."""
+def attempt(case: Case, name: str, clean: Sequence[Trace]) -> Row:
+    """Run one fault, with the undisturbed run of each draw; an exception is a result."""
     fault = next(fault for fault in FAULTS if fault.name == name)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            row = judge(fault, case, replayed(case, fault, Path(folder)), clean)
-            return _with_others(row, case, fault, Path(folder))
+            rows = [
+                judge(fault, draw, replayed(draw, fault, Path(folder)), undisturbed)
+                for draw, undisturbed in zip(case.draws, clean, strict=True)
+            ]
         except Exception:  # whatever ends a run is what is looked for
             return _crashed(fault, case)
+    return _over_draws(rows, fault)
 
 
-def _with_others(row: Row, case: Case, fault: Fault, folder: Path) -> Row:
-    """Take the RMS over several draws of noise: the errors of one flight are few independent."""
-    rows = [row] + [
-        judge(fault, other, replayed(other, fault, folder), replayed(other, None, folder).trace)
-        for other in case.variants
-    ]
+def _over_draws(rows: Sequence[Row], fault: Fault) -> Row:
+    """Take the RMS over the draws of noise: the errors of one flight are few independent."""
     clean, error = (
         float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in rows])))
         for name in ("clean", "error")
@@ -184,7 +185,7 @@ def _with_others(row: Row, case: Case, fault: Fault, folder: Path) -> Row:
     if not (fault.silent or fault.unusable) and not error <= WORSE * clean:
         failures.append(_too_large(error, clean) + f", RMS of {len(rows)} draws of noise")
     return replace(
-        row,
+        rows[0],
         clean=clean,
         error=error,
         peak=max(r.peak for r in rows),
@@ -323,15 +324,16 @@ def _cell(row: Row | None) -> str:
     return f"{row.peak:.2f}, {row.error:.3f} ({row.clean:.3f})"
 
 
-def report(rows: Sequence[Row], command: str, seconds: float, draws: int) -> str:
-    """Return the page for the documentation."""
+def report(rows: Sequence[Row], planned: int, command: str, seconds: float, draws: int) -> str:
+    """Return the page for the documentation, of the runs so far."""
     failed = sum(bool(row.failures) for row in rows)
+    failures = [f"- {row.fault} ({row.case}): {text}" for row in rows for text in row.failures]
     return f"""# Fault campaign
 
 Named faults, each injected into a simulated flight (60 s, a quadrotor with vibration of 0.3 m/s²
 and 0.01 rad/s, 200 Hz, fixes at 5 Hz) and into a recorded one. Both are replayed by the node's
-estimator with the default parameters and no heading given, with {draws} draws of the sensors' noise
-each; with `--live` all are also played into the live node over DDS. Every run must
+estimator with the default parameters and no heading given, with {draws} draw(s) of the sensors'
+noise each; with `--live` all are also played into the live node over DDS. Every run must
 
 - end without an exception,
 - publish no NaN, and positive definite covariances only,
@@ -344,10 +346,10 @@ each; with `--live` all are also played into the live node over DDS. Every run m
 
     {command}
 
-{len(rows)} runs, {failed} failed, {seconds:.0f} s.
+{datetime.date.today()}: {len(rows)} of {planned} runs, {failed} failed, {seconds:.0f} s.
 
 {table(rows)}
-"""
+""" + "".join(f"{line}\n" for line in ("", *failures) if failures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -405,12 +407,23 @@ def _body(args: argparse.Namespace) -> int:
         if args.flight:
             given = args.flight, args.imu, args.time_offset
             cases.append(make_recorded(Path(folder), *given, args.draws))
-        clean = {case.name: replayed(case, None, Path(folder)).trace for case in cases}
+        clean = {
+            case.name: [replayed(draw, None, Path(folder)).trace for draw in case.draws]
+            for case in cases
+        }
         runs = [(case, fault.name, clean[case.name]) for fault in faults for case in cases]
-        results = run_parallel(attempt, runs, args.jobs)
-        rows += progress.track(results, "faults", len(runs), "run")
+        results: Iterable[Row] = run_parallel(attempt, runs, args.jobs)
+        planned = len(runs)
         if args.live:
-            rows += _live(faults, cases, clean, Path(folder))
+            planned += len(faults)
+            live = _live(faults, cases[-1], clean[cases[-1].name][0], Path(folder))
+            results = itertools.chain(results, live)
+        for row in progress.track(results, "faults", planned, "run"):
+            rows.append(row)
+            if args.report:  # also what an interrupted campaign has found
+                seconds = time.monotonic() - started
+                page = report(rows, planned, args.command, seconds, args.draws)
+                args.report.write_text(page, encoding="utf-8")
     print(table(rows))
     for row in rows:
         for failure in row.failures:
@@ -418,20 +431,12 @@ def _body(args: argparse.Namespace) -> int:
     failed = sum(bool(row.failures) for row in rows)
     seconds = time.monotonic() - started
     print(f"{len(rows)} runs of {len(faults)} faults, {failed} failed, {seconds:.0f} s")
-    if args.report:
-        args.report.write_text(report(rows, args.command, seconds, args.draws), encoding="utf-8")
     return int(failed > 0)
 
 
-def _live(
-    faults: Sequence[Fault], cases: Sequence[Case], clean: Mapping[str, Trace], folder: Path
-) -> list[Row]:
+def _live(faults: Sequence[Fault], case: Case, clean: Trace, folder: Path) -> Iterator[Row]:
     os.environ.update(isolated_ros())
-    case = cases[-1]
-    return [
-        attempt_live(case, fault, clean[case.name], folder)
-        for fault in progress.track(faults, "live", len(faults), "run")
-    ]
+    return (attempt_live(case, fault, clean, folder) for fault in faults)
 
 
 if __name__ == "__main__":
