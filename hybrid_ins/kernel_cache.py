@@ -145,7 +145,8 @@ def _places() -> Iterator[Path]:
     if config.CACHE_DIR:
         yield Path(config.CACHE_DIR)
     yield _package_place()
-    yield Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "hybrid_ins"
+    with suppress(RuntimeError):  # neither HOME nor an entry in passwd
+        yield Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "hybrid_ins"
     yield _temporary_place()
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins import kernels, progress
+from hybrid_ins import kernels, parameters, progress
 from hybrid_ins.bags.messages import (
     FIX,
     INITIAL_POSE,
@@ -270,7 +270,7 @@ class _Replay:
                 self._verdicts.append((known_ns, report))
 
     def _write_report(self, report: Report, log_ns: int) -> None:
-        message = to_message(report, new_message)
+        message = to_message(report, new_message, f"/{parameters.NODE_NAME}")
         self._out.write("/" + report.topic.lstrip("/"), message, log_ns)
 
     def smooth(self, record: RunRecord) -> None:

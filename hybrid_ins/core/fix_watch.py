@@ -24,8 +24,17 @@ class FixWatch:
     """
 
     def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the fixes before a restart: stamps may have gone back."""
         self._fix_ns = 0  # stamp of the last fix that was fused
         self._aided_ns = NEVER_NS  # since when there is no outage
+
+    def on_start(self, t_ns: int) -> None:
+        """Note that the filter runs since a stamp [ns]: it starts from a fix."""
+        if not self.started:
+            self._fix_ns = self._aided_ns = t_ns
 
     @property
     def started(self) -> bool:

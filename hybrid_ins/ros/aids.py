@@ -61,6 +61,7 @@ class Aids:
 
     def restart(self) -> None:
         """Restart, as the filter did."""
+        self._fixes.restart()
         self.vehicle.restart()
         self.sources.restart()
 
@@ -73,6 +74,8 @@ class Aids:
 
     def run_periodic(self, t_ns: int) -> list[Report]:
         """Do what is due at a stamp [ns]; return what is to be published."""
+        if self._navigator.filter is not None:
+            self._fixes.on_start(t_ns)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)
         changed = self._validity.changed(t_ns)

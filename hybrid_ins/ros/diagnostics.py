@@ -75,13 +75,13 @@ def filter_status(
     """
     Return how the filter is at a stamp [ns].
 
-    ``fused_ns`` is the stamp of the last fix that was fused, 0 before the first; ``waiting_for``
-    tells what alignment lacks.
+    ``fused_ns`` is the stamp of the last fix that was fused, or 0 where the filter just started
+    from one; ``waiting_for`` tells what alignment lacks.
     """
     running = navigator.filter
     if running is None:
         return _alignment_status(navigator, waiting_for)
-    since = (t_ns - fused_ns) * 1e-9 if fused_ns else math.inf
+    since = (t_ns - fused_ns) * 1e-9 if fused_ns else 0.0
     sigma = total_std(running.nav)
     outage = since > DEAD_RECKONING_AFTER
     text = (

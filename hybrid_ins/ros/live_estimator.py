@@ -20,6 +20,7 @@ from geometry_msgs.msg import (
     TwistWithCovarianceStamped,
 )
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -47,6 +48,7 @@ from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.geographic_services import GeographicServices
 from hybrid_ins.ros.message_types import LATCHED, OUTPUTS, fill_transforms
+from hybrid_ins.ros.node_arguments import reason_of
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
@@ -82,8 +84,8 @@ def _about(topic: str) -> Iterator[None]:
     """Name the topic that rclpy cannot create."""
     try:
         yield
-    except RuntimeError as error:
-        raise InputError(f"{topic}: {error}") from None
+    except (RuntimeError, ParameterException) as error:
+        raise InputError(f"{topic}: {reason_of(error)}: check qos_overrides") from None
 
 
 def _answering(action: Callable[[], str], guard: CallbackGuard) -> Callable[[Any, Any], Any]:
@@ -138,7 +140,7 @@ class LiveEstimator:
         self._geographic: GeographicServices | None = None
         self._warm_start = WarmStart(self.estimator, values)
         self._warm_start.load_at_start()
-        self._topics = OutputTopics(values, new_message, node.get_namespace())
+        self._topics = OutputTopics(values, new_message, node.get_namespace(), node.get_name())
         self._transforms: Any = None
         self._transform_publisher: Any = None
 

@@ -43,7 +43,7 @@ OUTPUTS = {
 LATCHED = ("datum", "validity")  # topics whose last message late subscribers get
 
 
-def to_message(report: Report, new: NewMessage) -> Message:
+def to_message(report: Report, new: NewMessage, hardware_id: str = "") -> Message:
     """
     Return the message of a report.
 
@@ -52,14 +52,16 @@ def to_message(report: Report, new: NewMessage) -> Message:
     report : Report
     new : callable
         Given the name of a type, returns an empty message of it, as `bags.bag.new_message`.
+    hardware_id : str
+        Of a status: what it is about.
     """
     content = report.content
     if isinstance(content, Status):
-        return _status(content, new)
+        return _status(content, new, hardware_id)
     message = new(OUTPUTS[report.topic])
     set_stamp(message.header.stamp, content.t_ns)
     if isinstance(content, Diagnostics):
-        message.status = [_status(status, new) for status in content.statuses]
+        message.status = [_status(status, new, hardware_id) for status in content.statuses]
         return message
     message.header.frame_id = content.frame_id
     if isinstance(content, Position):
@@ -82,11 +84,12 @@ def _set(vector: Message, xyz: Any) -> None:
     vector.x, vector.y, vector.z = xyz.tolist()
 
 
-def _status(status: Status, new: NewMessage) -> Message:
+def _status(status: Status, new: NewMessage, hardware_id: str) -> Message:
     message = new(STATUS)
     # The level is a byte: a number in a bag's message, bytes in rclpy's.
     message.level = bytes([status.level]) if isinstance(message.level, bytes) else status.level
     message.name, message.message = status.name, status.text
+    message.hardware_id = hardware_id
     message.values = [_key_value(key, value, new) for key, value in status.values]
     return message
 

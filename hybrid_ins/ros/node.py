@@ -280,7 +280,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 time.sleep(0.01)  # it may come again at once
     except ExternalShutdownException:
         pass
-    except (InputError, ParameterException) as error:
+    except (InputError, ParameterException, RCLError) as error:
         return _refuse_start(error)
     finally:
         if node is not None:
@@ -292,10 +292,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _refuse_start(error: Exception) -> int:
     """Print in one line why the node does not start."""
-    line = " ".join(str(error).split())
+    line = node_arguments.reason_of(error)
     if isinstance(error, UnknownROSArgsError):
         line = f"unknown ROS arguments {line}: see ins_node --help"
-    print(f"ins_node: error: {line[:400]}", file=sys.stderr)
+    print(f"ins_node: error: {line}", file=sys.stderr)
     return 2
 
 

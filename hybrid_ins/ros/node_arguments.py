@@ -4,6 +4,7 @@ The node's command line as ROS reads it: parameter files and values that ROS wou
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,8 +15,10 @@ import yaml
 
 from hybrid_ins import yaml_reader
 from hybrid_ins.errors import InputError
+from hybrid_ins.resources import shortened
 
 ROS = "--ros-args"
+SOURCE = re.compile(r"\. Error: |,? at /\S+:\d+")  # what rcl adds: where in its C source
 FILE, VALUE = ("--params-file",), ("-p", "--param")
 
 
@@ -64,6 +67,12 @@ def _value(text: str) -> str:
         return text
     same = of_one_type(read)
     return text if repr(same) == repr(read) else f"{name}{separator}{same}"
+
+
+def reason_of(error: Exception) -> str:
+    """Return what ROS says in one line, without places in its C source."""
+    reason = shortened(" ".join(SOURCE.split(str(error))[0].split()), 400)
+    return f"{reason}: set HOME or ROS_LOG_DIR" if "logging directory" in reason else reason
 
 
 def of_one_type(content: Any) -> Any:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
+from hybrid_ins import parameters
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.message_types import LATCHED, NewMessage, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
@@ -37,8 +38,8 @@ class OutputTopics:
         Checked parameters.
     new_message : callable
         See `to_message`.
-    namespace : str
-        That of the node: it tells the statuses of several vehicles apart.
+    namespace, node_name : str
+        Those of the node: names and hardware_id of statuses tell several vehicles apart.
 
     Attributes
     ----------
@@ -47,9 +48,14 @@ class OutputTopics:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], new_message: NewMessage, namespace: str = "/"
+        self,
+        values: Mapping[str, Any],
+        new_message: NewMessage,
+        namespace: str = "/",
+        node_name: str = parameters.NODE_NAME,
     ) -> None:
         self._prefix = prefix_of(namespace)
+        self._hardware_id = f"{namespace.rstrip('/')}/{node_name}"
         self.publishers: dict[str, Publisher] = {}
         self._new_message = new_message
         self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
@@ -110,7 +116,7 @@ class OutputTopics:
         if self._prefix and isinstance(content, Diagnostics):
             named = [s._replace(name=self._prefix + s.name) for s in content.statuses]
             report = replace(report, content=replace(content, statuses=named))
-        return to_message(report, self._new_message)
+        return to_message(report, self._new_message, self._hardware_id)
 
 
 def prefix_of(namespace: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import logging
 import math
-import re
 import struct
 import sys
 import threading
@@ -32,6 +31,7 @@ from rosgraph_msgs.msg import Clock
 
 from hybrid_ins import progress
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros import node_arguments
 
 try:
     from rclpy.experimental import EventsExecutor as Executor
@@ -81,8 +81,7 @@ def started_node(ros_args: Sequence[str]) -> Iterator[Node]:
     except UnknownROSArgsError as error:
         raise InputError(f"unknown ROS arguments: {error}") from None
     except (RCLError, RCLInvalidROSArgsError) as error:
-        reason = re.split(r"\. Error: |, at /", str(error))[0]  # what follows is rcl's source
-        raise InputError(" ".join(reason.split())) from None
+        raise InputError(node_arguments.reason_of(error)) from None
     finally:
         rclpy.try_shutdown()
 

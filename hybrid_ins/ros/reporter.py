@@ -50,7 +50,7 @@ class Reporter:
     fixes_fused : int
         Measurements that the filter fused.
     fused_ns : int
-        Stamp of the last of them [ns].
+        Stamp of the last of them, or of the alignment [ns]; 0 after a restart.
     ever_aligned : bool
         The filter ran at some time.
     """
@@ -60,14 +60,14 @@ class Reporter:
         self._navigator = navigator
         self._inputs = inputs
         self._reports: list[Report] = []
-        self.fixes_fused = self.fused_ns = 0
+        self.fixes_fused = 0
         self.ever_aligned = False
         self.restart()
 
     def restart(self) -> None:
         """Announce the filter again once it runs, and send diagnostics at once."""
         self._announced = False
-        self._diagnostics_ns = 0
+        self._diagnostics_ns = self.fused_ns = 0
 
     def pop(self) -> Sequence[Report]:
         """Return what is to be published since the last call."""
@@ -132,6 +132,7 @@ class Reporter:
             return
         if not self._announced and self._navigator.filter is not None:
             self._announced = self.ever_aligned = True
+            self.fused_ns = self.fused_ns or t_ns
             sigma = math.degrees(total_std(running.nav)[8])
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
         has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER

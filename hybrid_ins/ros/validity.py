@@ -4,7 +4,6 @@ What is claimed of position, velocity and heading, in one word each.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from enum import Enum
 from typing import Any
@@ -25,10 +24,11 @@ class Validity(Enum):
 
     GOOD = "good"  # fixes come, and σ is within its limit
     COASTING = "coasting"  # no fixes; σ is within its limit
-    LOST = "lost"  # σ is beyond its limit, or there is no estimate
+    WAITING = "waiting"  # there is no estimate yet
+    LOST = "lost"  # σ is beyond its limit, or there is no estimate any more
 
 
-LEVELS = {Validity.GOOD: 0, Validity.COASTING: 1, Validity.LOST: 2}
+LEVELS = {Validity.GOOD: 0, Validity.COASTING: 1, Validity.WAITING: 1, Validity.LOST: 2}
 
 
 class ValidityMonitor:
@@ -48,12 +48,14 @@ class ValidityMonitor:
         self._navigator = navigator
         self._fixes = fixes
         self._reported: tuple[Validity, ...] = ()
+        self._had_estimate = False
 
     def judge(self, t_ns: int) -> tuple[tuple[Validity, ...], list[float]]:
-        """Return the validity of position, velocity and heading at a stamp [ns], and their σ."""
+        """Return the validity of position, velocity and heading at a stamp [ns], and any σ."""
         running = self._navigator.filter
         if running is None:
-            return (Validity.LOST,) * 3, [math.inf] * 3
+            return (Validity.LOST if self._had_estimate else Validity.WAITING,) * 3, []
+        self._had_estimate = True
         sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
         found = [float(np.max(sigma[:2])), float(np.max(sigma[3:5])), float(sigma[8])]
         held = Validity.COASTING if self._fixes.outage(t_ns) else Validity.GOOD
@@ -75,7 +77,7 @@ class ValidityMonitor:
             ", ".join(f"{part} {word}" for part, word in words.items()),
             {
                 **words,
-                **{f"sigma_{part}": value for part, value in zip(PARTS, sigma, strict=True)},
+                **{f"sigma_{part}": value for part, value in zip(PARTS, sigma, strict=False)},
             },
         )
 

@@ -11,6 +11,7 @@ from support.drive import Drive
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.ros.reports import Diagnostics
 
 GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": math.pi / 2 - 0.7}
 
@@ -176,6 +177,33 @@ def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> Non
 
     assert drive.estimator.inputs.counts["gnss: same position while moving"] == 14
     assert drive.error(32.99) < 2.0
+
+
+def test_a_filter_that_just_started_reckons_from_its_first_fix() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 1.3)
+    texts = [
+        status.text
+        for report in drive.estimator.pop_reports()
+        if isinstance(report.content, Diagnostics)
+        for status in report.content.statuses
+    ]
+
+    assert drive.published
+    assert not any("inf" in text.split() or "dead reckoning" in text for text in texts)
+    assert drive.status("filter").text == "aligned, GNSS fused"
+    assert drive.status("validity").text == "position good, velocity good, heading good"
+
+
+def test_an_outage_after_the_clock_went_back_is_one() -> None:
+    drive = Drive(**GIVEN)
+    drive.play(0.0, 10.0)
+    drive.shift_ns = -3600 * 10**9
+    drive.play(10.0, 20.0)
+    drive.play(20.0, 25.0, with_fixes=False)
+
+    assert "dead reckoning for 5 s" in drive.status("filter").text
+    assert "position coasting" in drive.status("validity").text
 
 
 def test_an_outage_says_how_long_and_how_far() -> None:

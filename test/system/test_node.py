@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import subprocess
 import sys
 import time
@@ -351,6 +352,41 @@ def test_parameter_files_mean_what_they_say(
 
     assert list(values[0].double_array_value) == [0.1, 0.0, 0.0]
     assert list(values[1].double_array_value) == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("words", "environment", "complaint"),
+    [
+        (
+            ["-p", "qos_overrides./imu/data.subscription.depth:=text"],
+            {},
+            "imu/data: .*depth' to 'text' .*: check qos_overrides",
+        ),
+        (["-r", "/a//b:=c"], {}, "Couldn't parse remap rule: '-r /a//b:=c'$"),
+        (
+            [],
+            {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"},
+            "enclaves' does not exist.$|security",
+        ),
+    ],
+    ids=["QoS", "remap", "SROS 2"],
+)
+def test_what_ros_refuses_ends_the_start_with_one_line(
+    words: list[str], environment: dict[str, str], complaint: str, tmp_path: Path
+) -> None:
+    (tmp_path / "enclaves").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=os.environ | ENVIRONMENT | environment | {"ROS_SECURITY_KEYSTORE": str(tmp_path)},
+        check=False,
+    )
+
+    assert done.returncode == 2
+    assert re.search(complaint, done.stderr, re.MULTILINE), done.stderr
+    assert "Traceback" not in done.stderr and "internal error" not in done.stderr
 
 
 @pytest.mark.parametrize("word", ["robot.yaml", "--parms-file"])

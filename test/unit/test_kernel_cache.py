@@ -19,3 +19,12 @@ def test_a_folder_that_another_version_removed_is_made_again(
         kernel_cache.mark_complete("filter")
 
     assert kernel_cache.is_complete("filter")
+
+
+def test_without_a_home_there_is_still_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home(_path: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "expanduser", no_home)
+
+    assert list(kernel_cache._places())[-1] == kernel_cache._temporary_place()

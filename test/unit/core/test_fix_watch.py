@@ -37,6 +37,19 @@ def test_an_outage_begins_three_seconds_after_a_fix_and_its_end_shows_for_five()
     assert watch.settled(46 * SECOND)
 
 
+def test_a_filter_starts_from_a_fix_and_a_restart_forgets_fixes_of_another_clock() -> None:
+    watch = FixWatch()
+    watch.on_verdict(verdict(5000.0))
+    watch.restart()
+    assert watch.outage(10 * SECOND)
+
+    watch.on_start(10 * SECOND)
+    watch.on_start(20 * SECOND)
+
+    assert not watch.outage(12 * SECOND)
+    assert watch.outage(14 * SECOND)
+
+
 def test_only_fixes_that_were_fused_count() -> None:
     watch = FixWatch()
     watch.on_verdict(verdict(10.0))

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.node_arguments import for_ros
+from hybrid_ins.ros.node_arguments import for_ros, reason_of
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,27 @@ def test_an_option_without_value_is_named() -> None:
         for_ros(["--params-file"]),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        (
+            "Couldn't parse remap rule: '-r /a//b:=c'. Error: Expecting token or wildcard, "
+            "at /project/src/rcl/arguments.c:1222, at /project/src/rcl/arguments.c:380",
+            "Couldn't parse remap rule: '-r /a//b:=c'",
+        ),
+        (
+            "error creating node: This Fast DDS version doesn't have the security libraries\n"
+            "Please compile Fast DDS, at /src/participant.cpp:364, at /src/rcl/node.c:252",
+            "error creating node: This Fast DDS version doesn't have the security libraries "
+            "Please compile Fast DDS",
+        ),
+        (
+            "Failed to get logging directory, at /project/src/rcl_logging_spdlog.cpp:138",
+            "Failed to get logging directory: set HOME or ROS_LOG_DIR",
+        ),
+    ],
+)
+def test_what_ros_says_is_one_line_without_its_source(said: str, line: str) -> None:
+    assert reason_of(RuntimeError(said)) == line

@@ -74,11 +74,24 @@ def test_the_datum_and_diagnostics_on_demand_need_no_listener() -> None:
     assert "datum" in topics._subscribed
 
 
-def test_statuses_of_a_namespace_begin_with_it() -> None:
+def test_statuses_say_which_vehicle_they_are_of() -> None:
     publisher = Listened(1)
-    topics = OutputTopics(parameters.defaults(), new_message, "/fleet/rover1")
-    topics.publishers["/diagnostics"] = publisher
+    topics = OutputTopics(parameters.defaults(), new_message, "/fleet/rover1", "front_ins")
+    topics.publishers["/diagnostics"] = topics.publishers["gnss/verdict"] = publisher
+    topics.find_subscribers()
 
     topics.publish_diagnostics(1, [Status(0, "hybrid_ins: filter", "fine", [])])
 
-    assert publisher.messages[0].status[0].name == "fleet/rover1: hybrid_ins: filter"
+    topics.publish_all([Report("gnss/verdict", Status(0, "hybrid_ins: gnss", "fused", []), 1)])
+
+    [filter_status], verdict = publisher.messages[0].status, publisher.messages[1]
+    assert filter_status.name == "fleet/rover1: hybrid_ins: filter"
+    assert filter_status.hardware_id == verdict.hardware_id == "/fleet/rover1/front_ins"
+
+
+def test_without_a_namespace_the_hardware_id_is_the_node() -> None:
+    topics, publishers = make(**{"/diagnostics": 1})
+
+    topics.publish_diagnostics(1, [Status(0, "hybrid_ins: filter", "fine", [])])
+
+    assert publishers["/diagnostics"].messages[0].status[0].hardware_id == "/ins_node"

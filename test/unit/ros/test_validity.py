@@ -23,13 +23,13 @@ class Fixes(FixWatch):
 
 
 def monitor(
-    position: float, velocity: float, heading: float, fixes_until: float, running: bool = True
+    position: float, velocity: float, heading: float, fixes_until: float
 ) -> ValidityMonitor:
     nav = np.zeros(N_FLAT)
     sigma = np.repeat([position, velocity, heading, 0.1, 0.1], 3)
     packed = nav[COVARIANCE]
     packed[DIAGONAL] = sigma**2
-    navigator = SimpleNamespace(filter=SimpleNamespace(nav=nav) if running else None)
+    navigator = SimpleNamespace(filter=SimpleNamespace(nav=nav))
     return ValidityMonitor(parameters.defaults(), navigator, Fixes(fixes_until))  # type: ignore[arg-type]
 
 
@@ -54,9 +54,18 @@ def test_each_part_is_judged_by_its_sigma_and_the_fixes(
     )
 
 
-def test_without_a_filter_all_is_lost() -> None:
-    watched = monitor(1.0, 0.1, 0.1, 99.0, running=False)
+def test_before_the_first_alignment_all_waits_and_after_it_all_is_lost() -> None:
+    watched = monitor(1.0, 0.1, 0.1, 99.0)
+    running, watched._navigator.filter = watched._navigator.filter, None
 
+    waiting = watched.status(100 * SECOND)
+    assert waiting.text == "position waiting, velocity waiting, heading waiting"
+    assert waiting.level == 1
+    assert not any(key.startswith("sigma") for key, _ in waiting.values)
+
+    watched._navigator.filter = running
+    watched.judge(100 * SECOND)
+    watched._navigator.filter = None
     assert watched.judge(100 * SECOND)[0] == (LOST, LOST, LOST)
     assert watched.status(100 * SECOND).level == 2
 
