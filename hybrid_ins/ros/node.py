@@ -93,7 +93,10 @@ class InsNode(LifecycleNode):
     def stop(self) -> None:
         """Shut down in order, from any state."""
         if self._live is not None:
-            self.trigger_shutdown()
+            try:
+                self.trigger_shutdown()
+            except RCLError:  # ended within a transition
+                self._discard()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters, load the noise model and the filter, and publish."""
@@ -253,8 +256,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, RCLError, RCLInvalidROSArgsError, UnknownROSArgsError) as error:
         return _refuse_start(error)
     asked_to_stop: Future[None] = Future()
+    starting = True
+
+    def stop(*_: object) -> None:
+        asked_to_stop.set_result(None)
+        if starting:  # nothing else ends a compilation of a minute
+            raise KeyboardInterrupt
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked_to_stop.set_result(None))
+        signal.signal(number, stop)
     node = None
     try:
         node = InsNode()
@@ -267,6 +277,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             node.start()
         else:
             node.get_logger().info("unconfigured: waiting for a lifecycle manager")
+        starting = False
         executor = EventsExecutor()
         executor.add_node(node)
         while rclpy.ok() and not asked_to_stop.done():
@@ -278,11 +289,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             except Exception as error:  # what no callback caught
                 node.on_exception(error)
                 time.sleep(0.01)  # it may come again at once
-    except ExternalShutdownException:
+    except (ExternalShutdownException, KeyboardInterrupt):
         pass
     except (InputError, ParameterException, RCLError) as error:
         return _refuse_start(error)
     finally:
+        starting = False
         if node is not None:
             node.stop()
             node.destroy_node()

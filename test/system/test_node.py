@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -387,6 +388,22 @@ def test_what_ros_refuses_ends_the_start_with_one_line(
     assert done.returncode == 2
     assert re.search(complaint, done.stderr, re.MULTILINE), done.stderr
     assert "Traceback" not in done.stderr and "internal error" not in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_compilation_is_ended_by_a_signal(
+    processes: Processes, tmp_path: Path, number: signal.Signals
+) -> None:
+    cache, log = tmp_path / "cache", tmp_path / "node.log"
+    node = start_node(
+        processes, log, said="compiling the filter", environment={"NUMBA_CACHE_DIR": str(cache)}
+    )
+
+    node.send_signal(number)
+
+    assert node.wait(60.0) == 0
+    assert not list(cache.rglob("complete-*"))  # it ended before the compilation did
+    assert "Traceback" not in log.read_text()
 
 
 @pytest.mark.parametrize("word", ["robot.yaml", "--parms-file"])
