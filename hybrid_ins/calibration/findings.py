@@ -29,7 +29,7 @@ from hybrid_ins.calibration.likelihood import offset_name
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
-from hybrid_ins.calibration.vehicle import findings_of, observe_nose
+from hybrid_ins.calibration.vehicle import vehicle_findings
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -162,12 +162,11 @@ def calibrate(
         mounted = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
     C_new_old = add_mount(found, fitted, mounted, nose_first)
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
-    offsets = [fitted.offset(k) for k in range(len(recordings))]
-    nose = observe_nose(fitted.recordings, after, offsets)
-    if nose is not None and nose.holds:
-        for row, changed in findings_of(nose, C_new_old, found.values["imu.position"]):
-            found.values.update(changed)
-            found.add(*row, *changed)
+    imu_position = np.array(found.values["imu.position"])
+    motion = fitted.recordings, after, [fitted.offset(k) for k in range(len(recordings))]
+    for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position):
+        found.values.update(changed)
+        found.add(*row, *changed)
     add_biases(found, after, nominal, C_new_old)
     add_noise(found, fitted, period)
     levels = ordinary_levels(recordings, found.values, log)

@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
+from hybrid_ins.ros.aiding_conversions import AidingMessages
+from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
 
 Array = NDArray[np.float64]
 
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
+WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class Recording:
     aid: Array  # (M, 3) rad rad m, or m/s NED
     aid_R: Array  # (M, 3, 3)
     attitude: tuple[Array, Array] | None = None  # truth: (K,) s GNSS clock, (K, 4) C_nb
+    body_velocity: tuple[BodyVelocity, ...] = ()  # of wheels; stamps since the first sample
 
     @property
     def period(self) -> float:
@@ -94,6 +98,7 @@ def read_recording(
     """
     with BagReader(path) as bag:
         imu = bag.imu(imu_topic)
+        wheels = _wheels(bag, values)
         aid: list[tuple[int, int, Array, Array]] = []
         attitude = None
         if use_truth:
@@ -153,6 +158,11 @@ def read_recording(
         np.array([row[2] for row in rows]),
         np.array([row[3] for row in rows]),
         reference,
+        tuple(
+            replace(one, t_ns=one.t_ns - origin)
+            for one in wheels
+            if 0 <= (one.t_ns - origin) * 1e-9 <= min(t[-1], longest)
+        ),
     )
 
 
@@ -169,6 +179,22 @@ def antenna_is_base(
     return not any(values["gnss.antenna_position"]) and all(
         frame(path).lstrip("/") == values["base_frame"] for path in paths
     )
+
+
+def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
+    """Return the velocities of wheels by stamp, in b relative to the IMU."""
+    arm_b = FLIP @ np.array(values["imu.position"])
+    convert = AidingMessages.from_parameters(values, arm_b)
+    found = []
+    for topic, kind in WHEELS.items():
+        if bag.topics.get(topic) != kind:
+            continue
+        for _, _, message in bag.messages(topic):
+            read = convert.twist if kind == messages.VELOCITY else convert.odometry
+            reading = read(message)
+            if not isinstance(reading, Refused):
+                found.append(reading)
+    return sorted(found, key=lambda one: one.t_ns)
 
 
 def _truth(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration import wheels
 from hybrid_ins.calibration.derived import courses
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
@@ -66,9 +67,34 @@ def observe_nose(
     return observer
 
 
+def vehicle_findings(
+    recordings: Sequence[Recording],
+    after: Sequence[FilterPass],
+    offsets: Sequence[float],
+    C_new_old: Array,
+    values: Mapping[str, Any],
+    imu_position: Array,
+) -> list[wheels.Row]:
+    """
+    Return what the motion shows of the vehicle: its nose and axle, its wheels.
+
+    Parameters as in `observe_nose` and `wheels.observe_wheels`; ``imu_position`` (3,) is that which
+    was found [m, FLU]. Each row holds label, value, uncertainty, verdict and note, and the
+    parameters that follow from it, by name.
+    """
+    rows: list[wheels.Row] = []
+    nose = observe_nose(recordings, after, offsets)
+    if nose is not None and nose.holds:
+        rows += findings_of(nose, C_new_old, imu_position.tolist())
+    sensor = wheels.observe_wheels(recordings, after, offsets, C_new_old, values)
+    if sensor is not None:
+        rows += wheels.findings_of(sensor, values, imu_position - values["imu.position"])
+    return rows
+
+
 def findings_of(
     observer: ConstraintObserver, C_new_old: Array, imu_position: Sequence[float]
-) -> list[tuple[tuple[str, str, str, str, str], dict[str, Any]]]:
+) -> list[wheels.Row]:
     """
     Return what was found of a vehicle that moves along its nose.
 

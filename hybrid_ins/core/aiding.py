@@ -4,8 +4,8 @@ Life cycle of sensors that aid the filter besides GNSS.
 What such a sensor claims is checked against the filter before it is believed. While fixes come,
 the filter knows velocity, heading and height without it: readings that agree for some seconds make
 the sensor aid, readings that disagree for some seconds make it refused, whatever it did before.
-What a sensor cannot know of itself, the scale of wheels, the offset of a pressure height, is
-estimated at the same time.
+What a sensor cannot know of itself, the scale and the place of wheels, the offset of a pressure
+height, is estimated at the same time.
 
     absent    no reading yet
     waiting   no reading yet that could be checked
@@ -30,9 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
-from hybrid_ins.core.constraint_observer import inflated
+from hybrid_ins.core.constraint_observer import STATE_TIME, inflated
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.state import covariance
+from hybrid_ins.core.rotations import skew
+from hybrid_ins.core.state import BIAS_G, LAST_W, covariance
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,7 @@ SILENCE_NS = 2_000_000_000
 AGREES, DISAGREES = 3.0, 7.0  # mean NIS per component, of a sensor to be used, to be refused
 SHOWN = 3.0  # s of readings that show either
 MEMORY = 3.0  # s over which the NIS is averaged
+SMALLEST_SCALE_STD = 1e-4
 LARGEST_NIS = 50.0  # that counts: one outlier does not refuse a sensor
 
 
@@ -126,11 +128,11 @@ class AidingSensor:
         corrected = self.corrected(reading)
         z, H, R = corrected.linearise(nav)
         HPH = H @ covariance(nav) @ H.T
-        nuisance = self.nuisance(reading, len(z))
+        nuisance = self.nuisance(reading, nav)
         if checked and self.can_check(HPH, R):
             nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
             self._check(nis)
-            self.learn(reading, z, HPH, R, self._interval)
+            self.learn(reading, nav, z, HPH, R)
         if not self._believed or not (outage or self.always):
             return None
         return self.measurement(corrected, R, nuisance)
@@ -143,11 +145,11 @@ class AidingSensor:
         """Return a reading without the errors that are known."""
         return reading
 
-    def nuisance(self, reading: Measurement, count: int) -> Array:
-        """Return the covariance (m, m) of what is left of those errors."""
-        return np.zeros((count, count))
+    def nuisance(self, reading: Measurement, nav: Array) -> Array:
+        """Return the covariance of what is left of those errors, (m, m) or one for all."""
+        return np.zeros((1, 1))
 
-    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
+    def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """Estimate those errors from an innovation of the filter."""
 
     def can_check(self, HPH: Array, R: Array) -> bool:
@@ -172,25 +174,35 @@ class AidingSensor:
 
 class VelocitySensor(AidingSensor):
     """
-    Wheels or a Doppler log, with a scale error.
+    Wheels or a Doppler log, with a scale error, at a place that is not known exactly.
 
     Parameters
     ----------
     scale, scale_std : float
         Nominal factor from readings to speed, and its standard deviation.
+    place_std : ndarray, shape (3,)
+        Standard deviation of the readings' ``point_b`` [m].
+
+    Attributes
+    ----------
+    scale : float
+        As estimated.
+    shift_b : ndarray, shape (3,)
+        What was found of the place, relative to the nominal one [m].
     """
 
     name = "velocity"
 
-    def __init__(self, scale: float, scale_std: float) -> None:
+    def __init__(self, scale: float, scale_std: float, place_std: Array) -> None:
         super().__init__()
         self.scale = scale
-        self._variance = scale_std**2
+        self.shift_b = np.zeros(3)
+        self._P = np.diag([scale_std, *place_std]) ** 2
 
     @property
-    def scale_std(self) -> float:
-        """Standard deviation of the scale."""
-        return math.sqrt(self._variance)
+    def sigma(self) -> Array:
+        """Standard deviations of the scale and of the place [m], (4,)."""
+        return np.asarray(np.sqrt(np.diag(self._P)))
 
     def corrected(self, reading: Measurement) -> BodyVelocity:
         """See `AidingSensor`."""
@@ -199,21 +211,26 @@ class VelocitySensor(AidingSensor):
             reading,
             velocity_b=self.scale * reading.velocity_b,
             covariance_b=self.scale**2 * reading.covariance_b,
+            point_b=reading.point_b + self.shift_b,
         )
 
-    def nuisance(self, reading: Measurement, count: int) -> Array:
+    def nuisance(self, reading: Measurement, nav: Array) -> Array:
         """See `AidingSensor`."""
-        g = _given(reading)
-        return self._variance * np.outer(g, g)
+        J = _by_errors(reading, nav)
+        return np.asarray(J @ self._P @ J.T)
 
-    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
-        """See `AidingSensor`: z = scale · reading - v."""
-        g = _given(reading)
-        N = inflated(HPH, 10.0, interval) + inflated(R, self.error_time, interval)
-        gain = self._variance * np.linalg.solve(self._variance * np.outer(g, g) + N, g)
-        self.scale -= float(gain @ z)
-        self._variance *= 1.0 - float(gain @ g)
-        self._variance = max(self._variance, 1e-4**2)
+    def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
+        """See `AidingSensor`; z = scale · reading - velocity of the place."""
+        J = _by_errors(reading, nav)
+        N = inflated(HPH, STATE_TIME, self._interval)
+        N = N + inflated(R, self.error_time, self._interval)
+        K = np.linalg.solve(J @ self._P @ J.T + N, J @ self._P).T
+        error = K @ z
+        self.scale -= float(error[0])
+        self.shift_b = self.shift_b - error[1:]
+        A = np.eye(4) - K @ J
+        self._P = A @ self._P @ A.T + K @ N @ K.T
+        self._P[0, 0] = max(self._P[0, 0], SMALLEST_SCALE_STD**2)
 
     def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
         """See `AidingSensor`."""
@@ -226,9 +243,12 @@ class VelocitySensor(AidingSensor):
         return replace(corrected, covariance_b=covariance_b)
 
 
-def _given(reading: Measurement) -> Array:
+def _by_errors(reading: Measurement, nav: Array) -> Array:
+    """Return the derivative (m, 4) of an innovation by the scale and the place."""
     assert isinstance(reading, BodyVelocity)
-    return reading.velocity_b[np.isfinite(reading.velocity_b)]
+    given = np.isfinite(reading.velocity_b)
+    turning = -skew(nav[LAST_W] - nav[BIAS_G])
+    return np.hstack((reading.velocity_b[given, None], turning[given]))
 
 
 class HeadingSensor(AidingSensor):
@@ -273,7 +293,7 @@ class HeightSensor(AidingSensor):
         assert isinstance(reading, BarometricHeight)
         return replace(reading, height=reading.height - self.offset)
 
-    def nuisance(self, reading: Measurement, count: int) -> Array:
+    def nuisance(self, reading: Measurement, nav: Array) -> Array:
         """See `AidingSensor`."""
         return np.array([[min(self._variance, 1e8)]])
 
@@ -291,9 +311,9 @@ class HeightSensor(AidingSensor):
         self._variance += self.WANDER**2 * self._interval
         return super().consider(reading, nav, checked=checked, outage=outage)
 
-    def learn(self, reading: Measurement, z: Array, HPH: Array, R: Array, interval: float) -> None:
+    def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """See `AidingSensor`: z = reading - offset - height."""
-        N = inflated(HPH, 10.0, interval) + inflated(R, self.error_time, interval)
+        N = inflated(HPH, STATE_TIME, self._interval) + inflated(R, self.error_time, self._interval)
         gain = self._variance / (self._variance + float(N[0, 0]))
         self.offset += gain * float(z[0])
         self._variance *= 1.0 - gain

@@ -70,6 +70,16 @@ AIDING = (
         **_METRES,
     ),
     Parameter(
+        "aiding.velocity_position_std",
+        [1.0],
+        "Standard deviation of that point's position: one number for all axes, or three (forward, "
+        "left, up); the motion determines it",
+        unit="m",
+        lengths=(1, 3),
+        low=1e-4,
+        high=100.0,
+    ),
+    Parameter(
         "aiding.velocity_scale",
         1.0,
         "Factor from these readings to the velocity; the motion with fixes determines it",

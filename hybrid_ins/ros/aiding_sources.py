@@ -23,7 +23,7 @@ from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.ros.aiding_conversions import AidingMessages
-from hybrid_ins.ros.conversions import Message, Refused
+from hybrid_ins.ros.conversions import FLIP, Message, Refused
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.reports import Status
@@ -71,7 +71,9 @@ class AidingSources:
         values = self._values
         self._messages = AidingMessages.from_parameters(values, arm_b)
         self._velocity = VelocitySensor(
-            values["aiding.velocity_scale"], values["aiding.velocity_scale_std"]
+            values["aiding.velocity_scale"],
+            values["aiding.velocity_scale_std"],
+            np.broadcast_to(values["aiding.velocity_position_std"], 3),
         )
         self._heading, self._height = HeadingSensor(), HeightSensor()
         self._told: dict[str, AidingState] = {}
@@ -164,8 +166,13 @@ class AidingSources:
             values[f"{sensor.name}_nis"] = sensor.nis
             if state in (AidingState.REFUSED, AidingState.LOST):
                 level = 1
+        sigma = self._velocity.sigma
         values["velocity_scale"] = self._velocity.scale
-        values["velocity_scale_std"] = self._velocity.scale_std
+        values["velocity_scale_std"] = float(sigma[0])
+        place = np.array(self._values["aiding.velocity_position"]) + FLIP @ self._velocity.shift_b
+        for axis, along, std in zip("xyz", place.tolist(), sigma[1:].tolist(), strict=True):
+            values[f"velocity_position_{axis}"] = along
+            values[f"velocity_position_{axis}_std"] = std
         if math.isfinite(self._height.offset_std):
             values["baro_offset"] = self._height.offset
             values["baro_offset_std"] = self._height.offset_std

@@ -64,17 +64,42 @@ def wheels(sensor: VelocitySensor, seconds: float, factor: float, start: float, 
 
 @pytest.mark.parametrize("seed", [2, 4, 6])
 def test_scale_of_wheels_is_found_to_a_tenth_of_a_percent(seed: int) -> None:
-    sensor = VelocitySensor(1.0, 0.03)
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
 
     wheels(sensor, 120.0, 1.02, 10.0, seed)
 
     assert sensor.state(130 * SECOND) is AidingState.AIDING
-    assert abs(sensor.scale - 1.02) < 3.0 * sensor.scale_std
-    assert sensor.scale_std < 0.002
+    assert abs(sensor.scale - 1.02) < 3.0 * sensor.sigma[0]
+    assert sensor.sigma[0] < 0.002
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_place_of_a_velocity_sensor_is_found_in_turns(seed: int) -> None:
+    """
+    GIVEN a velocity sensor of two axes, nominally at the IMU
+    WHEN the vehicle turns
+    THEN its place ahead and aside is found, and nothing is claimed of its height.
+    """
+    rng = np.random.default_rng(seed)
+    sensor, place_b = VelocitySensor(1.0, 0.03, np.ones(3)), np.array([-1.2, 0.4, 0.0])
+    for k in range(1200):
+        t = 10.0 + 0.1 * k
+        rate_b = np.array([0.0, 0.0, 0.5 * math.sin(0.3 * t)])
+        nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), rate_b, std=0.003)
+        nav[BIAS_G] = 0.0
+        reading = np.array([10.0, 0.0, np.nan]) + np.cross(rate_b, place_b)
+        reading += 0.05 * rng.standard_normal(3)
+        if sensor.hear(round(t * SECOND)):
+            measured = BodyVelocity(round(t * SECOND), reading, 0.05**2 * np.eye(3), np.zeros(3))
+            sensor.consider(measured, nav, checked=True, outage=False)
+
+    assert np.all(np.abs(sensor.shift_b - place_b)[:2] < 3.0 * sensor.sigma[1:3])
+    assert np.all(sensor.sigma[1:3] < 0.06)
+    assert sensor.sigma[3] > 0.9
 
 
 def test_life_cycle_of_wheels() -> None:
-    sensor = VelocitySensor(1.0, 0.03)
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
     assert sensor.state(SECOND) is AidingState.ABSENT
     wheels(sensor, 1.0, 1.0, 10.0, 2)
     assert sensor.state(11 * SECOND) is AidingState.WAITING
@@ -86,7 +111,7 @@ def test_life_cycle_of_wheels() -> None:
 
 
 def test_velocity_is_used_in_outages_only_and_its_errors_are_not_white() -> None:
-    sensor = VelocitySensor(1.0, 0.03)
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
     wheels(sensor, 60.0, 1.0, 10.0, 2)
     nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.01)
     reading = BodyVelocity(
