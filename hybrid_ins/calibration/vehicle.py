@@ -24,6 +24,7 @@ RATE_TIME = 0.03  # s, before and after an observation, of samples whose mean is
 NOSE_STD, POINT_STD, SLIP_STD = 0.1, 1.5, 0.1  # rad, m, m/s: before the motion is known
 SHORTEST = 20  # observations
 NOSE_IDENTIFIED, AXLE_IDENTIFIED = math.radians(0.3), 0.3  # rad, m: largest σ
+SLIP_IDENTIFIED = 0.35  # largest σ of its logarithm
 
 
 def observe_nose(
@@ -115,6 +116,7 @@ def findings_of(
     yaw = -math.degrees(math.atan2(forward[1], forward[0]))
     pitch = -math.degrees(math.atan2(forward[2], math.hypot(forward[0], forward[1])))
     axle = np.add(imu_position, FLIP @ C_new_old @ observer.nose.point_b)
+    slip_std = np.sqrt(np.diag(observer.slip.covariance))
     sigma, along_std = float(max(observer.sigma[:2])), float(observer.sigma[2])
     return [
         (
@@ -143,5 +145,15 @@ def findings_of(
                 "vehicle.axle_position": [round(float(a), 3) for a in axle],
                 "vehicle.axle_position_std": float(f"{along_std:.2g}"),
             },
+        ),
+        (
+            (
+                "slip left, up",
+                f"{slip_std[0]:.3f}, {slip_std[1]:.3f} m/s",
+                f"×/÷ {math.exp(float(np.max(observer.slip.spread))):.1f}",
+                "identified" if np.max(observer.slip.spread) < SLIP_IDENTIFIED else "weak",
+                "σ of the constraint on these roads: vehicle.slip_std should be no less",
+            ),
+            {},
         ),
     ]

@@ -74,7 +74,8 @@ def observe_wheels(
             last = int(np.searchsorted(t_ns, at_ns[k]))
             if not 0 < last < len(t_ns) or t_ns[last] - t_ns[last - 1] > 2 * NEAR_NS:
                 continue
-            reading = _between(*recording.body_velocity[last - 1 : last + 1], int(at_ns[k]))
+            before, behind = recording.body_velocity[last - 1 : last + 1]
+            reading = _between(before, behind, int(at_ns[k]))
             near = np.abs(recording.t - at_ns[k] * 1e-9) < NEAR_NS * 0.5e-9
             rate_b = recording.samples[near, 3:].mean(axis=0)
             nav = _turned(one.states[k], rate_b, C_new_old)

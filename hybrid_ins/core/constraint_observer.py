@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
+from hybrid_ins.core.slip import SlipEstimator
 from hybrid_ins.core.state import BIAS_G, covariance
 
 Array = NDArray[np.float64]
@@ -86,6 +87,9 @@ class ConstraintObserver:
         The same over the last seconds.
     turned : float
         Angle turned by while it held [rad].
+    slip : SlipEstimator
+        The velocity across the nose that the motion shows; the constraint is fused with the nominal
+        one, since the road may change in an outage.
     holds : bool
         The constraint is proven, or assumed, and not disproven.
     """
@@ -95,6 +99,7 @@ class ConstraintObserver:
         self.nose = settings.nose
         self._P = np.diag([settings.nose_std, settings.nose_std, settings.point_std]) ** 2
         self.evidence = self.recent = self.turned = 0.0
+        self.slip = SlipEstimator(settings.std)
         self.holds = settings.assumed
         self._to_turn = TURNED
 
@@ -124,14 +129,18 @@ class ConstraintObserver:
         S = state + J @ self._P @ J.T
         held, nis = _log_density(z, S + self._slip)
         free, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
-        gain = min(interval / EVIDENCE_TIME, 1.0) * (held - free)
+        share = min(interval / EVIDENCE_TIME, 1.0)
+        gain = share * (held - free)
         if fused:
             gain = min(gain, 0.0)
+        else:
+            self.slip.observe(z, S, share, math.exp(-interval / MEMORY))
         self.evidence = _faded(self.evidence, gain, interval / MEMORY)
         self.recent = _faded(self.recent, gain, interval / RECENT)
         if nis < OUTLIER and not fused:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
-            self._learn(z, J, inflated(state, STATE_TIME, interval) + self.noise(interval))
+            R = inflated(state, STATE_TIME, interval)
+            self._learn(z, J, R + self.noise(interval))
         self._decide()
 
     @property
@@ -145,8 +154,8 @@ class ConstraintObserver:
     def measurement(self, t_ns: int, nav: Array, rate_b: Array, interval: float) -> NonHolonomic:
         """Return the constraint at a stamp [ns], for one every ``interval`` [s]."""
         _, J, _, _ = self._innovation(nav, rate_b)
-        nose = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose, self.noise(interval) + nose)
+        R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
+        return NonHolonomic(t_ns, rate_b, self.nose, R + self.noise(interval))
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
         """Innovation (2,), its derivative by the nose (2, 3), the state's part of S, the speed."""

@@ -141,6 +141,7 @@ class VehicleInput:
             text = "no motion along the nose shown"
         yaw_std, pitch_std, along_std = observer.sigma.tolist()
         along = float(observer.nose.forward @ observer.nose.point_b)
+        left_std, up_std = np.sqrt(np.diag(observer.slip.covariance)).tolist()
         return status(
             "vehicle",
             0,
@@ -156,6 +157,8 @@ class VehicleInput:
                 "nose_pitch_std_deg": math.degrees(pitch_std),
                 "axle_ahead_of_imu": along,
                 "axle_std": along_std,
+                "slip_std_left": left_std,
+                "slip_std_up": up_std,
             },
         )
 
