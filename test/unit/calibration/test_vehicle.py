@@ -101,13 +101,19 @@ def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     nose = matrix_from_quat(quat_from_rpy(*MOUNT)).T @ np.array([1.0, 0.0, 0.0])
     off = np.degrees(np.arccos(np.clip(nose @ observer.nose.forward, -1.0, 1.0)))
     assert off < 0.3
-    (row, values), (axle_row, axle) = findings_of(observer, np.eye(3), [0.5, 0.0, 0.2])
+    (row, values), (axle_row, axle), (slip_row, slip) = findings_of(
+        observer, np.eye(3), [0.5, 0.0, 0.2]
+    )
     assert values["vehicle.kind"] == "ground"
     assert values["vehicle.nose"][0] == pytest.approx(-np.arctan2(nose[1], nose[0]), abs=0.005)
     assert values["vehicle.nose"][1] == pytest.approx(-np.arcsin(nose[2]), abs=0.005)
     assert row[0] == "nose"
     assert axle_row[3] in ("identified", "weak")
     assert axle["vehicle.axle_position"][0] == pytest.approx(0.5 - 1.2, abs=0.35)
+    left, up = (float(text) for text in slip_row[1].removesuffix(" m/s").split(", "))
+    assert 0.01 < left < 0.15  # true: 0.04, 0.06 m/s
+    assert 0.02 < up < 0.15
+    assert not slip
 
 
 def test_a_car_on_ice_has_no_nose() -> None:
