@@ -137,6 +137,7 @@ def _compile_filter() -> None:
     z, H = measurements.position_model(nav, np.zeros(3), np.zeros(3))
     kalman.innovation(nav, z, H, np.eye(3))
     iterated_update.update(nav, z, H, np.eye(3))
+    iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
 

@@ -79,7 +79,11 @@ def linearisation(packed, z, H, R):  # type: ignore[no-untyped-def]
     if is_nonlinear(packed, x, H, R):
         converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, x, K)
         if converged:
-            return z_x, H_x, K_x @ z_x, G
+            for i in range(N_ERROR):
+                x[i] = 0.0
+                for a in range(len(z)):
+                    x[i] += K_x[i, a] * z_x[a]
+            return z_x, H_x, x, G
     return z.copy(), H.copy(), x, np.eye(N_ERROR)
 
 
