@@ -26,6 +26,21 @@ def test_smooth_driving_does_not_end_the_node() -> None:
     assert day.sensitivity.max() < 100.0
 
 
+def test_zero_updates_correct_the_sensitivity_too() -> None:
+    """
+    GIVEN a vehicle that stands for 30 s of every 70, so that most corrections are zero updates
+    THEN the sensitivity to the clock offset stays as large as motions are.
+
+    Corrected by the fixes alone it was 10^3 after five minutes and 10^12 after fourteen, when the
+    offset's variance had fallen to zero and the node ended.
+    """
+    day = endurance.live("stop and go", 6.0 * MINUTE, 1, 0.0, {})
+
+    assert not day.failure
+    assert day.clock_excess < 3.0
+    assert day.sensitivity.max() < 100.0
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("kind", "offset"), [("standing", 0.0), ("cruise", 0.2), ("smooth drive", -0.1)]

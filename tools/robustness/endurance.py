@@ -20,7 +20,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-from hybrid_ins import parameters
+from hybrid_ins import kernel_cache, parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.ins_filter import InsFilter
@@ -53,11 +53,16 @@ GRID = 0.1  # s, between the knots of a drive
 
 def smooth_drive(duration: float, seed: int) -> Motion:
     """Speed up in 10 s to 6 m/s every 70 s, hold, brake for 20 s, stand; weave gently."""
+    return _drive(duration, seed, lambda t: _stopping_speed(t, 30.0))
 
-    def speed(t: Array) -> Array:
-        return 6.0 * np.interp(t % 70.0, (0.0, 10.0, 40.0, 60.0), (0.0, 1.0, 1.0, 0.0))
 
-    return _drive(duration, seed, speed)
+def stop_and_go(duration: float, seed: int) -> Motion:
+    """Hold for 10 s only, and stand for 30 s: most corrections are zero-velocity updates."""
+    return _drive(duration, seed, lambda t: _stopping_speed(t, 10.0))
+
+
+def _stopping_speed(t: Array, hold: float) -> Array:
+    return 6.0 * np.interp(t % 70.0, (0.0, 10.0, 10.0 + hold, 30.0 + hold), (0.0, 1.0, 1.0, 0.0))
 
 
 def cruise(duration: float, seed: int) -> Motion:
@@ -87,6 +92,7 @@ def _drive(duration: float, seed: int, speed: Callable[[Array], Array]) -> Motio
 
 MOTIONS: dict[str, Callable[[float, int], Motion]] = {
     "smooth drive": smooth_drive,
+    "stop and go": stop_and_go,
     "standing": stand,
     "cruise": cruise,
     "car": car_drive,
@@ -212,6 +218,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--param", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"))
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     args = parser.parse_args(argv)
+    kernel_cache.enable()
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}
     todo = [
