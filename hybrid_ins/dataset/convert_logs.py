@@ -76,9 +76,12 @@ def convert_logs(
     if time_offset is not None:
         imu = replace(imu, t=imu.t + time_offset)
     elif len(paths) > 1 and (imu.is_dated != gnss.is_dated or common <= 0.0):
-        found, r = clock_offset(imu, gnss)
-        imu = replace(imu, t=imu.t + found)
-        told = f"; clock offset by the turns in both, correlation {r:.2f} (refine: ins_calibrate)"
+        found = clock_offset(imu, gnss)
+        imu = replace(imu, t=imu.t + found.offset)
+        told = (
+            f"; clock offset by {found.by} in both, correlation {found.correlation:.2f} "
+            "(refine: ins_calibrate)"
+        )
     if min(imu.t[-1], gnss.t[-1]) < max(imu.t[0], gnss.t[0]):
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
     imu = check_imu(imu, gnss)

@@ -573,9 +573,59 @@ def walk(offset: float) -> tuple[ImuLog, GnssLog]:
 
 def test_clock_offset_is_found_by_turns() -> None:
     imu, gnss = walk(37.4)
-    offset, correlation = clock_offset(imu, gnss)
-    assert offset == pytest.approx(NOON + 37.4, abs=0.15)
-    assert correlation > 0.8
+    found = clock_offset(imu, gnss)
+    assert found.offset == pytest.approx(NOON + 37.4, abs=0.15)
+    assert found.correlation > 0.8
+    assert found.by == "the turns"
+
+
+@pytest.mark.parametrize("has_velocity", [True, False])
+def test_clock_offset_of_a_straight_drive_is_found_by_changes_of_speed(has_velocity: bool) -> None:
+    # GIVEN a drive straight ahead that speeds up and brakes, an IMU turned by 40 deg in the car
+    imu, gnss = walk(37.4)
+    rng = np.random.default_rng(4)
+    t = imu.t + 37.4
+    steps = rng.standard_normal(40).cumsum()
+    speed = np.interp(t, np.linspace(0.0, 120.0, 40), 8.0 + 3.0 * steps / np.abs(steps).max())
+    force = np.zeros((len(t), 3))
+    change = np.gradient(speed, t)
+    force[:, 0], force[:, 1] = np.cos(0.7) * change, np.sin(0.7) * change
+    force += [0.0, 0.2, 9.8] + 0.5 * rng.standard_normal(force.shape)
+    imu = replace(imu, specific_force=force, angular_rate=0.05 * rng.standard_normal(force.shape))
+    velocity = np.zeros((len(gnss.t), 3))
+    velocity[:, 1] = np.interp(gnss.t - NOON, t, speed)
+    lla = np.array(LLA) + np.cumsum(velocity * 0.25, axis=0) * [1.57e-7, 1.85e-7, -1.0]
+    gnss = replace(gnss, lla=lla, velocity_n=velocity if has_velocity else None)
+    # WHEN the clocks are compared
+    found = clock_offset(imu, gnss)
+    # THEN it is the changes of speed that show the offset
+    assert found.by == "the changes of speed"
+    assert found.offset == pytest.approx(NOON + 37.4, abs=0.3)
+
+
+ODD = {
+    "empty": b"",
+    "a line": b"hello\n",
+    "zeros": bytes(4096),
+    "noise": bytes(np.random.default_rng(5).integers(0, 256, 4096, np.uint8)),
+    "UTF-16": "time,ax,ay,az,gx,gy,gz\n1,0,0,9.8,0,0,0\n".encode("utf-16"),
+    "a header": b"time,latitude,longitude,height\n",
+    "no number": b"time,lat,lon,height\n" + b"x,nan,inf,\n" * 50,
+    "one time": b"time,ax,ay,az,gx,gy,gz\n" + b"1.0,0.0,0.0,9.8,0.0,0.0,0.0\n" * 50,
+}
+
+
+@pytest.mark.parametrize("suffix", ["csv", "pos", "nmea", "ubx", "ulg", "bin", "tlog", "gz"])
+@pytest.mark.parametrize("content", ODD)
+def test_odd_files_are_refused_in_one_line(tmp_path: Path, suffix: str, content: str) -> None:
+    odd, table = tmp_path / f"odd.{suffix}", tmp_path / "imu.csv"
+    odd.write_bytes(ODD[content])
+    table.write_text("".join(f"{k * 0.01:.2f},0,0,9.8,0,0,0\n" for k in range(500)))
+    for paths in ([odd], [odd, table], [table, odd]):
+        with pytest.raises(InputError) as refused:
+            convert_logs(paths, tmp_path / "out.mcap")
+        assert "\n" not in str(refused.value)
+    assert not (tmp_path / "out.mcap").exists()
 
 
 @pytest.mark.parametrize(
