@@ -39,7 +39,7 @@ from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.message_types import OUTPUTS, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Report
-from hybrid_ins.row_file import RowFile
+from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
 
 SMOOTHED = ("gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
 VERDICT = "gnss/verdict"
@@ -147,7 +147,7 @@ def replay(
     InputError
         A topic is missing or of another type.
     """
-    record = RunRecord() if smooth else None
+    record = RunRecord(partial(BlockFile, out.folder)) if smooth else None
     topics = imu_topic, fix_topic, velocity_topic
     run = _Replay(bag, out, values, *topics, log or log_message, record)
     estimator = run.filter()
@@ -172,16 +172,16 @@ class _Replay:
     ) -> None:
         self._values, self._log, self._is_filtered = values, log, record is None
         self._bag, self._out = bag, out
-        self._verdicts: list[tuple[int, Report]] = []  # that wait for the smoother
-        self._imu = imu = bag.imu(imu_topic)
+        self._verdicts = ObjectFile(out.folder)  # (log time [ns], Report): for the smoother
+        self._imu = imu = bag.imu(imu_topic, make_blocks=partial(BlockFile, out.folder))
         self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
         self._frames = deque(imu.frames)
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"))
         self._estimator = estimator = Estimator(values, log, record)
-        complete = imu.has_reading
+        rows = slice(None) if imu.has_reading.all() else imu.has_reading
         estimator.noise.preload(
-            self._stamps_ns[complete], imu.specific_force[complete], imu.angular_rate[complete]
+            self._stamps_ns[rows], imu.specific_force[rows], imu.angular_rate[rows]
         )
         self._odometry = [
             _OdometryWriter(out, values, topic, values[frame])
@@ -282,7 +282,8 @@ class _Replay:
             self._write_report(report, log_ns)
         total = 3 * record.count
         with progress.bar("smooth", total, "sample", unit_scale=True) as bar:
-            for block, reports in smoothed_run(self._estimator, record, RowFile, bar.update):
+            make_store = partial(RowFile, folder=self._out.folder)
+            for block, reports in smoothed_run(self._estimator, record, make_store, bar.update):
                 self._write_odometry(*block)
                 for stamp_ns, report in reports:
                     self._write_report(report, stamp_ns)

@@ -177,7 +177,10 @@ class McapReader:
         try:
             if self._file[offset] != Opcode.CHUNK:
                 raise _DamageError("the index points beside the data")
-            return _decompressed(records.Chunk.read(ReadDataStream(self._file)))
+            content = _decompressed(records.Chunk.read(ReadDataStream(self._file)))
+            begin = offset - offset % mmap.PAGESIZE  # what is read need not stay in memory
+            self._file.madvise(mmap.MADV_DONTNEED, begin, self._file.tell() - begin)
+            return content
         except _DamageError:
             raise
         except Exception as error:  # damaged bytes provoke anything in the libraries

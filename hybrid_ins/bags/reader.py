@@ -9,9 +9,9 @@ accept them with or without the leading slash. Times are integer nanoseconds.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hybrid_ins.bags.formats import open_recording
 from hybrid_ins.bags.mcap_reader import Channel, Record
 from hybrid_ins.bags.messages import IMU, TYPES, Message, absolute, is_standard
+from hybrid_ins.core.samples import BlockList, Blocks
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.cdr import ImuDecoder, imu_records
 from hybrid_ins.ros.conversions import imu_fields
@@ -61,28 +62,20 @@ class ImuTable:
         return self.frames[0][1] if self.frames else ""
 
     @classmethod
-    def joined(cls, parts: Sequence[ImuTable]) -> ImuTable:
-        """Return consecutive parts as one table."""
+    def joined(cls, parts: Iterable[ImuTable], make_blocks: Callable[[], Blocks]) -> ImuTable:
+        """Return consecutive parts, one at least, as one table, whose columns are kept apart."""
+        names = [field.name for field in fields(cls) if field.name != "frames"]
+        columns = {name: make_blocks() for name in names}
         frames: list[tuple[int, str]] = []
-        first = 0
         for part in parts:
+            first = len(columns["stamp_ns"])
             for row, name in part.frames:
                 if not frames or frames[-1][1] != name:
                     frames.append((first + row, name))
-            first += len(part.stamp_ns)
-
-        def column(name: str) -> Any:
-            return np.concatenate([getattr(part, name) for part in parts])
-
-        return cls(
-            column("stamp_ns"),
-            column("log_ns"),
-            column("specific_force"),
-            column("angular_rate"),
-            column("orientation_xyzw"),
-            column("has_reading"),
-            tuple(frames),
-        )
+            for name in names:
+                columns[name].append(getattr(part, name))
+        arrays: dict[str, Any] = {name: columns[name].array() for name in names}
+        return cls(**arrays, frames=tuple(frames))
 
 
 def _changes(names: NDArray[np.bytes_]) -> list[int]:
@@ -215,7 +208,12 @@ class BagReader:
         """Return the message object of what `raw` yielded; None: it is damaged, and left out."""
         return self._decoded(log_ns, Channel(topic, self.topics[topic], "cdr"), data)
 
-    def imu(self, topic: str = "/imu/data", option: str = "--imu-topic") -> ImuTable:
+    def imu(
+        self,
+        topic: str = "/imu/data",
+        option: str = "--imu-topic",
+        make_blocks: Callable[[], Blocks] = BlockList,
+    ) -> ImuTable:
         """
         Read a whole Imu topic at once.
 
@@ -225,6 +223,8 @@ class BagReader:
             An Imu topic.
         option
             See `require`.
+        make_blocks
+            Returns what keeps a column.
 
         Returns
         -------
@@ -238,12 +238,11 @@ class BagReader:
         """
         topic = self.require(topic, IMU, option)
         records = self._records([topic])
-        parts = []
-        while messages := list(islice(records, IMU_BLOCK)):
-            parts.append(self._imu_part(messages))
-        if not parts:
+        parts = map(self._imu_part, iter(lambda: list(islice(records, IMU_BLOCK)), []))
+        first = next(parts, None)
+        if first is None:
             raise InputError(f"{self.path}: no message on {topic} can be read: record it again")
-        return ImuTable.joined(parts)
+        return ImuTable.joined(chain((first,), parts), make_blocks)
 
     def _imu_part(self, messages: list[Record]) -> ImuTable:
         log_ns = np.array([record[0] for record in messages], np.int64)

@@ -110,6 +110,11 @@ class BagWriter:
                 raise InputError(f"{self.path}: exists meanwhile: the new bag is {self._part}")
             self._take_place()
 
+    @property
+    def folder(self) -> Path:
+        """Where the bag will lie; there is room for temporary files there."""
+        return self._target.parent
+
     def discard(self) -> None:
         """Remove what was written; what was at `path` before stays."""
         self._is_open = False

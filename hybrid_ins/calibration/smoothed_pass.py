@@ -29,7 +29,8 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.likelihood import YAW_STD
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.smoother import Smoother, Start, Update
+from hybrid_ins.core.smoother import Smoother
+from hybrid_ins.core.smoother_segments import Start, Update
 from hybrid_ins.core.state import NavState
 
 Array = NDArray[np.float64]

@@ -8,15 +8,18 @@ be rewound any more.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.samples import SAMPLE_DTYPE
+from hybrid_ins.core.samples import SAMPLE_DTYPE, BlockList, Blocks
 
 Samples = NDArray[np.void]
+
+BLOCK = 4096  # samples that are gathered before they are kept
 
 
 @dataclass(eq=False)
@@ -26,7 +29,7 @@ class Stretch:
 
     Attributes
     ----------
-    blocks : list of ndarray of SAMPLE_DTYPE
+    blocks : Blocks of SAMPLE_DTYPE
         The IMU's samples.
     filters : list of (InsFilter, float)
         Those that ran one after the other, and what each one's clock added to the stamps beyond
@@ -37,7 +40,7 @@ class Stretch:
         It was started by several headings.
     """
 
-    blocks: list[Samples] = field(default_factory=list)
+    blocks: Blocks
     filters: list[tuple[InsFilter, float]] = field(default_factory=list)
     running_ns: int = 0
     heading_found: bool = False
@@ -45,12 +48,17 @@ class Stretch:
     @property
     def samples(self) -> Samples:
         """All samples."""
-        return np.concatenate(self.blocks) if self.blocks else np.empty(0, SAMPLE_DTYPE)
+        return self.blocks.array() if len(self.blocks) else np.empty(0, SAMPLE_DTYPE)
 
 
 class RunRecord:
     """
     The stretches of a run.
+
+    Parameters
+    ----------
+    make_blocks : callable
+        Returns what keeps the samples of a stretch.
 
     Attributes
     ----------
@@ -58,7 +66,8 @@ class RunRecord:
         In order; those without a filter hold samples alone.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, make_blocks: Callable[[], Blocks] = BlockList) -> None:
+        self._make_blocks = make_blocks
         self.stretches: list[Stretch] = []
         self._loose: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
         self.begin()
@@ -66,13 +75,15 @@ class RunRecord:
     def begin(self) -> None:
         """Begin a new stretch: the state was given up."""
         self._gather()
-        if self.stretches and not self.stretches[-1].blocks:
+        if self.stretches and not len(self.stretches[-1].blocks):
             self.stretches.pop()
-        self.stretches.append(Stretch())
+        self.stretches.append(Stretch(self._make_blocks()))
 
     def sample(self, t_ns: int, *reading: float) -> None:
         """Take a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b."""
         self._loose.append((t_ns, reading[:3], reading[3:]))
+        if len(self._loose) == BLOCK:
+            self._gather()
 
     def block(self, samples: Samples) -> None:
         """Take many samples."""
@@ -92,7 +103,7 @@ class RunRecord:
     @property
     def count(self) -> int:
         """Number of samples."""
-        return sum(len(stretch.samples) for stretch in self.finish())
+        return sum(len(stretch.blocks) for stretch in self.finish())
 
     def finish(self) -> list[Stretch]:
         """Return the stretches in which a filter ran."""

@@ -30,8 +30,10 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS, clock_offset_ns
 from hybrid_ins.core.noise_multiple_model import MEMORY
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
-from hybrid_ins.core.smoother import N_ADJOINT, Smoother, Start, Store, Update
-from hybrid_ins.core.state import N_NAV, NavState
+from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
+from hybrid_ins.core.smoother import N_ADJOINT, N_STATE, Smoother, Store
+from hybrid_ins.core.smoother_segments import Start, Update
+from hybrid_ins.core.state import NavState
 
 Array = NDArray[np.float64]
 
@@ -47,9 +49,9 @@ def smoother_of(
     stretch: Stretch,
     make_store: Callable[[int], Store],
     progress: Callable[[int], None] = lambda n: None,
-) -> Smoother:
+) -> tuple[Smoother, SmoothedLeverArm | None]:
     """
-    Return a smoother of a stretch in which a filter ran.
+    Return a smoother of a stretch in which a filter ran, and the lever arm that nobody gave.
 
     Parameters
     ----------
@@ -69,8 +71,16 @@ def smoother_of(
         head = Smoother(start, samples[:end], updates, interval, gap_ns, {}, {})
         head.run()
         start = _about_heading(start, head.first())
-    stores = make_store(N_NAV), make_store(N_ADJOINT)
-    return Smoother(start, samples, updates, interval, gap_ns, *stores, progress)
+    stores = make_store(N_STATE), make_store(N_ADJOINT)
+    lever_arm = None if _lever_arm_is_given(updates) else SmoothedLeverArm()
+    smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, lever_arm)
+    return smoother, lever_arm
+
+
+def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
+    """Return whether any measurement has a lever arm other than zero."""
+    levers = (getattr(update.measurement, "lever_b", None) for update in updates)
+    return any(lever is not None and lever.any() for lever in levers)
 
 
 def clock_offsets(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:

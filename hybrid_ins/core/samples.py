@@ -9,6 +9,7 @@ as long with a named tuple for each, and 6.5 times with an array.
 from __future__ import annotations
 
 import struct
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,35 +56,41 @@ def interpolate(
     return np.array([(t_ns, f, w)], SAMPLE_DTYPE)
 
 
-def insert_stamps(
-    first: NDArray[np.void], samples: NDArray[np.void], t_ns: NDArray[np.int64]
-) -> NDArray[np.void]:
-    """
-    Return samples and, on the line between their neighbours, one at each stamp that is missing.
+class Blocks(Protocol):
+    """Arrays of one type that are put one after the other: in memory, or in a file."""
 
-    Parameters
-    ----------
-    first : ndarray of ``SAMPLE_DTYPE``, shape (1,)
-        The sample before the others; stamps up to its own are not inserted.
-    samples : ndarray of ``SAMPLE_DTYPE``, shape (N,)
-        By stamp.
-    t_ns : ndarray, shape (M,)
-        None younger than the last sample [ns].
-    """
-    missing = np.setdiff1d(t_ns, samples["t_ns"])
-    missing = missing[missing > first["t_ns"][0]]
-    if len(missing) == 0:
-        return samples
-    known = np.concatenate((first, samples))
-    after = np.searchsorted(known["t_ns"], missing)
-    low, high = known[after - 1], known[after]
-    fraction = ((missing - low["t_ns"]) / (high["t_ns"] - low["t_ns"]))[:, None]
-    made = np.empty(len(missing), SAMPLE_DTYPE)
-    made["t_ns"] = missing
-    for axis in ("f", "w"):
-        made[axis] = low[axis] + fraction * (high[axis] - low[axis])
-    merged = np.concatenate((samples, made))
-    return merged[np.argsort(merged["t_ns"], kind="stable")]
+    def append(self, block: NDArray[Any]) -> None:
+        """Add an array, shape (N, ...)."""
+        ...
+
+    def array(self) -> NDArray[Any]:
+        """Return all of them as one; it may be a memory map."""
+        ...
+
+    def __len__(self) -> int:
+        """Return the number of rows so far."""
+        ...
+
+
+class BlockList:
+    """`Blocks` in memory."""
+
+    def __init__(self) -> None:
+        self._blocks: list[NDArray[Any]] = []
+
+    def append(self, block: NDArray[Any]) -> None:
+        """See `Blocks`."""
+        self._blocks.append(block)
+
+    def array(self) -> NDArray[Any]:
+        """See `Blocks`; there must be at least one."""
+        if len(self._blocks) > 1:
+            self._blocks = [np.concatenate(self._blocks)]
+        return self._blocks[0]
+
+    def __len__(self) -> int:
+        """See `Blocks`."""
+        return sum(map(len, self._blocks))
 
 
 class ImuRing:

@@ -24,8 +24,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,12 @@ from hybrid_ins.core.backward_propagation import run_backward
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import GNSS, Measurement
-from hybrid_ins.core.samples import SAMPLE_DTYPE, insert_stamps, readings_of, steps_since
+from hybrid_ins.core.smoothed_lever_arm import (
+    MOST_PASSES,
+    N_SENSITIVITY,
+    SmoothedLeverArm,
+)
+from hybrid_ins.core.smoother_segments import Segments, Start, Update
 from hybrid_ins.core.smoother_step import (
     correction_adjoint,
     propagation_adjoint,
@@ -60,51 +64,10 @@ Array = NDArray[np.float64]
 Samples = NDArray[np.void]
 
 N_PACKED = N_ERROR * (N_ERROR + 1) // 2
-N_ADJOINT = N_ERROR + N_PACKED
+N_STATE = N_NAV + N_SENSITIVITY
+N_ADJOINT = N_ERROR + N_PACKED + N_SENSITIVITY
 BLOCK = 2048  # rows that are handed out at a time
 LONGEST_BEFORE_NS = 30_000_000_000  # that the state is carried back before the start
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """What a filter begins with."""
-
-    t_ns: int  # ns
-    sample: Array  # (6,) the IMU sample then: m/s², rad/s, b
-    state: NavState
-    psd: Array  # (12,) Qc's diagonal from then on
-
-
-@dataclass(frozen=True, slots=True)
-class Update:
-    """
-    What happens to the state at one stamp.
-
-    Attributes
-    ----------
-    t_ns : int
-        Stamp [ns].
-    psd : ndarray, shape (12,)
-        Qc's diagonal from then on.
-    measurement : Measurement or None
-        Fused, unless its NIS is beyond ``threshold``.
-    r_scale : float
-        Factor on the measurement's covariance.
-    threshold : float
-        See above; infinite for a measurement whose acceptance is settled.
-    inflates : bool
-        Beyond the threshold the covariance is inflated to fit the measurement, which is fused then.
-    std : ndarray, shape (15,), or None
-        The covariance is inflated to at least these standard deviations.
-    """
-
-    t_ns: int
-    psd: Array
-    measurement: Measurement | None = None
-    r_scale: float = 1.0
-    threshold: float = np.inf
-    inflates: bool = False
-    std: Array | None = None
 
 
 class Store(Protocol):
@@ -117,13 +80,6 @@ class Store(Protocol):
     def __getitem__(self, index: int) -> Array:
         """Return a row that was kept."""
         ...
-
-
-class _Node(NamedTuple):
-    """Where something other than a plain IMU step happens: before it, samples up to ``stop``."""
-
-    stop: int
-    update: Update | None  # None: the end of a gap in the samples
 
 
 class Smoother:
@@ -143,9 +99,12 @@ class Smoother:
     long_step_ns : int
         A longer step between samples [ns] is a gap.
     states, adjoints : Store
-        Keep (N_NAV,) and (135,) numbers for each update.
+        Keep (N_STATE,) and (N_ADJOINT,) numbers for each update.
     progress : callable, optional
         Called with the number of samples done, three times for each sample.
+    lever_arm : SmoothedLeverArm, optional
+        Estimated, where it is not known. The covariance of the smoothed positions is then that of
+        the antenna's.
     """
 
     def __init__(
@@ -158,8 +117,10 @@ class Smoother:
         states: Store,
         adjoints: Store,
         progress: Callable[[int], None] = lambda n: None,
+        lever_arm: SmoothedLeverArm | None = None,
     ) -> None:
         self._start = start
+        self._lever_arm = lever_arm
         self._interval = interval
         self._long_step_ns = long_step_ns
         self._states = states
@@ -167,28 +128,10 @@ class Smoother:
         self._progress = progress
         after = int(np.searchsorted(samples["t_ns"], start.t_ns, side="right"))
         self._before = samples[:after]
-        samples = samples[after:]
-        end_ns = int(samples["t_ns"][-1]) if len(samples) else start.t_ns
-        updates = [u for u in updates if start.t_ns <= u.t_ns <= end_ns]
-        first = np.array([(start.t_ns, start.sample[:3], start.sample[3:])], SAMPLE_DTYPE)
-        stamps = np.array([u.t_ns for u in updates], np.int64)
-        self._samples = insert_stamps(first, samples, stamps)
-        self._own = np.isin(self._samples["t_ns"], samples["t_ns"])
-        self._steps = np.empty(0, np.int64)
-        if len(self._samples):
-            self._steps = steps_since(start.t_ns, self._samples["t_ns"])
-        self._nodes = self._find_nodes(updates)
+        self._segments = Segments(start, samples[after:], updates, long_step_ns)
+        self._nodes = self._segments.nodes
         self._spans: dict[int, float] = {}  # s since the last correction, where one inflates
         self._fused: set[int] = set()
-
-    def _find_nodes(self, updates: Sequence[Update]) -> list[_Node]:
-        stamps = self._samples["t_ns"]
-        nodes = [_Node(int(np.searchsorted(stamps, u.t_ns, side="right")), u) for u in updates]
-        gaps = np.flatnonzero(self._steps > self._long_step_ns).tolist()
-        starts = {int(k) for k in gaps}  # a gap is a stretch of its own
-        nodes += [_Node(k, None) for k in starts] + [_Node(k + 1, None) for k in starts]
-        nodes.sort(key=lambda node: (node.stop, node.update is not None))
-        return [*nodes, _Node(len(stamps), None)]
 
     def smooth(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """
@@ -202,6 +145,12 @@ class Smoother:
     def run(self) -> None:
         """Run forward and backward; `first` is known then, and `smooth` has only to write down."""
         self._forward()
+        if self._lever_arm is not None:
+            for _ in range(MOST_PASSES):
+                if self._lever_arm.finish():
+                    break
+                self._lever_arm.begin()
+                self._forward()
         self._backward()
 
     def _forward(self) -> None:
@@ -209,45 +158,72 @@ class Smoother:
         nav = self._start.state.to_flat()
         nav[LAST_F], nav[LAST_W] = self._start.sample[:3], self._start.sample[3:]
         nav[PSD] = self._start.psd
-        corrected_ns, begin = self._start.t_ns, 0
+        self._corrected_ns = self._start.t_ns
+        self._spans.clear()
+        self._fused.clear()
+        lever_arm, row = self._lever_arm, np.zeros(N_STATE)
         for k, node in enumerate(self._nodes):
-            self._states[k] = nav[:N_NAV].copy()
-            self._run(nav, begin, node.stop)
-            self._progress(node.stop - begin)
-            begin = node.stop
-            if node.update is None:
-                continue
-            update = node.update
-            if update.std is not None:
-                pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
-            if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
-                z, H, R = update.measurement.linearise(nav)
-                R = R * update.r_scale
-                fits = innovation(nav, z, H, R)[1] <= update.threshold
-                if fits or update.inflates:
-                    self._fused.add(k)
-                    if not fits:
-                        self._spans[k] = (update.t_ns - corrected_ns) * 1e-9
-                        inflate_to_innovation(nav, z, H, self._spans[k])
-                    iterated_update.update(nav, z, H, R)
-                    if update.measurement.sensor == GNSS:
-                        corrected_ns = update.t_ns
-            nav[PSD] = update.psd
+            row[:N_NAV] = nav[:N_NAV]
+            if lever_arm is not None:
+                row[N_NAV:] = lever_arm.sensitivity.ravel()
+            self._states[k] = row.copy()
+            steps = self._run(nav, k)
+            if lever_arm is not None:
+                lever_arm.propagate(*steps[2:4])
+            self._progress(self._segments.count(k))
+            if node.update is not None:
+                self._apply(nav, k, node.update)
+
+    def _apply(self, nav: Array, k: int, update: Update) -> None:
+        """Apply an update to the flat state of the forward pass."""
+        if update.std is not None:
+            pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
+        if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
+            measurement = self._assumed(update.measurement)
+            z, H, R = measurement.linearise(nav)
+            R = R * update.r_scale
+            fits = innovation(nav, z, H, R)[1] <= update.threshold
+            if fits or update.inflates:
+                self._fused.add(k)
+                if not fits:
+                    self._spans[k] = (update.t_ns - self._corrected_ns) * 1e-9
+                    inflate_to_innovation(nav, z, H, self._spans[k])
+                before = nav.copy()
+                _, K = iterated_update.update(nav, z, H, R)
+                if self._lever_arm is not None:
+                    self._lever_arm.correct(measurement, before, K, R)
+                if measurement.sensor == GNSS:
+                    self._corrected_ns = update.t_ns
+        nav[PSD] = update.psd
+
+    def _assumed(self, measurement: Measurement) -> Measurement:
+        return measurement if self._lever_arm is None else self._lever_arm.assumed(measurement)
 
     def _backward(self) -> None:
         """Carry the adjoint from the end to the start; keep it before every update."""
-        adjoint = np.zeros(N_ERROR), np.zeros((N_ERROR, N_ERROR))
+        adjoint, lever_arm = (np.zeros(N_ERROR), np.zeros((N_ERROR, N_ERROR))), self._lever_arm
+        if lever_arm is not None:
+            lever_arm.begin_adjoint()
         for k in range(len(self._nodes) - 1, -1, -1):
             nav, steps = self._again(k)
+            if lever_arm is not None:
+                lever_arm.sensitivity = self._states[k][N_NAV:].reshape(N_ERROR, 3)
+                lever_arm.propagate(*steps[3:5])
             if k in self._fused:
                 adjoint = self._through_update(k, nav, *adjoint)
-            row = np.empty(N_ADJOINT)
+            row = np.zeros(N_ADJOINT)
             row[:N_ERROR] = adjoint[0]
-            pack(adjoint[1], row[N_ERROR:])
+            pack(adjoint[1], row[N_ERROR : N_ERROR + N_PACKED])
+            if lever_arm is not None:
+                row[N_ERROR + N_PACKED :] = lever_arm.smoothed(nav).ravel()
+                lever_arm.propagate_adjoint(*steps[3:5])
             self._adjoints[k] = row
             adjoint = propagation_adjoint(*steps[3:5], *adjoint)
-            self._progress(len(steps[1]))
+            self._progress(self._segments.count(k))
         self._first_adjoint = adjoint
+        if lever_arm is not None:
+            lever_arm.sensitivity = np.zeros((N_ERROR, 3))
+            self._first_sensitivity = lever_arm.smoothed(self._start.state.to_flat())
 
     def _through_update(
         self, k: int, nav: Array, costate: Array, information: Array
@@ -257,9 +233,12 @@ class Smoother:
         assert update is not None and update.measurement is not None
         if update.std is not None:
             pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
-        z, H, R = update.measurement.linearise(nav)
+        measurement = self._assumed(update.measurement)
+        z, H, R = measurement.linearise(nav)
         if k in self._spans:
             inflate_to_innovation(nav, z, H, self._spans[k])
+        if self._lever_arm is not None:
+            self._lever_arm.correct_adjoint(measurement, nav, R * update.r_scale)
         before: tuple[Array, Array] = correction_adjoint(
             nav, z, H, R * update.r_scale, costate, information
         )
@@ -268,16 +247,23 @@ class Smoother:
     def _output(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """Yield stamps and smoothed states, in blocks."""
         waiting = [*self.before_start()]
-        count, begin = sum(len(t) for t, _ in waiting), 0
-        for k, node in enumerate(self._nodes):
+        if self._lever_arm is not None:
+            sensitivity = self._first_sensitivity
+        count = sum(len(t) for t, _ in waiting)
+        for k in range(len(self._nodes)):
             _, steps = self._again(k)
             row = self._adjoints[k]
-            smoothed = smoothed_rows(*steps, row[:N_ERROR].copy(), _full(row[N_ERROR:]))
-            own = self._own[begin : node.stop]
-            waiting.append((self._samples["t_ns"][begin : node.stop][own], smoothed[own]))
-            count += int(own.sum())
-            self._progress(node.stop - begin)
-            begin = node.stop
+            packed = row[N_ERROR : N_ERROR + N_PACKED]
+            smoothed = smoothed_rows(*steps, row[:N_ERROR].copy(), packed[PLACES])
+            if self._lever_arm is not None and len(smoothed):
+                last = row[N_ERROR + N_PACKED :].reshape(N_ERROR, 3)
+                share = np.cumsum(steps[2]) / steps[2].sum()
+                self._lever_arm.consider(smoothed, sensitivity, last, share)
+                sensitivity = last
+            stamps = self._segments.stamps(k)
+            waiting.append((stamps, smoothed[: len(stamps)]))
+            count += len(stamps)
+            self._progress(len(stamps))
             if count >= BLOCK or (k + 1 == len(self._nodes) and count):
                 yield tuple(map(np.concatenate, zip(*waiting, strict=True)))  # type: ignore[misc]
                 waiting, count = [], 0
@@ -288,7 +274,7 @@ class Smoother:
 
     def _first_flat(self) -> Array:
         nav = np.zeros(N_FLAT)
-        nav[:N_NAV] = self._states[0]
+        nav[:N_NAV] = self._states[0][:N_NAV]
         row = np.tile(nav[:N_NAV], (1, 1))
         steps = (
             nav[:N_NAV],
@@ -299,60 +285,58 @@ class Smoother:
             np.zeros(0, np.int64),
         )
         costate, information = self._first_adjoint
-        out: Array = smoothed_rows(*steps, costate, information)[0]
-        nav[:N_NAV] = out
+        out: Array = smoothed_rows(*steps, costate, information)
+        if self._lever_arm is not None:
+            s = self._first_sensitivity
+            self._lever_arm.consider(out, s, s, np.zeros(1))
+        nav[:N_NAV] = out[0]
         return nav
 
     def _again(self, k: int) -> tuple[Array, tuple[Any, ...]]:
         """Run the samples before a node again; return the state there and what the way was."""
         nav = np.zeros(N_FLAT)
-        nav[:N_NAV] = self._states[k]
-        begin = self._nodes[k - 1].stop if k else 0
+        nav[:N_NAV] = self._states[k][:N_NAV]
         first = nav[:N_NAV].copy()
-        return nav, (first, *self._run(nav, begin, self._nodes[k].stop))
+        return nav, (first, *self._run(nav, k))
 
-    def _run(self, nav: Array, begin: int, stop: int) -> tuple[Any, ...]:
+    def _run(self, nav: Array, k: int) -> tuple[Any, ...]:
         """
-        Advance ``nav`` over samples; its covariance is up to date then.
+        Advance ``nav`` to a node; its covariance is up to date then.
 
         Returns the flat states (n, N_NAV), the steps (n,) [s], and of each covariance step the
         system matrix (m, 225), the length (m,) [s] and the row that it leads to (m,).
         """
-        readings = readings_of(self._samples[begin:stop]) if stop > begin else np.empty((0, 6))
-        dt = self._steps[begin:stop] * 1e-9
-        if stop - begin == 1 and self._steps[begin] > self._long_step_ns:
-            return self._bridge(nav, float(dt[0]), readings[0])
-        n = len(dt)
+        steps, readings = self._segments.readings(k)
+        dt, n = steps * 1e-9, len(steps)
+        if n == 1 and steps[0] > self._long_step_ns:
+            return _bridge(nav, float(dt[0]), readings[0], self._interval)
         rows, F = np.empty((n, N_NAV)), np.empty((n, N_ERROR * N_ERROR))
         lengths, at = np.empty(n), np.empty(n, np.int64)
         m = run_and_keep(nav, dt, readings, self._interval, rows, F, lengths, at)
         return rows, dt, F[:m], lengths[:m], at[:m]
-
-    def _bridge(self, nav: Array, dt: float, reading: Array) -> tuple[Any, ...]:
-        """Advance over missing samples, as `_run`."""
-        last = np.concatenate((nav[LAST_F], nav[LAST_W]))
-        line = gap.line(last, reading, dt)
-        n = len(line)
-        rows, F = np.empty((n, N_NAV)), np.empty((n, N_ERROR * N_ERROR))
-        lengths, at = np.empty(n), np.empty(n, np.int64)
-        parts = np.full(n, dt / n)
-        m = run_and_keep(nav, parts, line, self._interval, rows, F, lengths, at)
-        gap.inflate(nav, last, reading, dt)
-        leads_to = np.full(m, -1)
-        leads_to[-1] = 0
-        return nav[None, :N_NAV].copy(), np.array([dt]), F[:m], lengths[:m], leads_to
 
     def before_start(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """Yield the state at the start's sample and before it, see `run_backward`."""
         nav = self._first_flat()
         nav[LAST_F], nav[LAST_W] = self._start.sample[:3], self._start.sample[3:]
         nav[PSD] = self._start.psd
-        samples = self._before[self._before["t_ns"] >= self._start.t_ns - LONGEST_BEFORE_NS]
+        first = np.searchsorted(self._before["t_ns"], self._start.t_ns - LONGEST_BEFORE_NS)
+        samples = self._before[first:]
         t_ns, rows = run_backward(nav, self._start.t_ns, samples, self._long_step_ns)
         if len(rows):
             yield t_ns, rows
 
 
-def _full(packed: Array) -> Array:
-    """Return the symmetric matrix (15, 15) of an upper triangle (120,)."""
-    return np.asarray(packed[PLACES])
+def _bridge(nav: Array, dt: float, reading: Array, interval: float) -> tuple[Any, ...]:
+    """Advance over missing samples, as `Smoother._run`."""
+    last = np.concatenate((nav[LAST_F], nav[LAST_W]))
+    line = gap.line(last, reading, dt)
+    n = len(line)
+    rows, F = np.empty((n, N_NAV)), np.empty((n, N_ERROR * N_ERROR))
+    lengths, at = np.empty(n), np.empty(n, np.int64)
+    parts = np.full(n, dt / n)
+    m = run_and_keep(nav, parts, line, interval, rows, F, lengths, at)
+    gap.inflate(nav, last, reading, dt)
+    leads_to = np.full(m, -1)
+    leads_to[-1] = 0
+    return nav[None, :N_NAV].copy(), np.array([dt]), F[:m], lengths[:m], leads_to

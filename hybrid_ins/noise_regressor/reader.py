@@ -107,7 +107,7 @@ class NoiseReader:
         ]
         self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
-        self._lookahead: tuple[NDArray[np.int64], Array] | None = None
+        self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None
         self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
 
     def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
@@ -121,9 +121,7 @@ class NoiseReader:
         force, rate : ndarray, shape (N, 3)
             Readings [m/s², rad/s] in the IMU's own axes.
         """
-        readings = np.hstack((force, rate))
-        readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: the window differs then
-        self._lookahead = t_ns, rounded(readings)
+        self._lookahead = t_ns, force, rate
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
         """Return the levels at ``t_ns`` [ns], or an estimate without them."""
@@ -178,11 +176,14 @@ class NoiseReader:
         """Return the windows after the one that ends at a stamp, by their ends, if all goes on."""
         found: dict[int, Array] = {}
         if self._lookahead is not None:
-            t_ns, readings = self._lookahead
+            t_ns, force, rate = self._lookahead
             for _ in range(LOOKAHEAD):
                 end = 1 + int(np.searchsorted(t_ns, end_ns + self._period_ns))
                 if not self.regressor.window <= end <= len(t_ns):
                     break
                 end_ns = int(t_ns[end - 1])
-                found[end_ns] = readings[end - self.regressor.window : end]
+                window = slice(end - self.regressor.window, end)
+                readings = np.hstack((force[window], rate[window]))
+                readings[~(np.abs(readings) < ABSURD)] = 0.0  # will be refused: it differs then
+                found[end_ns] = rounded(readings)
         return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.hindsight import clock_offsets, smoother_of
+from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoother import Store
 from hybrid_ins.core.state import PSD
+from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import REPORT_NS, Estimator
 from hybrid_ins.ros.odometry import OdometrySource
 from hybrid_ins.ros.reporter import state_reports
@@ -45,25 +47,47 @@ def smoothed_run(
     for stretch in record.finish():
         process = stretch.filters[-1][0].noise.process
         source.restart()
-        for t_ns, rows in smoother_of(stretch, make_store, progress).smooth():
+        smoother, lever_arm = smoother_of(stretch, make_store, progress)
+        arm_b, told = estimator.placement.arm_b, lever_arm is None
+        for t_ns, rows in smoother.smooth():
+            if lever_arm is not None:  # what is known is where the antenna was
+                arm_b = estimator.placement.arm_b - lever_arm.lever_b
+            if not told and lever_arm is not None:
+                told = True
+                _report_lever_arm(estimator, lever_arm)
             for part in _parts(rows):
                 levels = process.q(rows[part.start, PSD][:6])
-                block = source.make_block(
-                    t_ns[part], rows[part], estimator.placement.arm_b, levels[3:]
-                )
+                block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])
                 if block is None:
                     continue
                 reports: list[tuple[int, Report]] = []
                 for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
                     if stamp >= report_ns:
                         report_ns = stamp + REPORT_NS
-                        made = state_reports(stamp, row, levels, estimator.placement.arm_b, frame)
+                        made = state_reports(stamp, row, levels, arm_b, frame)
                         reports += [(stamp, report) for report in made]
                 yield block, reports
 
 
+def _report_lever_arm(estimator: Estimator, found: SmoothedLeverArm) -> None:
+    """Say where the antenna is relative to the IMU, if that is not at the IMU."""
+    std = np.sqrt(found.covariance_b.diagonal())
+    if np.any(np.abs(found.lever_b) > 3.0 * std):
+        place = ", ".join(
+            f"{name} {value:.3f} ± {sigma:.3f} m"
+            for name, value, sigma in zip(
+                ("forward", "left", "up"), FLIP @ found.lever_b, std, strict=True
+            )
+        )
+        estimator.inputs.log(
+            "info",
+            f"smoothing: the antenna is away from the IMU ({place}), which neither "
+            "gnss.antenna_position nor imu.position says: the track is that of the antenna",
+        )
+
+
 def smoothed_verdicts(
-    record: RunRecord, verdicts: Sequence[tuple[int, Report]]
+    record: RunRecord, verdicts: Iterable[tuple[int, Report]]
 ) -> Iterator[tuple[int, Report]]:
     """
     Yield the filter's verdicts (log time [ns], report) with the smoothed clock offset of each fix.

@@ -14,7 +14,8 @@ from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.smoother import Smoother, Start, Update
+from hybrid_ins.core.smoother import Smoother
+from hybrid_ins.core.smoother_segments import Start, Update
 from hybrid_ins.core.smoother_step import run_and_keep
 from hybrid_ins.core.state import (
     B_A,

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.iterated_update import update as correct
+from hybrid_ins.core.measurements import Measurement, PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
-from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.smoother import Smoother, Update
+from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
+from hybrid_ins.core.rotations import matrix_from_quat, rpy_from_quat
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
+from hybrid_ins.core.smoother import N_ADJOINT, N_PACKED, N_STATE, Smoother
+from hybrid_ins.core.smoother_segments import Update
 from hybrid_ins.core.state import (
     COVARIANCE,
     DP,
@@ -23,9 +32,11 @@ from hybrid_ins.core.state import (
     N_ERROR,
     PLACES,
     PSD,
+    QUAT,
     covariance,
     pack,
 )
+from hybrid_ins.row_file import BlockFile, RowFile
 from tools.field.batch_least_squares import (
     LONG_STEP_NS,
     PERIOD_NS,
@@ -47,10 +58,34 @@ from tools.field.batch_least_squares import (
 Array = NDArray[np.float64]
 
 
-def test_smoothed_errors_are_those_of_rauch_tung_and_striebel() -> None:
+def aided(flight: Flight) -> list[Measurement]:
+    """Return the flight's fixes and, between them, what other sensors measure."""
+    rng, measured = np.random.default_rng(7), list[Measurement](flight.fixes)
+    nose = Nose(0.0, 0.0, np.array([-0.5, 0.0, 0.2]))
+    for k in range(30, len(flight.true) - 1, 40):
+        state, sample = flight.true[k], flight.samples[k]
+        t_ns, velocity_b = (
+            int(sample["t_ns"]),
+            matrix_from_quat(state.quat_xyzw).T @ state.velocity_n,
+        )
+        yaw = float(rpy_from_quat(state.quat_xyzw)[2])
+        wide = np.diag((0.04, 0.04, 0.04))
+        made: list[Measurement] = [
+            BodyVelocity(t_ns, velocity_b + 0.2 * rng.standard_normal(3), wide, np.zeros(3)),
+            Heading(t_ns, yaw + 0.05 * float(rng.standard_normal()), 0.05**2),
+            BarometricHeight(t_ns, float(state.lla[2] + 0.5 * rng.standard_normal()), 0.25),
+            NonHolonomic(t_ns, sample["w"].copy(), nose, np.diag((25.0, 25.0))),
+        ]
+        measured.append(made[k // 40 % len(made)])
+    return sorted(measured, key=lambda measurement: measurement.t_ns)
+
+
+@pytest.mark.parametrize("aids", [False, True])
+def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> None:
     # GIVEN the linear problem that a filter's run leaves: transition matrices and covariances
     flight = Flight(1, std=STD * 0.05)
-    updates = [Update(f.t_ns, PSD_TRUE * (1.0 + k % 3), f) for k, f in enumerate(flight.fixes)]
+    measured = aided(flight) if aids else flight.fixes
+    updates = [Update(f.t_ns, PSD_TRUE * (1.0 + k % 3), f) for k, f in enumerate(measured)]
     inflated = np.repeat((0.0, 0.4, 0.0, 0.0, 0.0), 3)
     updates.insert(20, Update(updates[20].t_ns - 50_000_000, PSD_TRUE, std=inflated))
     smoother, _, adjoints = make(flight, updates)
@@ -78,7 +113,7 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel() -> None:
         else:
             e = e + moved[k]
         # THEN the adjoint before each update says the same, error and covariance
-        costate, information = adjoints[k][:N_ERROR], adjoints[k][N_ERROR:][PLACES]
+        costate, information = adjoints[k][:N_ERROR], adjoints[k][N_ERROR:][:N_PACKED][PLACES]
         std = np.sqrt(np.diag(P_before[k]))
         assert np.abs((P_before[k] @ costate - e) / std).max() < 1e-9
         own = P_before[k] - P_before[k] @ information @ P_before[k]
@@ -169,3 +204,74 @@ def test_state_is_carried_back_before_the_start() -> None:
             assert e[block] @ np.linalg.solve(P, e[block]) < 16.3  # chi-square, 3, 99.9 %
     std = [np.sqrt(np.trace(covariance(rows[k])[DP, DP])) for k in (0, 100, 200, 300)]
     assert std == sorted(std, reverse=True)
+
+
+def test_a_lever_arm_that_is_not_given_is_found_and_considered() -> None:
+    errors = []
+    for seed in (2, 3):
+        # GIVEN a flight whose antenna is away from the IMU, which nobody said
+        flight = Flight(seed)
+        lever_b = np.array([0.3, -0.2, -0.4])
+        scale = curvature_scale(flight.true[0].lla)
+        fused = []
+        for fix in flight.fixes:
+            state = flight.true[round((fix.t_ns - T0_NS) / PERIOD_NS)]
+            fused.append(
+                replace(fix, lla=fix.lla + matrix_from_quat(state.quat_xyzw) @ lever_b / scale)
+            )
+        updates = [Update(f.t_ns, PSD_TRUE, f) for f in fused]
+        found = SmoothedLeverArm()
+        # WHEN it is smoothed, in passes until the lever arm does not move any more
+        smoother = Smoother(
+            flight.start,
+            flight.samples,
+            updates,
+            0.01 - 1e-6,
+            LONG_STEP_NS,
+            {},
+            {},
+            lever_arm=found,
+        )
+        t_ns, rows = gather(smoother)
+        # THEN the lever arm is found, as well as its covariance says
+        e = found.lever_b - lever_b
+        assert e @ np.linalg.solve(found.covariance_b, e) < 16.3  # chi-square, 3, 99.9 %
+        assert np.sqrt(found.covariance_b.diagonal().min()) < 0.25  # m, of 0.5 before
+        for k, nav in zip(range(0, len(t_ns), 50), rows[::50], strict=True):
+            # of the antenna's position
+            e = difference(flight.true[k].to_flat(), nav)[DP]
+            e = e + matrix_from_quat(flight.true[k].quat_xyzw) @ lever_b
+            e = e - matrix_from_quat(nav[QUAT]) @ found.lever_b
+            errors.append(e @ np.linalg.solve(covariance(nav)[DP, DP], e) / 3.0)
+    # AND so are the smoothed positions, whose errors it would dominate
+    assert 0.3 < np.mean(errors) < 2.0
+
+
+def smoothing_memory(duration: float) -> int:
+    """Return the most bytes that smoothing a recording of so many seconds takes at a time."""
+    t_ns = T0_NS + np.arange(round(duration * 50.0), dtype=np.int64) * 20_000_000
+    samples = np.zeros(len(t_ns), SAMPLE_DTYPE)
+    samples["t_ns"], samples["f"] = t_ns, (0.0, 0.0, -9.81)
+    kept = BlockFile()
+    kept.append(samples)
+    start = Flight(1, duration=3.0).start
+    fixes = [
+        PositionFix(T0_NS + k * 10_000_000_000, start.state.lla, np.eye(3), np.zeros(3))
+        for k in range(1, round(duration / 10.0))
+    ]
+    updates = [Update(f.t_ns, PSD_TRUE, f) for f in fixes]
+    del samples, t_ns, fixes
+    tracemalloc.start()
+    stores = RowFile(N_STATE), RowFile(N_ADJOINT)
+    smoother = Smoother(start, kept.array(), updates, 0.02, LONG_STEP_NS, *stores)
+    count = sum(len(stamps) for stamps, _ in smoother.smooth())
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count > 0.99 * duration * 50.0
+    return most
+
+
+def test_memory_does_not_grow_with_the_recording() -> None:
+    smoothing_memory(40.0)  # what is loaded and compiled once does not count
+    short, long = smoothing_memory(150.0), smoothing_memory(400.0)
+    assert long - short < 150_000  # bytes: 12 500 samples of 56 bytes are 700 000
