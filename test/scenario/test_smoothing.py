@@ -18,7 +18,7 @@ from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.replay import replay_bag
 from hybrid_ins.ros.smoothed import smoothed_run
-from hybrid_ins.row_file import RowFile
+from hybrid_ins.row_file import ObjectFile, RowFile
 from tools.paper.runs import Run, Scenario, draw
 
 TOPICS = {"imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity"}
@@ -127,3 +127,12 @@ def test_rows_of_a_file_are_those_that_were_kept() -> None:
     assert rows[0].tolist() == [4.0, 5.0, 6.0]
     with pytest.raises(IndexError):
         rows[2]
+
+
+def test_objects_of_a_file_are_those_that_were_kept(tmp_path: Path) -> None:
+    kept, objects = ObjectFile(tmp_path), [(1, "one"), (2, None)]
+    for item in objects:
+        kept.append(item)
+    assert list(kept) == objects
+    assert list(kept) == objects
+    assert not list(tmp_path.iterdir())

@@ -21,6 +21,7 @@ from hybrid_ins.bags.messages import IMU, Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
+from hybrid_ins.row_file import BlockFile
 
 
 @pytest.fixture(scope="module")
@@ -233,6 +234,20 @@ def test_imu_table_of_many_blocks_is_that_of_one(
     assert whole.frames == blocks.frames == ((0, "imu_a"), (20, "imu_b"))
     np.testing.assert_array_equal(whole.stamp_ns, blocks.stamp_ns)
     np.testing.assert_array_equal(whole.specific_force, blocks.specific_force)
+
+
+def test_imu_table_in_a_file_is_that_in_memory(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "IMU_BLOCK", 7)
+    with BagReader(flight) as bag:
+        in_memory = bag.imu()
+        in_file = bag.imu(make_blocks=lambda: BlockFile(tmp_path))
+    assert in_file.frames == in_memory.frames
+    for name in ("stamp_ns", "log_ns", "specific_force", "orientation_xyzw", "has_reading"):
+        assert np.array_equal(getattr(in_file, name), getattr(in_memory, name))
+        assert isinstance(getattr(in_file, name).base, np.memmap)
+    assert not list(tmp_path.iterdir())  # it has no name
 
 
 def test_ten_minutes_at_200_hz_are_read_whole(tmp_path: Path) -> None:
