@@ -148,6 +148,8 @@ def _unit_of_gravity(path: Path, force: Array) -> float:
 def _seconds(path: Path, t: Array) -> tuple[Array, float]:
     """Return the times and their unit [s]: IMUs sample 5 to 10 000 times a second."""
     steps = np.diff(t)
+    if not (steps > 0.0).any():
+        raise InputError(f"{path}: its times do not advance: is the first column the time?")
     step = float(np.median(steps[steps > 0.0]))
     for unit in (1.0, 1e-3, 1e-6, 1e-9):
         if 1e-4 <= step * unit <= 0.2:
