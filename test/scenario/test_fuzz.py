@@ -2,7 +2,7 @@
 
 from support.fuzzer import run
 
-MESSAGES = 20_000
+MESSAGES = 8_000
 
 
 def test_sound_messages_with_odd_ones_between_them() -> None:

@@ -1,7 +1,6 @@
 """Noise models behind the seam: units, fallback and return, innovations, no side effects."""
 
 import copy
-import dataclasses
 
 import numpy as np
 import pytest
@@ -43,20 +42,18 @@ def correction(
     """One that moves velocity by ``gain * z`` and misalignment by a tenth of it."""
     K = np.zeros((N_ERROR, len(z)))
     K[DV], K[EPS] = gain * np.eye(3, len(z)), 0.1 * gain * np.eye(3, len(z))
-    given = {
-        "t_ns": 1,
-        "z": z,
-        "S": np.eye(len(z)),
-        "H": np.zeros((len(z), N_ERROR)),
-        "K": K,
-        "dx": K @ z,
-        "C_nb": np.eye(3) if C_nb is None else C_nb,
-        "interval": interval,
-        "nav": np.zeros(N_FLAT),
-        "fused": True,
-        "restarted": False,
-    }
-    return Correction(**{f.name: given[f.name] for f in dataclasses.fields(Correction)})
+    return Correction(
+        t_ns=1,
+        z=z,
+        S=np.eye(len(z)),
+        H=np.zeros((len(z), N_ERROR)),
+        K=K,
+        dx=K @ z,
+        C_nb=np.eye(3) if C_nb is None else C_nb,
+        interval=interval,
+        nav=np.zeros(N_FLAT),
+        fused=True,
+    )
 
 
 # --- Units ---------------------------------------------------------------------------------------

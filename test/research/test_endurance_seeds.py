@@ -1,0 +1,11 @@
+"""The clock offset stays within its uncertainty with other seeds, too."""
+
+import pytest
+from support.endurance import assert_clock_is_within_three_sigma
+
+
+@pytest.mark.parametrize(
+    ("kind", "offset"), [("standing", 0.0), ("cruise", 0.2), ("smooth drive", -0.1)]
+)
+def test_clock_offset_stays_within_its_uncertainty(kind: str, offset: float) -> None:
+    assert_clock_is_within_three_sigma(kind, offset, seed=2)
