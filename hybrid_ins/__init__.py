@@ -39,4 +39,10 @@ Noise
     Variance of the white noise of one IMU sample, [(m/s²)²] or [(rad/s)²].
 ``psd``
     Power spectral density of that noise, ``q * dt``. Qc consists of these; the paper's text uses q.
+
+Multiple models
+---------------
+A bank holds hypotheses (of heading, clock offset, or noise), each with a prior probability. The
+log-likelihood of each innovation changes their log-weights; the mixture is the weighted mean of the
+hypotheses, with their spread in its covariance.
 """

@@ -76,7 +76,7 @@ def differences(shown: str, printed: str) -> list[str]:
 
 
 def same(shown: str, printed: str) -> bool:
-    """Tell whether two lines differ by rounding only."""
+    """Return whether two lines differ by rounding only."""
     if " ".join(NUMBER.sub("#", shown).split()) != " ".join(NUMBER.sub("#", printed).split()):
         return False
     return all(

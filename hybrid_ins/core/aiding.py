@@ -1,7 +1,7 @@
 """
 Life cycle of sensors that aid the filter besides GNSS.
 
-What such a sensor claims is checked against the filter before it is believed. While fixes come,
+What such a sensor claims is checked against the filter before it is used. While fixes come,
 the filter knows velocity, heading and height without it: readings that agree for some seconds make
 the sensor aid, readings that disagree for some seconds make it refused, whatever it did before.
 What a sensor cannot know of itself, the scale and the place of wheels, the offset of a pressure
@@ -57,7 +57,7 @@ class AidingState(Enum):
 
 class AidingSensor:
     """
-    One aiding sensor: whether it is believed, and what is known of its errors.
+    One aiding sensor: whether it is used, and what is known of its errors.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class AidingSensor:
 
     def __init__(self) -> None:
         self._last_ns = self._used_ns = 0
-        self._believed: bool | None = None
+        self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
 
@@ -88,9 +88,9 @@ class AidingSensor:
             return AidingState.ABSENT
         if t_ns - self._last_ns > SILENCE_NS:
             return AidingState.LOST
-        if self._believed is None:
+        if self._agrees is None:
             return AidingState.WAITING
-        return AidingState.AIDING if self._believed else AidingState.REFUSED
+        return AidingState.AIDING if self._agrees else AidingState.REFUSED
 
     @property
     def nis(self) -> float:
@@ -100,7 +100,7 @@ class AidingSensor:
     def hear(self, t_ns: int) -> bool:
         """Note a reading at a stamp [ns]; return whether it is due to be used."""
         if t_ns - self._last_ns > SILENCE_NS:
-            self._nis, self._checked, self._believed = 0.0, None, None
+            self._nis, self._checked, self._agrees = 0.0, None, None
         self._last_ns = max(self._last_ns, t_ns)
         if t_ns - self._used_ns < round(0.9 * self.period * 1e9):
             return False
@@ -133,7 +133,7 @@ class AidingSensor:
             nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
             self._check(nis)
             self.learn(reading, nav, z, HPH, R)
-        if not self._believed or not (outage or self.always):
+        if not self._agrees or not (outage or self.always):
             return None
         return self.measurement(corrected, R, nuisance)
 
@@ -157,7 +157,7 @@ class AidingSensor:
         return True
 
     def _check(self, nis: float) -> None:
-        """Believe the sensor or not, by the NIS per component of its readings."""
+        """Decide whether the sensor is used, by the NIS per component of its readings."""
         nis = min(nis, LARGEST_NIS)
         if self._checked is None:
             self._nis, self._checked = nis, 0.0
@@ -167,9 +167,9 @@ class AidingSensor:
         if self._checked < SHOWN:
             return
         if self._nis < AGREES:
-            self._believed = True
+            self._agrees = True
         elif self._nis > DISAGREES:
-            self._believed = False
+            self._agrees = False
 
 
 class VelocitySensor(AidingSensor):
@@ -252,7 +252,7 @@ def _by_errors(reading: Measurement, nav: Array) -> Array:
 
 
 class HeadingSensor(AidingSensor):
-    """A heading, believed only once the motion has confirmed it."""
+    """A heading, used only once the motion has confirmed it."""
 
     name = "heading"
     always = True

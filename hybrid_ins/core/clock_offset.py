@@ -127,7 +127,7 @@ class ClockOffsetObserver:
 
     def update(self, correction: Correction, h: Array, S: Array, informs: bool = True) -> None:
         """
-        Take a correction, or a fix that was rejected, into account.
+        Use a correction, or a fix that was rejected.
 
         Parameters
         ----------

@@ -2,10 +2,10 @@
 Multiple-model search for the clock offset of fixes: one filter per offset (and heading).
 
 A filter that assumes the fixes to be tenths of a second younger or older than they are linearises
-far from the truth: within those a vehicle turns and brakes, and it cannot tell the offset from a
-bad IMU (see `noise_multiple_model`) before its state has followed the fixes. Filters that start
-with offsets a cell apart are each accurate within their cell, where `clock_offset` estimates the
-rest.
+far from the truth: within those a vehicle turns and brakes, and it cannot distinguish the offset
+from a bad IMU (see `noise_multiple_model`) before its state has followed the fixes. Filters that
+start with offsets a cell apart are each accurate within their cell, where `clock_offset` estimates
+the rest.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class ConstraintObserver:
 
     def observe(self, nav: Array, rate_b: Array, interval: float, *, fused: bool) -> None:
         """
-        Take the motion at an instant into account.
+        Use the motion at an instant.
 
         Parameters
         ----------

@@ -75,14 +75,14 @@ class FilterNoise:
         """Return the diagonal of Qc, shape (12,)."""
         return self.process.psd(self.levels())
 
-    def take_estimate(self, estimate: NoiseEstimate) -> None:
-        """Take a regressor's estimate; factors above 1 that a stand-in needed are dropped."""
+    def learn_estimate(self, estimate: NoiseEstimate) -> None:
+        """Learn from a regressor's estimate; factors above 1 that a stand-in needed are dropped."""
         replaced = self.model.learn(estimate)
         if replaced and self.factors is not None and max(self.imu_factors) > 1.0:
             self.factors.restart(keep_weights=False)
 
-    def take_correction(self, correction: Correction) -> StateCorrection | None:
-        """Take a correction, or a rejected measurement; may return where the state belongs."""
+    def learn_correction(self, correction: Correction) -> StateCorrection | None:
+        """Learn from a fix, fused or rejected; may return where the state belongs."""
         self.model.learn(replace(correction, restarted=self._restarted))
         self._restarted = False
         if self.factors is None:
@@ -90,7 +90,7 @@ class FilterNoise:
         return self.factors.update(correction, self.process.psd(self.model.levels()))
 
     def follow(self, correction: Correction) -> None:
-        """Take what a measurement that is no fix did to the state."""
+        """Learn what a measurement that is no fix did to the state."""
         if self.factors is not None:
             self.factors.follow(correction, self.process.psd(self.model.levels()))
 

@@ -35,7 +35,7 @@ class Stretch:
         Those that ran one after the other, and what each one's clock added to the stamps beyond
         its predecessor's [s].
     running_ns : int
-        When the first of them was taken [ns].
+        Stamp of the first of them [ns].
     heading_found : bool
         It was started by several headings.
     """
@@ -80,18 +80,18 @@ class RunRecord:
         self.stretches.append(Stretch(self._make_blocks()))
 
     def sample(self, t_ns: int, *reading: float) -> None:
-        """Take a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b."""
+        """Append a sample: stamp [ns], specific force [m/s²], angular rate [rad/s], b."""
         self._loose.append((t_ns, reading[:3], reading[3:]))
         if len(self._loose) == BLOCK:
             self._gather()
 
     def block(self, samples: Samples) -> None:
-        """Take many samples."""
+        """Append many samples."""
         self._gather()
         self.stretches[-1].blocks.append(samples)
 
     def follow(self, running: InsFilter, offset: float = 0.0, heading_found: bool = False) -> None:
-        """Take the filter that runs from now on, unless it is the last one; see `Stretch`."""
+        """Follow the filter that runs from now on, unless it is the last one; see `Stretch`."""
         self._gather()
         stretch = self.stretches[-1]
         if stretch.filters and stretch.filters[-1][0] is running:

@@ -2,7 +2,7 @@
 The smoother of a recorded stretch: what the forward run decided, with hindsight.
 
 Measurements, decisions and noise are those of the forward run, but for four things that only later
-data tell. Measurements that the gate rejected are fused if they fit after all; where the
+data show. Measurements that the gate rejected are fused if they fit after all; where the
 innovations showed that the noise had been too small for a while, it is raised over that while; the
 clock offset of each fix is the one that later fixes confirm; and a heading that had to be found is
 linearised about the one that was found.

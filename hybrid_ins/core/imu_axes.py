@@ -234,7 +234,7 @@ class ImuAxesCheck:
             self._on_found(end.value)
 
     def _on_found(self, found: AxesFault | bool) -> None:
-        """Take the result of a check: what is found several times in a row counts."""
+        """Use the result of a check: what is found several times in a row counts."""
         if found is True:
             self._times, self._found, self.fault = 0, None, None
         if not isinstance(found, AxesFault):
@@ -367,9 +367,9 @@ def _kinds(motion: Motion) -> list[str]:
     """Return what kinds of motion there are: turns about the IMU's axes, and of the course."""
     turned = np.ptp(np.cumsum(motion.turn, axis=0), axis=0) > TURN
     course = np.unwrap(_courses(motion)[0])
-    bends = len(course) > 0 and float(np.ptp(course)) > TURN
+    is_curved = len(course) > 0 and float(np.ptp(course)) > TURN
     turns = [f"turn about {axis}" for axis, is_seen in zip("xyz", turned, strict=True) if is_seen]
-    return ["speed", *turns, *(["course"] if bends else [])]
+    return ["speed", *turns, *(["course"] if is_curved else [])]
 
 
 def _mount_along_course(

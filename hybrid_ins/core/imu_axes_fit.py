@@ -101,16 +101,16 @@ class Fit:
 def triples_of(t: Array, interval: float) -> NDArray[np.intp]:
     """Return the fixes (K, 3) of changes of velocity, about an interval [s] apart."""
     rows = []
-    taken = -np.inf
+    last_used = -np.inf
     for k in range(1, len(t) - 1):
         first = int(np.argmin(np.abs(t[:k] - (t[k] - interval))))
         last = k + 1 + int(np.argmin(np.abs(t[k + 1 :] - (t[k] + interval))))
         spans = t[k] - t[first], t[last] - t[k]
         low, high = interval * TOLERANCE[0], interval * TOLERANCE[1]
         usable = low <= min(spans) and max(spans) <= high
-        if usable and t[k] - taken >= LEAST_STEP:
+        if usable and t[k] - last_used >= LEAST_STEP:
             rows.append((first, k, last))
-            taken = t[k]
+            last_used = t[k]
     return np.array(rows, np.intp).reshape(-1, 3)
 
 

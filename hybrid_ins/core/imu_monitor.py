@@ -67,7 +67,7 @@ class ImuMonitor:
 
     @property
     def may_stand(self) -> bool:
-        """The vehicle stands, or brakes so steadily that it cannot be told from standing."""
+        """The vehicle stands, or brakes so steadily that the IMU shows no difference."""
         return self._calm_ns is not None
 
     def reset(self) -> None:
@@ -193,7 +193,7 @@ def _longest_braking_ns(running: InsFilter) -> int:
     """
     Return how long [ns] a vehicle may go on braking since its speed may be zero.
 
-    A filter that knows its speed poorly takes zero for plausible long before the vehicle stands.
+    A filter that knows its speed poorly finds zero plausible long before the vehicle stands.
     """
     speed = LARGEST_SPEED * float(np.sqrt(_speed_covariance(running).diagonal().max()))
     return min(int(speed / SOFTEST_BRAKING * 1e9), LONGEST_BRAKING_NS)

@@ -19,7 +19,7 @@ def inflate_to_innovation(nav: Array, z: Array, H: Array, interval: float) -> No
     """
     Inflate the covariance so that an innovation ``z`` far outside it is consistent with it.
 
-    Position takes all of it; velocity what would have led there since the last correction.
+    Position gets all of it; velocity what would have led there since the last correction.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ def linearisation(packed, z, H, R):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def is_nonlinear(packed, dx, H, R):  # type: ignore[no-untyped-def]
-    """Tell whether the difference of half φ × δ is noticeable in the measurement."""
+    """Return whether the difference of half φ × δ is noticeable in the measurement."""
     rotation = packed[DIAGONAL[6]] + packed[DIAGONAL[7]] + packed[DIAGONAL[8]]
     for a in range(len(R)):
         difference = 0.0

@@ -95,7 +95,7 @@ class MeasurementUpdate:
         if isinstance(event, NoiseChange):
             self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
-            self.noise.take_estimate(event)
+            self.noise.learn_estimate(event)
         elif isinstance(event, ClockShift):
             inject(nav, self.clock.shift(event.by, nav))
         elif isinstance(event, CovarianceInflation):
@@ -182,7 +182,7 @@ class MeasurementUpdate:
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let the noise learn from a correction; it may say where the state belongs."""
-        moved = self.noise.take_correction(correction)
+        moved = self.noise.learn_correction(correction)
         if moved is not None:
             inject(nav, moved.dx)
             pack(moved.P, nav[COVARIANCE])

@@ -181,7 +181,8 @@ class MultipleModelBank:
         log_det = np.array([v.log_det for v in verdicts])
         # Where even the best hypothesis has a large NIS the noise is wrong: differences mean less.
         self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
-        self.log_weights -= 0.5 * (nis / max(1.0, self._nis_scale) + log_det)
+        log_likelihood = -0.5 * (nis / max(1.0, self._nis_scale) + log_det)
+        self.log_weights += log_likelihood
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
 
@@ -217,7 +218,7 @@ class MultipleModelBank:
         return Decision(winner, self._offsets_ns[self._best] * 1e-9, False)
 
     def _is_known(self) -> bool:
-        """Tell whether one filter can do the rest."""
+        """Return whether one filter can do the rest."""
         std = self.heading()[1]
         known = [
             self._has_lasted(("heading", limit), std <= limit, lasting_ns)
@@ -226,7 +227,7 @@ class MultipleModelBank:
         return not self.heading_open or any(known)
 
     def _has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
-        """Tell whether a condition is true, and was for so long [ns]."""
+        """Return whether a condition is true, and was for so long [ns]."""
         if not true:
             self._since.pop(condition, None)
             return False

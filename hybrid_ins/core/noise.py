@@ -92,7 +92,7 @@ class NoiseModel(Protocol):
 
     def learn(self, observation: NoiseEstimate | Correction) -> bool:
         """
-        Take an observation into account.
+        Use an observation.
 
         Returns True where stand-in variances have given way to estimated ones: what was found
         out about the former does not hold for the latter.
@@ -196,7 +196,7 @@ class LearnedNoise:
         return self._q
 
     def learn(self, observation: NoiseEstimate | Correction) -> bool:
-        """Take a regressor's estimate, or let the last one expire."""
+        """Use a regressor's estimate, or let the last one expire."""
         if isinstance(observation, Correction):
             return False
         t_ns, q = observation.t_ns, observation.q

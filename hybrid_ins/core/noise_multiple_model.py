@@ -102,6 +102,11 @@ class NoiseMultipleModelBank:
         On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
     fix_factor : float
         On the covariance that fixes claim, 1 to 10³: receivers claim too small ones, too.
+
+    See Also
+    --------
+    multiple_model.MultipleModelBank : in the same terms. Its hypotheses are whole filters, their
+        likelihoods do not fade, and unlikely hypotheses are dropped.
     """
 
     def __init__(self) -> None:
@@ -124,7 +129,7 @@ class NoiseMultipleModelBank:
 
     def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """
-        Take a correction, or a measurement that was rejected, into account.
+        Weigh the hypotheses by a correction, or by a measurement that was rejected.
 
         Returns where the state belongs when the factors have risen: the running filter has
         drifted with too small a noise meanwhile, the hypotheses that are likely now have not.
@@ -153,7 +158,7 @@ class NoiseMultipleModelBank:
         log_weights = self._log_likelihood + _LOG_PRIOR
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
-        return self._mix(weights)
+        return self._use_mixture(weights)
 
     def follow(self, correction: Correction, psd: Array) -> None:
         """Correct the hypotheses by a measurement that is no fix, and does not weigh them."""
@@ -205,7 +210,7 @@ class NoiseMultipleModelBank:
         self._P = np.ascontiguousarray(full[PACKED_ROWS, PACKED_COLUMNS])
         self._state_offset = G @ self._state_offset
 
-    def _mix(self, weights: Array) -> StateCorrection | None:
+    def _use_mixture(self, weights: Array) -> StateCorrection | None:
         """Set the factors to the mixture's mean; where they have risen, correct the state."""
         a, g, r = map(_factor, (_DECADES @ weights).tolist())
         self.imu_factors, self.fix_factor = (a, g), r

@@ -128,8 +128,8 @@ class PhaseMachine:
             self.filter.submit(measurement)
             self.collect_verdicts(self.filter)
         bank = self.phase.bank
-        taken = bank is not None and bank.measure(measurement)
-        return taken or self.filter is not None
+        used = bank is not None and bank.measure(measurement)
+        return used or self.filter is not None
 
     def submit(self, event: Change) -> None:
         """Change the noise or the covariance of all filters, see `InsFilter.submit`."""
@@ -207,19 +207,19 @@ class PhaseMachine:
         if decision is None:
             return False
         winner, running = decision.filter, self.filter
-        turned = running is not None and is_contradicted(running.state, winner.state)
-        if running is not None and not turned and not bank.clock_open:
-            self._enter(Running(running))
-            return False
-        if running is not None and turned and bank.heading_open:
-            self._events.append(HeadingCorrected.between(running.state, winner.state))
+        if running is not None:
+            if bank.heading_open and is_contradicted(running.state, winner.state):
+                self._events.append(HeadingCorrected.between(running.state, winner.state))
+            elif not bank.clock_open:
+                self._enter(Running(running))
+                return False
         missed = self._ring.after(winner.t_ns)
         if len(missed):
             winner.predict_block(missed)
-        if self.filter is not None:  # It has judged each fix already, but for those that wait.
+        if running is not None:  # It has judged each fix already, but for those that wait.
             winner.withdraw()
             winner.verdicts.clear()
-            waiting = self.filter.withdraw()
+            waiting = running.withdraw()
             reason = "clock offset found" if bank.clock_open else "heading corrected"
             self._events.extend(Verdict.rejected(m, reason) for m in waiting)
         if bank.clock_open:
@@ -232,7 +232,7 @@ class PhaseMachine:
 
     def _keeps_running(self, bank: MultipleModelBank) -> bool:
         """
-        Tell whether the filter beside a clock search is kept.
+        Return whether the filter beside a clock search is kept.
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
         """

@@ -76,7 +76,7 @@ class AidingSources:
             np.broadcast_to(values["aiding.velocity_position_std"], 3),
         )
         self._heading, self._height = HeadingSensor(), HeightSensor()
-        self._told: dict[str, AidingState] = {}
+        self._logged: dict[str, AidingState] = {}
         self.restart()
 
     def restart(self) -> None:
@@ -109,7 +109,7 @@ class AidingSources:
         fixes_come = self._fixes.settled(self._navigator.last_ns)
         outage = self._fixes.outage(self._navigator.last_ns)
         measurement = sensor.consider(reading, nav, checked=fixes_come, outage=outage)
-        self._tell(sensor)
+        self._log_change(sensor)
         if measurement is not None:
             self._navigator.measure(measurement)
 
@@ -131,17 +131,17 @@ class AidingSources:
             return
         self._states.append((t_ns, running.flat_state()))
         for sensor in heard:
-            self._tell(sensor)
+            self._log_change(sensor)
 
-    # What the user is told.
+    # For the user.
 
-    def _tell(self, sensor: AidingSensor) -> None:
+    def _log_change(self, sensor: AidingSensor) -> None:
         """Log a change of a sensor's state."""
         state = sensor.state(self._navigator.last_ns)
-        before = self._told.get(sensor.name)
+        before = self._logged.get(sensor.name)
         if state is before or state is AidingState.ABSENT:
             return
-        self._told[sensor.name] = state
+        self._logged[sensor.name] = state
         if state is AidingState.REFUSED:
             self._inputs.log(
                 "warn",

@@ -15,7 +15,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.ros.aiding_sources import AidingSources
-from hybrid_ins.ros.diagnostics import status
+from hybrid_ins.ros.diagnostics import aiding_verdict_status
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.reports import Report, Status
 from hybrid_ins.ros.validity import ValidityMonitor
@@ -70,7 +70,7 @@ class Aids:
         if verdict.measurement.sensor == GNSS:
             self._fixes.on_verdict(verdict)
         else:
-            self._report("aiding/verdict", _verdict_status(verdict))
+            self._report("aiding/verdict", aiding_verdict_status(verdict))
 
     def run_periodic(self, t_ns: int) -> list[Report]:
         """Do what is due at a stamp [ns]; return what is to be published."""
@@ -90,24 +90,3 @@ class Aids:
     def statuses(self, t_ns: int) -> list[Status]:
         """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
         return [self.vehicle.status(), self.sources.status(t_ns), self._validity.status(t_ns)]
-
-
-def _verdict_status(verdict: Verdict) -> Status:
-    """Return what became of one reading of an aiding sensor."""
-    measurement = verdict.measurement
-    text = "fused" if verdict.accepted else f"refused: {verdict.reason}"
-    return status(
-        measurement.sensor,
-        0 if verdict.accepted else 1,
-        text,
-        {
-            "stamp": measurement.t_ns,
-            "kind": measurement.kind,
-            "accepted": str(verdict.accepted).lower(),
-            "nis": verdict.nis,
-            "dof": len(verdict.sigma),
-            "threshold": verdict.threshold,
-            **{f"sigma_{k}": float(s) for k, s in enumerate(verdict.sigma)},
-            "age": verdict.age,
-        },
-    )

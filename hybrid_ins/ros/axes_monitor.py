@@ -16,7 +16,7 @@ from hybrid_ins.ros.input_log import InputLog
 
 Array = NDArray[np.float64]
 
-SAMPLES_NS = 500_000_000  # between two looks at the IMU's ring buffer
+SAMPLES_NS = 500_000_000  # between two checks of the IMU's ring buffer
 LONGEST_GAP_NS = 500_000_000  # between samples, over which nothing is integrated
 ACCELERATION, RATE = "linear_acceleration", "angular_velocity"
 

@@ -88,7 +88,7 @@ class ClockCorrection:
         """
         Correct the offset once a second, or warn that it is wrong; call after each fix.
 
-        Wrong axes of the IMU look like a wrong offset: there is no warning of it then.
+        Wrong axes of the IMU have the effect of a wrong offset: there is no warning of it then.
         """
         self._axes_are_plausible = axes_are_plausible
         running = self._navigator.filter

@@ -47,26 +47,40 @@ def verdict_status(verdict: Verdict) -> Status:
         text += f" (NIS {verdict.nis:.1f} > {verdict.threshold:.1f})"
     elif verdict.weight < 1.0:
         text += f", weight {verdict.weight:.2g} (NIS {verdict.nis:.1f})"
-    return status(
-        "gnss",
-        0 if verdict.accepted and not verdict.inflated else 1,
-        text,
-        {
-            "stamp": measurement.t_ns - offset_ns,
-            "kind": measurement.kind,
-            "accepted": str(verdict.accepted).lower(),
-            "reason": verdict.reason,
-            "nis": verdict.nis,
-            "dof": len(verdict.sigma),
-            "threshold": verdict.threshold,
-            "sigma_e": sigma.get("sigma_e", math.nan),
-            "sigma_n": sigma.get("sigma_n", math.nan),
-            "sigma_u": sigma.get("sigma_u", math.nan),
-            "time_offset": offset_ns * 1e-9,
-            "age": verdict.age,
-            "weight": verdict.weight,
-        },
-    )
+    values = {
+        "stamp": measurement.t_ns - offset_ns,
+        "kind": measurement.kind,
+        "accepted": str(verdict.accepted).lower(),
+        "reason": verdict.reason,
+        **_test(verdict),
+        "sigma_e": sigma.get("sigma_e", math.nan),
+        "sigma_n": sigma.get("sigma_n", math.nan),
+        "sigma_u": sigma.get("sigma_u", math.nan),
+        "time_offset": offset_ns * 1e-9,
+        "age": verdict.age,
+        "weight": verdict.weight,
+    }
+    return status("gnss", int(not verdict.accepted or verdict.inflated), text, values)
+
+
+def aiding_verdict_status(verdict: Verdict) -> Status:
+    """Return what became of one reading of an aiding sensor."""
+    measurement = verdict.measurement
+    text = "fused" if verdict.accepted else f"refused: {verdict.reason}"
+    values = {
+        "stamp": measurement.t_ns,
+        "kind": measurement.kind,
+        "accepted": str(verdict.accepted).lower(),
+        **_test(verdict),
+        **{f"sigma_{k}": float(s) for k, s in enumerate(verdict.sigma)},
+        "age": verdict.age,
+    }
+    return status(measurement.sensor, int(not verdict.accepted), text, values)
+
+
+def _test(verdict: Verdict) -> dict[str, object]:
+    """Return the chi-square test of a verdict."""
+    return {"nis": verdict.nis, "dof": len(verdict.sigma), "threshold": verdict.threshold}
 
 
 def filter_status(
@@ -76,7 +90,7 @@ def filter_status(
     Return how the filter is at a stamp [ns].
 
     ``fused_ns`` is the stamp of the last fix that was fused, or 0 where the filter just started
-    from one; ``waiting_for`` tells what alignment lacks.
+    from one; ``waiting_for`` is what alignment lacks.
     """
     running = navigator.filter
     if running is None:

@@ -43,7 +43,7 @@ class InputLog:
         """Count what was refused or is odd on a topic, and warn where it is due."""
         self.counts[refused.name] += 1
         count = self.counts[refused.name]
-        if is_told(count):
+        if is_logged(count):
             so_far = f" ({count} so far)" if count > 1 else ""
             self.log("warn", f"{topic}: {refused.text}{so_far}")
 
@@ -73,10 +73,10 @@ class InputLog:
     def inform(self, name: str, text: str) -> None:
         """Log the first, tenth, hundredth... information of a name; it is not counted as odd."""
         self._informed[name] += 1
-        if is_told(self._informed[name]):
+        if is_logged(self._informed[name]):
             self.log("info", text)
 
 
-def is_told(count: int) -> bool:
+def is_logged(count: int) -> bool:
     """Return whether a count is a power of ten."""
     return str(count).strip("0") == "1"

@@ -39,7 +39,7 @@ class OutputTopics:
     new_message : callable
         See `to_message`.
     namespace, node_name : str
-        Those of the node: names and hardware_id of statuses tell several vehicles apart.
+        Those of the node: names and hardware_id of statuses distinguish several vehicles.
 
     Attributes
     ----------

@@ -24,13 +24,13 @@ from hybrid_ins.core.navigator_events import (
 from hybrid_ins.core.state import total_std
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
-from hybrid_ins.ros.input_log import InputLog, is_told
+from hybrid_ins.ros.input_log import InputLog, is_logged
 from hybrid_ins.ros.reports import Diagnostics, ImuBiases, Position, Report, Status, Vector
 
 Array = NDArray[np.float64]
 
 DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
-RESTARTS_TOLD = 10  # of one cause, before only each tenfold number is logged
+RESTARTS_LOGGED = 10  # of one cause, before only each tenfold number is logged
 UNKNOWN = 0  # covariance type of a NavSatFix
 
 
@@ -90,7 +90,7 @@ class Reporter:
         elif isinstance(event, Restarted):
             name = f"restart: {event.cause.value}"
             counts[name] += 1
-            if counts[name] <= RESTARTS_TOLD or is_told(counts[name]):
+            if counts[name] <= RESTARTS_LOGGED or is_logged(counts[name]):
                 log("warn", f"{wording.describe_restart(event)}: aligning anew")
         elif isinstance(event, HeadingCorrected):
             counts["heading corrected"] += 1

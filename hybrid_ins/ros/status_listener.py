@@ -20,7 +20,7 @@ from hybrid_ins.ros.reports import Status
 from hybrid_ins.ros.status_view import NodeStatus
 
 OURS = "hybrid_ins: "
-STEP = 0.1  # s, between two looks at the clock
+STEP = 0.1  # s, between two checks of the clock
 
 
 class StatusListener:

@@ -107,12 +107,12 @@ class VehicleInput:
         fused = not self._fixes.settled(t_ns)
         observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=fused)
         if observer.holds != held:
-            self._tell()
+            self._log_change()
         self.fused = self._fixes.outage(t_ns) and observer.holds
         if self.fused:
             self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9))
 
-    def _tell(self) -> None:
+    def _log_change(self) -> None:
         observer = self.observer
         assert observer is not None
         if observer.holds:

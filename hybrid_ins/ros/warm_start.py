@@ -3,7 +3,7 @@ Start with what the last run has found, and save it for the next.
 
 The heading is used only where the vehicle has not moved since: it stood when the file was written,
 and stands where it stood, with gravity from the same side. A turn on the spot does not show in
-these, which is why the heading is not believed to better than `HEADING_STD`.
+these, which is why the heading is not assumed to be better than `HEADING_STD`.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ def tuned(scenario: Scenario, args: argparse.Namespace) -> Method:
 
 
 def wanted(scenario: Scenario, args: argparse.Namespace) -> bool:
-    """Tell whether a scenario is to be flown; the report needs Table I and 200 Hz."""
+    """Return whether a scenario is to be flown; the report needs Table I and 200 Hz."""
     return not any(words in scenario.name for words in args.without) or scenario in WITH_PRINTED
 
 

@@ -45,7 +45,7 @@ UNKNOWN = 65_535  # of speed and course in GPS_RAW_INT
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file begins as a dataflash or telemetry log."""
+    """Return whether a file begins as a dataflash or telemetry log."""
     return head.startswith(DATAFLASH) or _is_telemetry(head)
 
 
@@ -157,8 +157,8 @@ def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:
         height = m.Alt - (getattr(own, "Und", 0.0) if own is not None else 0.0)
         place = (m.Lat, m.Lng, height)
         velocity = (m.Spd * np.cos(course), m.Spd * np.sin(course), m.VZ)
-        told = (own.HAcc, own.VAcc, own.SAcc) if own is not None else (np.nan,) * 3
-        rows.append((m.TimeUS * 1e-6, m.Status, *place, *velocity, *told))
+        claimed = (own.HAcc, own.VAcc, own.SAcc) if own is not None else (np.nan,) * 3
+        rows.append((m.TimeUS * 1e-6, m.Status, *place, *velocity, *claimed))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The formats of logs, and which one a file has: told by its content, not by its name."""
+"""The formats of logs, and which one a file has, by its content, not by its name."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ DEGREES_1E7 = 1e4  # a latitude beyond it counts in 1e-7 degrees
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file has a line of names with a position and a time, and rows below."""
+    """Return whether a file has a line of names with a position and a time, and rows below."""
     return _table(head.decode("utf-8", "replace").splitlines()[:-1]) is not None
 
 
@@ -263,7 +263,7 @@ class _Columns:
         return utc_from_gps(t - GPS_EPOCH) if "gps" in name else t
 
     def status(self) -> NDArray[np.int8]:
-        """Return the NavSatStatus of each row; FIX where nothing tells it."""
+        """Return the NavSatStatus of each row; FIX where nothing says it."""
         for what, codes in CODES.items():
             if what in self.at:
                 return self._coded(what, lambda code, codes=codes: codes.get(code, FIX))  # type: ignore[misc]

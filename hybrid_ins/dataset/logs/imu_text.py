@@ -30,7 +30,7 @@ NAMES = {
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file is a table of seven or more numbers a line."""
+    """Return whether a file is a table of seven or more numbers a line."""
     lines = [line for line in head.split(b"\n")[:-1] if line.strip() and line[:1] not in b"#%"]
     return sum(len(_numbers(line.decode("utf-8", "replace"))) >= 7 for line in lines) > 0.5 * len(
         lines
@@ -69,7 +69,7 @@ def read_imu(path: Path) -> ImuLog:
 
 
 def _is_in_degrees(rates: Array, names: str) -> bool:
-    """Tell whether rates are in deg/s: by the names of their columns, else by their size."""
+    """Return whether rates are in deg/s: by the names of their columns, else by their size."""
     if re.search(r"deg|dps|°", names):
         return True
     faster = np.median(np.sort(np.linalg.norm(rates, axis=1))[len(rates) // 2 :])
@@ -85,7 +85,7 @@ def _numbers(line: str) -> list[float]:
 
 
 def _header(lines: list[str], rows: list[list[float]], width: int) -> list[str]:
-    """Return the names of the columns, if a line before the first row tells them."""
+    """Return the names of the columns, if a line before the first row has them."""
     first = next(k for k, row in enumerate(rows) if len(row) == width)
     for line in reversed(lines[:first]):
         words = [w.strip('" ').lower() for w in re.split(r"[,;\t]|\s+", line.strip("#% "))]

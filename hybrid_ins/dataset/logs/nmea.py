@@ -24,7 +24,7 @@ KNOT = 1852.0 / 3600.0  # m/s
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file holds NMEA sentences near its beginning, among others perhaps."""
+    """Return whether a file holds NMEA sentences near its beginning, among others perhaps."""
     return re.search(rb"\$[A-Z]{2}GGA,[^\r\n]*\*[0-9A-F]{2}", head) is not None
 
 
@@ -32,7 +32,7 @@ def read_gnss(path: Path) -> GnssLog:
     """
     Read the fixes; the day is that of RMC.
 
-    Heights are above the ellipsoid where GGA tells the geoid's.
+    Heights are above the ellipsoid where GGA has the geoid's.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def read_gnss(path: Path) -> GnssLog:
     if not found:
         raise InputError(f"{path}: no GGA sentence with a fix")
     if not dates:
-        raise InputError(f"{path}: no RMC sentence tells the date; enable RMC in the receiver")
+        raise InputError(f"{path}: no RMC sentence has the date; enable RMC in the receiver")
     midnight = datetime.combine(dates[0][1], time(), timezone.utc) - timedelta(days=dates[0][0])
     rows = [_row(midnight + timedelta(days=days), at, m) for (days, at), m in found]
     t, lla, std, status, velocity = map(np.array, zip(*rows, strict=True))

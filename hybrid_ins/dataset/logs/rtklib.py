@@ -32,7 +32,7 @@ NED_AXES, ECEF_AXES = (("n", "e", "u"), (1.0, 1.0, -1.0)), (("x", "y", "z"), (1.
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file begins as a solution does."""
+    """Return whether a file begins as a solution does."""
     lines = [line for line in head.split(b"\n") if line.startswith(b"%")]
     return any(b"GPST" in line or b"UTC" in line for line in lines[-3:]) and any(
         b"latitude" in line or b"x-ecef" in line for line in lines

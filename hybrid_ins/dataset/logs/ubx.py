@@ -19,7 +19,7 @@ from hybrid_ins.errors import InputError
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file holds NAV-PVT near its beginning, or UBX messages and no NMEA."""
+    """Return whether a file holds NAV-PVT near its beginning, or UBX messages and no NMEA."""
     return b"\xb5\x62\x01\x07" in head or (head.startswith(b"\xb5\x62") and b"GGA," not in head)
 
 

@@ -32,7 +32,7 @@ STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
 
 
 def recognise(head: bytes) -> bool:
-    """Tell whether a file begins as a ULog."""
+    """Return whether a file begins as a ULog."""
     return head.startswith(b"ULog\x01\x12\x35")
 
 

@@ -269,26 +269,26 @@ def test_factors_on_the_fallback_are_dropped_once_there_is_an_estimate() -> None
 
     factors, model = Factors(), LearnedNoise(FALLBACK)
     noise = FilterNoise(model, process(), factors)
-    noise.take_estimate(NoiseEstimate(0, Q))
-    noise.take_estimate(NoiseEstimate(10**9, None))
+    noise.learn_estimate(NoiseEstimate(0, Q))
+    noise.learn_estimate(NoiseEstimate(10**9, None))
     assert model.on_fallback and not restarts
-    noise.take_estimate(NoiseEstimate(2 * 10**9, Q))
+    noise.learn_estimate(NoiseEstimate(2 * 10**9, Q))
     assert not model.on_fallback and not restarts  # no factor was above 1
 
-    noise.take_estimate(NoiseEstimate(3 * 10**9, None))
+    noise.learn_estimate(NoiseEstimate(3 * 10**9, None))
     factors.imu_factors = (50.0, 1.0)
-    noise.take_estimate(NoiseEstimate(4 * 10**9, Q))
+    noise.learn_estimate(NoiseEstimate(4 * 10**9, Q))
 
     assert not model.on_fallback and restarts == [False]
 
 
 def test_innovations_from_before_a_restart_are_dropped() -> None:
     noise = FilterNoise(InnovationNoise(FALLBACK, np.zeros(6), 2, process()), process())
-    noise.take_correction(correction(np.full(3, 100.0)))
+    noise.learn_correction(correction(np.full(3, 100.0)))
     noise.restart(keep_weights=True)
-    noise.take_correction(correction(np.ones(3)))
+    noise.learn_correction(correction(np.ones(3)))
     assert noise.levels() == pytest.approx(FALLBACK)
-    noise.take_correction(correction(np.ones(3)))
+    noise.learn_correction(correction(np.ones(3)))
 
     assert noise.levels()[:3] == pytest.approx(np.full(3, 1.0 / 0.2 / 0.01))
 
