@@ -95,6 +95,7 @@ class Likelihood:
         self.frozen: frozenset[str] = frozenset()
         self._by_yaw = np.empty((len(recordings), 0, YAWS))
         self.on_pass: Callable[[], None] = lambda: None
+        self._last: tuple[object, list[Array]] | None = None  # a point, and `_values` there
 
     def value(self, x: Array, name: str) -> float:
         """Return a parameter's value in ``x``."""
@@ -103,9 +104,9 @@ class Likelihood:
     def run(self, k: int, x: Array, keep_states: bool = False) -> FilterPass:
         """Run the filter over recording ``k`` with parameters ``x``."""
         self.on_pass()
-        return self._run(k, x, keep_states)
+        return self._run(k, x, self.yaws[k], keep_states)
 
-    def _run(self, k: int, x: Array, keep_states: bool = False) -> FilterPass:
+    def _run(self, k: int, x: Array, yaw: float, keep_states: bool = False) -> FilterPass:
         psd = np.repeat(
             np.exp(
                 [
@@ -125,7 +126,7 @@ class Likelihood:
             psd,
             math.exp(self.value(x, "gnss_scale")),
             self.nominal,
-            self.yaws[k],
+            yaw,
             YAW_STD,
             keep_states,
         )
@@ -161,13 +162,13 @@ class Likelihood:
     def choose_yaws(self, x: Array, width: float) -> None:
         """Set each heading to the most likely one within ``width`` [rad] of it."""
         for k in range(len(self.recordings)):
-            centre = self.yaws[k]
-            candidates = centre + np.linspace(-width, width, 7)
-            values = []
-            for yaw in candidates:
-                self.yaws[k] = float(yaw)
-                values.append(np.sum(self.run(k, x).log_likelihood))
-            self.yaws[k] = float(candidates[int(np.argmax(values))])
+            candidates = (self.yaws[k] + np.linspace(-width, width, 7)).tolist()
+
+            def run(yaw: float, k: int = k) -> FilterPass:
+                return self._run(k, x, yaw)
+
+            values = [np.sum(p.log_likelihood) for p in self._in_parallel(run, candidates)]
+            self.yaws[k] = candidates[int(np.argmax(values))]
 
     def choose_coarse_yaws(self, grid: Array, offsets: Sequence[float]) -> None:
         """Set each heading to the most likely one of the coarse search at its offset."""
@@ -193,17 +194,24 @@ class Likelihood:
         def moved(step: tuple[int, int]) -> FilterPass:
             k, i = step
             high = x.copy()
-            if i >= 0:
-                high[i] += self.prior[i].step
-            return self._run(k, high)
+            high[i] += self.prior[i].step
+            return self._run(k, high, self.yaws[k])
 
-        points = [*((k, -1) for k in range(len(self.recordings))), *steps]
-        found = [passed.log_likelihood for passed in self._in_parallel(moved, points)]
-        values = found[: len(self.recordings)]
+        values = self._values(x)
+        found = [passed.log_likelihood for passed in self._in_parallel(moved, steps)]
         slopes = [np.zeros((len(v), len(x))) for v in values]
-        for (k, i), high in zip(steps, found[len(self.recordings) :], strict=True):
+        for (k, i), high in zip(steps, found, strict=True):
             slopes[k][:, i] = (high - values[k]) / self.prior[i].step
         return values, slopes
+
+    def _values(self, x: Array) -> list[Array]:
+        """Return the log-likelihood (M,) of the measurements, by recording."""
+        point = (x.tobytes(), tuple(self.yaws))
+        if self._last is None or self._last[0] != point:  # a search asks for its last point again
+            count = range(len(self.recordings))
+            passes = self._in_parallel(lambda k: self._run(k, x, self.yaws[k]), count)
+            self._last = point, [passed.log_likelihood for passed in passes]
+        return self._last[1]
 
     def _in_parallel(
         self, call: Callable[[Any], FilterPass], arguments: Sequence[Any]
@@ -216,9 +224,7 @@ class Likelihood:
 
     def value_at(self, x: Array) -> float:
         """Return the log-posterior."""
-        total = sum(
-            float(np.sum(self.run(k, x).log_likelihood)) for k in range(len(self.recordings))
-        )
+        total = sum(float(np.sum(values)) for values in self._values(x))
         return total - 0.5 * float(np.sum(self._from_prior(x) ** 2))
 
     def _from_prior(self, x: Array) -> Array:

@@ -16,7 +16,6 @@ References
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -49,6 +48,7 @@ from hybrid_ins.ros import node_arguments, node_parameters
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.live_estimator import LiveEstimator
+from hybrid_ins.ros.memory import release_memory_of_start
 from hybrid_ins.ros.node_messages import new_message
 from hybrid_ins.ros.warm_up import warm_up
 
@@ -143,13 +143,10 @@ class InsNode(LifecycleNode):
             # Without a manager nobody could correct it: the node then uses the fallback.
             find_regressor(str(values["noise.model"]))
         kernels.prepare(self.get_logger().info)
-        warm_up(new_message)
+        warm_up(new_message, values)
         self._live = LiveEstimator(self, values, self._log)
         self._live.advertise()
-        # What exists now stays: the collector need not traverse it again and again.
-        gc.unfreeze()
-        gc.collect()
-        gc.freeze()
+        release_memory_of_start()
 
     def _activate(self) -> None:
         assert self._live is not None

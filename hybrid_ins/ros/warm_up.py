@@ -4,6 +4,9 @@ A short run through everything that happens at the IMU's rate, before the first 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from hybrid_ins import parameters
@@ -14,7 +17,7 @@ from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.message_types import NewMessage, to_message
 
 
-def warm_up(new: NewMessage) -> None:
+def warm_up(new: NewMessage, values: Mapping[str, Any]) -> None:
     """
     Run an estimator on a hundred samples and some fixes; see also `hybrid_ins.kernels.prepare`.
 
@@ -22,9 +25,13 @@ def warm_up(new: NewMessage) -> None:
     ----------
     new : callable
         Given the name of a type, returns an empty message of it.
+    values : mapping
+        Checked parameters: those of the noise are used, so that no other model is loaded.
     """
+    noise = {name: value for name, value in values.items() if name.startswith("noise.")}
     values = {
         **parameters.defaults(),
+        **noise,
         "alignment.heading_source": "parameter",
         "alignment.window": 0.05,
     }

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.calibration.innovations import POSITION, empty_states, innovations
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.state import PSD
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder, StampedEncoder
 from hybrid_ins.ros.conversions import set_stamp
@@ -23,10 +29,13 @@ from tools.benchmark.contenders import (
     FIX_RATE,
     LEVER,
     RATE,
+    psd,
     reading,
 )
 from tools.benchmark.table import Section
 from tools.paper.runs import Run, Scenario, draw
+
+RUNS = 100
 
 
 def measure_calls(section: Section, run: Run, quick: bool) -> None:
@@ -35,8 +44,21 @@ def measure_calls(section: Section, run: Run, quick: bool) -> None:
     section.add(
         "GNSS update",
         "µs",
-        _timed(_update_call(run), repetitions, calls),
-        note="gate, noise model and rewind point included",
+        _timed(_update_call(run, None), repetitions, calls),
+        5.0,
+        note="gate, clock offset, noise model and checkpoint included",
+    )
+    section.add(
+        "GNSS update with noise factors",
+        "µs",
+        _timed(_update_call(run, NoiseMultipleModelBank()), repetitions, calls),
+        note="the same, and the bank of noise hypotheses",
+    )
+    section.add(
+        f"batch of {RUNS} runs at once",
+        "µs",
+        _runs_at_once(run, repetitions),
+        note="a sample of a run, fixes included, all processors",
     )
     for rate in (RATE, 1000.0):
         section.add(
@@ -72,14 +94,16 @@ def _timed(call: Callable[[], object], repetitions: int, calls: int) -> list[flo
     return times
 
 
-def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
+def _filter(
+    run: Run, rate: float, factors: NoiseMultipleModelBank | None = None
+) -> tuple[InsFilter, ImuRing]:
     ring = ImuRing()
     ring.extend(run.samples[:1])
     ins = InsFilter(
         run.start,
         int(run.samples["t_ns"][0]),
         np.array(reading(run, 0)),
-        FilterNoise(ConstantNoise(run.q[0]), ProcessNoise(run.bias_walk, 1.0 / rate)),
+        FilterNoise(ConstantNoise(run.q[0]), ProcessNoise(run.bias_walk, 1.0 / rate), factors),
         Gate({3: np.inf}, 3.0),
         ring,
         FilterSettings(),
@@ -87,8 +111,8 @@ def _filter(run: Run, rate: float) -> tuple[InsFilter, ImuRing]:
     return ins, ring
 
 
-def _update_call(run: Run) -> Callable[[], None]:
-    ins, ring = _filter(run, RATE)
+def _update_call(run: Run, factors: NoiseMultipleModelBank | None) -> Callable[[], None]:
+    ins, ring = _filter(run, RATE, factors)
     ring.extend(run.samples[1:200])
     ins.predict_block(run.samples[1:200])
     fix = PositionFix(ins.t_ns, run.start.lla, run.fixes[0].covariance_n, LEVER)
@@ -98,6 +122,35 @@ def _update_call(run: Run) -> Callable[[], None]:
         ins.verdicts.clear()
 
     return call
+
+
+def _runs_at_once(run: Run, repetitions: int) -> list[float]:
+    """Return the times [µs] of a sample of a run, of many runs by the filter of calibration."""
+    stamps = run.samples["t_ns"]
+    t = (stamps - stamps[0]) * 1e-9
+    samples = np.hstack((run.samples["f"], run.samples["w"]))
+    aid_t = np.array([(fix.t_ns - stamps[0]) * 1e-9 for fix in run.fixes])
+    aid = np.array([fix.lla for fix in run.fixes])
+    R = np.array([fix.covariance_n for fix in run.fixes])
+    kind = np.full(len(aid), POSITION)
+    count = len(aid)
+
+    def fly(_: int) -> None:
+        nav = run.start.to_flat()
+        nav[PSD] = psd(run)
+        z, S, nis = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count)
+        innovations(
+            nav, t, samples, aid_t, kind, aid, R, LEVER, 0.01 - 1e-6, 0.0, z, S, nis, empty_states()
+        )
+
+    fly(0)
+    times = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in range(repetitions):
+            start = time.perf_counter()
+            list(pool.map(fly, range(RUNS)))
+            times.append((time.perf_counter() - start) / (RUNS * len(t)) * 1e6)
+    return times
 
 
 def _rewinds(rate: float, repetitions: int, fixes: int) -> list[float]:
@@ -133,7 +186,7 @@ def _regressor_calls() -> Iterator[tuple[str, Callable[[], object]]]:
         reader = NoiseReader(
             {**parameters.defaults(), "noise.model": model}, np.eye(3), lambda level, text: None
         )
-        yield reader.regressor.name, lambda reader=reader: reader.read(ring, t_ns)
+        yield reader.regressor.name, partial(reader.read, ring, t_ns)
 
 
 def _sample_call() -> Callable[[], None]:

@@ -156,7 +156,7 @@ def measure(quick: bool) -> Section:
         for contender in contenders[shift:] + contenders[:shift]:
             contender.fly(run, blocks)
     careful = next(c for c in contenders if c.name == "careful NumPy")
-    bars = {"live step": (12.0, 16.0), "batch step": (28.0, 45.0)}
+    bars = {"live step": (32.0, None), "batch step": (60.0, None)}
     for c in contenders:
         section.add(c.name, "µs", c.step)
         section.add(f"{c.name}, CPU", "µs", c.step_cpu)

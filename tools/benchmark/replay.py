@@ -1,4 +1,4 @@
-"""``ins_replay`` from bag to bag: a whole process, and where its time goes."""
+"""``ins_replay`` and ``ins_calibrate``: whole processes, and where a replay's time goes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from hybrid_ins.cli import simulate
 from hybrid_ins.replay import replay
 from tools.benchmark.table import Section
 
-RUN = "import sys; from hybrid_ins.cli.replay import main; sys.exit(main())"
+REPLAY = "hybrid_ins.cli.replay"
+CALIBRATE = "hybrid_ins.cli.calibrate"
 PARTS = {  # what a function's module belongs to
     "mcap_file": "bags",
     "bags": "bags",
@@ -57,29 +58,13 @@ def measure(quick: bool) -> Section:
     section = Section("Replay")
     duration = 20.0 if quick else 600.0
     with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "drive.mcap"
-        status = simulate.main(
-            [str(bag), "--trajectory", "car", "--duration", str(duration), "--imu-rate", "200"]
-        )
-        if status != 0:
-            raise RuntimeError("ins_simulate failed")
+        bag = _drive(Path(folder), duration)
         faster, faster_cpu, inside = [], [], []
         for repetition in range(1 if quick else 5):
             out = Path(folder) / f"estimate_{repetition}.mcap"
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            start = time.perf_counter()
-            subprocess.run(
-                [sys.executable, "-c", RUN, str(bag), str(out)],
-                check=True,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-            )
-            faster.append(duration / (time.perf_counter() - start))
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            faster_cpu.append(
-                duration / (after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
-            )
+            seconds, cpu = _run(REPLAY, bag, out)
+            faster.append(duration / seconds)
+            faster_cpu.append(duration / cpu)
             out.unlink()
         out = Path(folder) / "inside.mcap"
         for _ in range(1 if quick else 5):
@@ -92,7 +77,7 @@ def measure(quick: bool) -> Section:
         "ins_replay, bag to bag",
         "× real time",
         faster,
-        150.0,
+        250.0,
         400.0,
         higher=True,
         note="the whole process, its start included",
@@ -107,6 +92,53 @@ def measure(quick: bool) -> Section:
         "100 Hz truth, default parameters; both odometries are written at the IMU's rate."
     )
     return section
+
+
+def measure_calibration(quick: bool) -> Section:
+    """Calibrate by ten simulated minutes at 200 Hz, again and again."""
+    section = Section("Calibration")
+    duration = 20.0 if quick else 600.0
+    wall, cpu = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        bag = _drive(Path(folder), duration)
+        for _ in range(1 if quick else 3):
+            seconds, spent = _run(CALIBRATE, bag)
+            wall.append(seconds)
+            cpu.append(spent)
+    section.add("ins_calibrate", "s", wall, None if quick else 20.0, note="the whole process")
+    section.add("ins_calibrate, CPU time of all its threads", "s", cpu)
+    section.remarks.append(
+        f"{duration / 60.0:.3g} minutes of a simulated drive with 200 Hz IMU and 5 Hz fixes."
+    )
+    return section
+
+
+def _drive(folder: Path, duration: float) -> Path:
+    """Simulate a drive; return its bag."""
+    bag = folder / "drive.mcap"
+    status = simulate.main(
+        [str(bag), "--trajectory", "car", "--duration", str(duration), "--imu-rate", "200"]
+    )
+    if status != 0:
+        raise RuntimeError("ins_simulate failed")
+    return bag
+
+
+def _run(program: str, *arguments: Path) -> tuple[float, float]:
+    """Run a program; return its time and its CPU time [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", f"import sys; from {program} import main; sys.exit(main())"]
+        + [str(argument) for argument in arguments],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    seconds = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return seconds, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 def _replay(source: Path, target: Path) -> None:

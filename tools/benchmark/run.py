@@ -31,6 +31,7 @@ SECTIONS: dict[str, Callable[[bool], Section]] = {
     "rate": node.measure_rate,
     "start": node.measure_start,
     "replay": replay.measure,
+    "calibration": replay.measure_calibration,
 }
 
 
@@ -59,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     about = machine()
     print(f"{about['processor']}, {about['processors']} processors, load {about['load']}")
-    kernels.prepare(print)
+    kernels.prepare(print, calibration=True)
     done: list[Section] = []
     start = time.monotonic()
     for name in args.only:
