@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET, NO_OFFSET, observe_clock
 from hybrid_ins.calibration.derived import (
     ORDINARY,
     courses,
@@ -24,8 +25,7 @@ from hybrid_ins.calibration.derived import (
     rotations_to_truth,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
-from hybrid_ins.calibration.fit import SIGNIFICANT, Fit, OnStage, filter_passes, fit
-from hybrid_ins.calibration.likelihood import offset_name
+from hybrid_ins.calibration.fit import KEPT, SIGNIFICANT, Fit, OnStage, filter_passes, fit
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
@@ -36,12 +36,21 @@ from hybrid_ins.ros.conversions import FLIP
 
 Array = NDArray[np.float64]
 
-IDENTIFIED = {"offset": 0.015, "lever_x": 0.05, "lever_y": 0.05, "lever_z": 0.05}  # largest σ
+IDENTIFIED = {  # largest σ
+    "offset": IDENTIFIED_OFFSET,
+    "lever_x": 0.05,
+    "lever_y": 0.05,
+    "lever_z": 0.05,
+}
 IDENTIFIED_MOUNT = math.radians(1.0)  # largest σ
-NOT_IDENTIFIABLE = {"offset": 0.08, "lever_x": 0.4, "lever_y": 0.4, "lever_z": 0.4}  # smallest σ
+NOT_IDENTIFIABLE = {  # smallest σ
+    "offset": NO_OFFSET,
+    "lever_x": 0.4,
+    "lever_y": 0.4,
+    "lever_z": 0.4,
+}
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
-KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
 MISFIT = "does not fit"
 
 
@@ -156,7 +165,13 @@ def calibrate(
     before = filter_passes(fitted, nominal, fitted.nominal_x)
     after = filter_passes(fitted, nominal, fitted.x)
     found = Findings(dict(values))
-    add_clock_offset(found, fitted, own_offsets, nominal.time_offset, search)
+    rows, found.values["gnss.time_offset.value"], std, note = observe_clock(
+        fitted, own_offsets, nominal.time_offset, search
+    )
+    for row in rows:
+        found.add(*row)
+    found.values["gnss.time_offset.std"] = std
+    found.notes["gnss.time_offset.value"] = note
     mounted = after
     if nose_first:
         mounted = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
@@ -175,51 +190,9 @@ def calibrate(
     add_fix_scatter(found, fitted)
     reasons = misfits(fitted, after, nominal, levels, period)
     if reasons:
+        found.values["gnss.time_offset.std"] = 0.0
         found.withdraw_verdicts()
     return Calibration(fitted, before, after, found.rows, found.values, found.notes, reasons)
-
-
-def add_clock_offset(
-    found: Findings, fitted: Fit, own: bool, nominal_offset: float, search: float
-) -> None:
-    """Add the clock offset, one of all recordings or one of each."""
-    count, ambiguous = len(fitted.recordings), False
-    for k in range(count) if own else [0]:
-        name = offset_name(k, fitted.names)
-        value, sigma = fitted.value(name), fitted.sigma(name)
-        profile = fitted.profile[k] if own else fitted.profile.sum(axis=0)
-        second = _second_peak(fitted.grid, profile, value)
-        if name in fitted.frozen and sigma > NOT_IDENTIFIABLE["offset"]:
-            verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
-        elif name in fitted.frozen:
-            verdict, note = "weak", KEPT
-        elif abs(value - nominal_offset) > search - 0.15:
-            verdict, note = "weak", "at the limit of the search: give a larger --search"
-            ambiguous = True
-        elif second is not None:
-            verdict, note = "weak", f"{second:+.1f} s is nearly as likely"
-            ambiguous = True
-        elif sigma <= IDENTIFIED["offset"]:
-            verdict, note = "identified", ""
-        else:
-            verdict, note = "weak", "little change of speed and direction"
-        label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
-        found.add(label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note)
-    value = float(np.mean([fitted.offset(k) for k in range(count)]))
-    if not ambiguous:
-        found.values["gnss.time_offset.value"] = round(value, 4)
-    found.notes["gnss.time_offset.value"] = "; ".join(
-        f"{row.verdict}: {row.label} {row.value} ± {row.sigma}" for row in found.rows
-    ) + ("; as given" if ambiguous else "; their mean" if own and count > 1 else "")
-
-
-def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
-    """Return another peak of the coarse likelihood if it is nearly as high."""
-    away = np.abs(grid - value) > 0.35
-    if not np.any(away):
-        return None
-    other = int(np.argmax(np.where(away, profile, -np.inf)))
-    return float(grid[other]) if profile[other] > np.max(profile) - 5.0 else None
 
 
 def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_first: bool) -> Array:

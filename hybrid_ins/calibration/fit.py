@@ -35,6 +35,7 @@ OnStage = Callable[[str], Callable[[], None]]  # given a stage's name, returns w
 COARSE_STEP = 0.1  # s
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
 SIGNIFICANT = 3.0  # standard deviations
+KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
 
 
 @dataclass(frozen=True, eq=False)

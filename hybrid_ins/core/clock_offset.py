@@ -34,6 +34,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.linalg import factorise, solve
 from hybrid_ins.core.noise import Correction
@@ -62,16 +63,19 @@ class ClockOffsetObserver:
     ----------
     std : float
         Standard deviation at the start [s].
+    prior : ClockPrior, optional
+        Of the offset; without one, all within ``std`` are equally likely.
 
     Attributes
     ----------
     residual : float
-        Offset still to be added to the stamps of fixes [s].
+        Offset still to be added to the stamps of fixes, by the innovations alone [s].
     drift : float
         Its rate of change [s/s].
     """
 
-    def __init__(self, std: float) -> None:
+    def __init__(self, std: float, prior: ClockPrior | None = None) -> None:
+        self.prior = prior
         self.residual = 0.0
         self.drift = 0.0
         self._P = np.diag((std**2, DRIFT_STD**2))  # of offset and drift
@@ -86,9 +90,25 @@ class ClockOffsetObserver:
         return MARGIN * math.sqrt(float(self._P[0, 0]) * max(self._nis_scale, 1.0))
 
     @property
+    def missing(self) -> tuple[float, float]:
+        """Offset still to be added [s] by innovations and prior, and its variance [s²]."""
+        variance = self.sigma**2
+        if self.prior is None:
+            return self.residual, variance
+        mean, variance = self.prior.posterior(self.residual, variance)
+        return mean, max(variance, MIN_STD**2)
+
+    @property
+    def contradiction(self) -> float:
+        """Distance between the innovations' offset and the given one, in standard deviations."""
+        given = 0.0 if self.prior is None else self.prior.mean
+        return abs(self.residual - given) / self.sigma
+
+    @property
     def missing_variance(self) -> float:
         """Mean square of what the stamps of fixes lack [s²]."""
-        return self.sigma**2 + self.residual**2
+        mean, variance = self.missing
+        return variance + mean**2
 
     def sensitivity_of(self, nav: Array, t_ns: int, H: Array) -> Array:
         """
@@ -179,6 +199,8 @@ class ClockOffsetObserver:
         Returns the error, shape (15,), that the flat state ``nav`` has because it was not.
         """
         self.residual -= by
+        if self.prior is not None:
+            self.prior = self.prior._replace(mean=self.prior.mean - by)
         left = by * min(abs(by) / MOTION_TIME, 1.0)
         self._P = self._P + np.diag((left**2, 0.0))
         moved = by * nav[SENSITIVITY]

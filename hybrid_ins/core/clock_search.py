@@ -17,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate_covariance
@@ -51,6 +52,15 @@ def state_at_offset(state: NavState, offset: float) -> NavState:
     return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
 
 
+def probabilities(prior: ClockPrior | None) -> Array:
+    """Return the probability of each of the offsets that are tried, shape (len(OFFSETS_NS),)."""
+    if prior is None:
+        return np.full(len(OFFSETS_NS), 1.0 / len(OFFSETS_NS))
+    half = 0.5e-9 * STEP_NS
+    found = [prior.probability(o * 1e-9 - half, o * 1e-9 + half) for o in OFFSETS_NS]
+    return np.array(found) / sum(found)
+
+
 class ClockSearch(MultipleModelBank):
     """
     The same filter under several clock offsets of fixes, for each of several headings.
@@ -72,11 +82,13 @@ class ClockSearch(MultipleModelBank):
         settings: FilterSettings,
         prior: Array | None = None,
     ) -> None:
+        self._prior = settings.clock_prior
+        headings = np.full(len(states), 1.0 / len(states)) if prior is None else prior
         super().__init__(
             [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
             make_filter,
-            replace(settings, clock_std=OFFSET_STD),
-            None if prior is None else np.tile(prior, len(OFFSETS_NS)),
+            replace(settings, clock_std=OFFSET_STD, clock_prior=None),
+            np.kron(probabilities(self._prior), headings),
         )
         self.heading_open = len(states) > 1
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
@@ -114,7 +126,10 @@ class ClockSearch(MultipleModelBank):
         if decision is None:
             return None
         residual, sigma = self.clock()
-        decision.filter.clock.set_estimate(residual - decision.offset, sigma)
+        clock = decision.filter.clock
+        clock.set_estimate(residual - decision.offset, sigma)
+        if self._prior is not None:
+            clock.prior = self._prior._replace(mean=self._prior.mean - decision.offset)
         at_edge = abs(self._offsets_ns[self._best]) == MAX_OFFSET_NS
         return decision._replace(at_edge=at_edge)
 

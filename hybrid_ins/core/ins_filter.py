@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, propagation
 from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
@@ -55,6 +56,8 @@ class FilterSettings:
         Age of the oldest measurement that is still fused, by rewinding [s].
     clock_std : float
         Standard deviation of the clock offset of fixes at the start [s].
+    clock_prior : ClockPrior, optional
+        See `ClockOffsetObserver`.
     consider_clock : bool
         The covariances that are reported and that fixes are judged by contain the uncertainty of
         that offset.
@@ -65,6 +68,7 @@ class FilterSettings:
     covariance_interval: float = 0.01
     max_delay: float = 1.0
     clock_std: float = 0.5
+    clock_prior: ClockPrior | None = None
     consider_clock: bool = False
     keep_record: bool = False
 
@@ -121,12 +125,10 @@ class InsFilter:
         self.nav[PSD] = noise.psd()
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n)
         self.t_ns = t_ns
-        self._update = MeasurementUpdate(
-            noise, gate, ClockOffsetObserver(settings.clock_std), corrected_ns=t_ns
-        )
+        clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
+        self._update = MeasurementUpdate(noise, gate, clock, corrected_ns=t_ns)
         self._consider_clock = settings.consider_clock
-        if self._consider_clock:
-            self.nav[CLOCK_VARIANCE] = settings.clock_std**2
+        self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
@@ -244,9 +246,11 @@ class InsFilter:
         return waiting
 
     def change_settings(self, settings: FilterSettings) -> None:
-        """Change ``max_delay`` and ``consider_clock`` from now on."""
+        """Change ``max_delay``, ``consider_clock`` and a clock's prior from now on."""
         self._history.horizon_ns = int(settings.max_delay * 1e9)
         self._consider_clock = settings.consider_clock
+        if self.clock.prior is not None:
+            self.clock.prior = settings.clock_prior
 
     def change_gate(self, gate: Gate) -> None:
         """Judge measurements by another gate from now on."""

@@ -126,6 +126,16 @@ GNSS = (
         runtime=True,
     ),
     Parameter(
+        "gnss.time_offset.std",
+        0.0,
+        "Standard deviation of gnss.time_offset.value, as ins_calibrate writes it. 0: not known; "
+        "gnss.time_offset.estimate then also searches for an offset of tenths of a second",
+        unit="s",
+        low=0.0,
+        high=0.1,
+        runtime=True,
+    ),
+    Parameter(
         "gnss.time_offset.estimate",
         False,
         "Estimate the clock offset and its drift while running and correct them; published "

@@ -23,8 +23,10 @@ from hybrid_ins.ros.reports import Status
 
 CORRECTION_NS = 1_000_000_000  # between two corrections of the offset
 USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
+SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
 WRONG = 0.03  # s, of an offset that the user should know of
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
+LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
 
 
 class ClockCorrection:
@@ -54,8 +56,9 @@ class ClockCorrection:
         self._moved = 0.0  # s, by estimation
         self._settled: float | None = None  # s, offset once it was known well
         self._axes_are_plausible = True
+        self._is_known = values["gnss.time_offset.std"] > 0.0
         self.restart()
-        navigator.open_clock(self._estimate)
+        navigator.open_clock(self._estimate and not self._is_known)
 
     @property
     def offset(self) -> float:
@@ -68,16 +71,21 @@ class ClockCorrection:
             self._given = changes["gnss.time_offset.value"]
             self._moved, self._settled = 0.0, None
         self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
+        self._is_known = changes.get("gnss.time_offset.std", self._is_known) > 0.0
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
-            self._navigator.open_clock(self._estimate)
+            self._navigator.open_clock(self._estimate and not self._is_known)
 
     def restart(self) -> None:
         """Restart, as the filter did."""
         self._next_ns = self._searched_ns = 0
+        self._pause_ns = SEARCH_AGAIN_NS
 
     def on_found(self, found: ClockOffsetFound) -> None:
         """Use what a search has found."""
         self._moved += found.step
+        if self._searched_ns:
+            again = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+            self._pause_ns = SEARCH_AGAIN_NS if found.step else again
         self._searched_ns, self._next_ns = self._navigator.last_ns, 0
         self._inputs.log(
             "info",
@@ -106,14 +114,16 @@ class ClockCorrection:
         if (
             correcting
             and (jumped or imu_disagrees(running.noise))
-            and running.t_ns - self._searched_ns > SEARCH_AGAIN_NS
+            and running.t_ns - self._searched_ns > self._pause_ns
         ):
             self._navigator.open_clock(True)
 
     def _correct(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""
-        missing, sigma = running.clock.residual, running.clock.sigma
-        if sigma < USABLE and abs(missing) > max(0.3 * sigma, 1e-3):
+        missing, variance = running.clock.missing
+        sigma = math.sqrt(variance)
+        worth = abs(missing) > max(0.3 * sigma, 1e-3)
+        if sigma < USABLE and worth and running.clock.contradiction > SIGNIFICANT:
             self._moved += missing
             running.submit(ClockShift(running.t_ns, missing))
         if sigma < SETTLED and self._settled is None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.forward_record import RunRecord
@@ -50,6 +51,7 @@ class FilterFactory:
             consider_clock=values["gnss.time_offset.estimate"],
             keep_record=keep_record,
         )
+        self.set_clock_offset(values["gnss.time_offset.value"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters from now on."""
@@ -58,9 +60,16 @@ class FilterFactory:
         self.settings = replace(self.settings, consider_clock=consider)
 
     def set_clock_offset(self, offset: float) -> None:
-        """Let fixes be as late after their own stamps as before ``offset`` [s] is added."""
-        max_delay = self._values["gnss.max_delay"] + max(0.0, -offset)
-        self.settings = replace(self.settings, max_delay=max_delay)
+        """
+        Note that ``offset`` [s] is added to the stamps of fixes.
+
+        They may be as late after their own stamps as before.
+        """
+        values = self._values
+        max_delay = values["gnss.max_delay"] + max(0.0, -offset)
+        given, std = values["gnss.time_offset.value"], values["gnss.time_offset.std"]
+        prior = ClockPrior(given - offset, std)
+        self.settings = replace(self.settings, max_delay=max_delay, clock_prior=prior)
 
     def navigator(self, record: RunRecord | None) -> Navigator:
         """Return a navigator whose filters are made of these parts; it fills the record."""

@@ -1,0 +1,82 @@
+"""What the fit of recordings says about the clock offset of their fixes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.fit import KEPT, Fit
+from hybrid_ins.calibration.likelihood import offset_name
+
+Array = NDArray[np.float64]
+Row = tuple[str, str, str, str, str]  # label, value, sigma, verdict, note
+
+IDENTIFIED_OFFSET, NO_OFFSET = 0.015, 0.08  # s: largest σ, and σ from which nothing is known
+SEARCHED_ANYWAY = 0.05  # s: a wider spread between recordings says no more than the search's cell
+
+
+def observe_clock(
+    fitted: Fit, own: bool, nominal: float, search: float
+) -> tuple[list[Row], float, float, str]:
+    """
+    Return rows for the user, offset [s], its σ [s; 0: not known], and a comment on it.
+
+    Parameters
+    ----------
+    fitted : Fit
+    own : bool
+        Every recording has an offset of its own.
+    nominal, search : float
+        The given offset, and how far from it was searched [s].
+    """
+    rows: list[Row] = []
+    count, ambiguous = len(fitted.recordings), False
+    for k in range(count) if own else [0]:
+        name = offset_name(k, fitted.names)
+        value, sigma = fitted.value(name), fitted.sigma(name)
+        profile = fitted.profile[k] if own else fitted.profile.sum(axis=0)
+        second = _second_peak(fitted.grid, profile, value)
+        if name in fitted.frozen and sigma > NO_OFFSET:
+            verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
+        elif name in fitted.frozen:
+            verdict, note = "weak", KEPT
+        elif abs(value - nominal) > search - 0.15:
+            verdict, note = "weak", "at the limit of the search: give a larger --search"
+            ambiguous = True
+        elif second is not None:
+            verdict, note = "weak", f"{second:+.1f} s is nearly as likely"
+            ambiguous = True
+        elif sigma <= IDENTIFIED_OFFSET:
+            verdict, note = "identified", ""
+        else:
+            verdict, note = "weak", "little change of speed and direction"
+        label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
+        rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
+    offsets = [fitted.offset(k) for k in range(count)]
+    text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
+    if ambiguous:
+        return rows, nominal, 0.0, f"{text}; as given"
+    mean = round(float(np.mean(offsets)), 4)
+    note = f"{text}; their mean" if own and count > 1 else text
+    return rows, mean, _std(fitted, offsets, [row[3] for row in rows]), note
+
+
+def _std(fitted: Fit, offsets: list[float], verdicts: list[str]) -> float:
+    """Return the σ [s] of the offset of another recording of the same robot; 0: not known."""
+    if any(verdict != "identified" for verdict in verdicts):
+        return 0.0
+    sigmas = [fitted.sigma(offset_name(k, fitted.names)) for k in range(len(offsets))]
+    spread = float(np.ptp(offsets)) if len(offsets) > 1 else 0.0
+    std = math.hypot(float(np.max(sigmas)), spread)
+    return round(std, 4) if std < SEARCHED_ANYWAY else 0.0
+
+
+def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
+    """Return another peak of the coarse likelihood if it is nearly as high."""
+    away = np.abs(grid - value) > 0.35
+    if not np.any(away):
+        return None
+    other = int(np.argmax(np.where(away, profile, -np.inf)))
+    return float(grid[other]) if profile[other] > np.max(profile) - 5.0 else None

@@ -1,0 +1,75 @@
+"""
+Prior of the clock offset of fixes, and what a measurement of the offset leaves of it.
+
+Most clocks are right to a few milliseconds, some are wrong by tenths of a second, and no single
+normal distribution says both: a narrow one would hold a wrong clock back for minutes, a wide one
+would let noise move a right clock. A mixture of normal distributions whose scales form a geometric
+sequence has both a narrow peak and heavy tails, [1]_: an estimate of little significance is shrunk
+towards the given offset, and one of several standard deviations is left as it is.
+
+References
+----------
+.. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
+       Biometrika 97, 2010 (scale mixtures as priors of what is mostly zero).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+RATIOS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # scales over the narrowest, all equally likely
+NARROWEST, WIDEST = 1e-3, 0.3  # s
+
+
+class ClockPrior(NamedTuple):
+    """
+    Offsets that are expected.
+
+    Attributes
+    ----------
+    mean : float
+        The given offset, relative to the one in force [s].
+    scale : float
+        Standard deviation of the narrowest part [s].
+    """
+
+    mean: float
+    scale: float
+
+    def _scales(self) -> list[float]:
+        narrowest = max(self.scale, NARROWEST)
+        return [min(narrowest * ratio, max(WIDEST, narrowest)) for ratio in RATIOS]
+
+    def posterior(self, estimate: float, variance: float) -> tuple[float, float]:
+        """
+        Return mean [s] and variance [s²] of the offset.
+
+        Parameters
+        ----------
+        estimate, variance : float
+            Of a measurement of it, normally distributed [s, s²].
+        """
+        total, first, second = 0.0, 0.0, 0.0
+        away = estimate - self.mean
+        for scale in self._scales():
+            sum_ = scale**2 + variance
+            weight = math.exp(max(-0.5 * away**2 / sum_, -600.0)) / math.sqrt(sum_)
+            share = scale**2 / sum_
+            total += weight
+            first += weight * share * away
+            second += weight * (share * variance + (share * away) ** 2)
+        mean = first / total
+        return self.mean + mean, max(second / total - mean**2, 0.0)
+
+    def probability(self, low: float, high: float) -> float:
+        """Return the probability of offsets between two [s], relative to the one in force."""
+        scales = self._scales()
+        return math.fsum(
+            _normal_cdf((high - self.mean) / scale) - _normal_cdf((low - self.mean) / scale)
+            for scale in scales
+        ) / len(scales)
+
+
+def _normal_cdf(x: float) -> float:
+    return 0.5 * (1.0 + math.erf(x / math.sqrt(2.0)))

@@ -1,0 +1,66 @@
+"""The prior of the clock offset: noise does not move a right clock; a wrong one is corrected."""
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_prior import RATIOS, ClockPrior
+from hybrid_ins.core.clock_search import OFFSETS_NS, probabilities
+
+
+def by_integration(prior: ClockPrior, estimate: float, sigma: float) -> tuple[float, float]:
+    """Return mean and variance of the posterior, from densities on a grid."""
+    tau = np.linspace(-2.0, 2.0, 400_001)
+    density = sum(
+        np.exp(-0.5 * ((tau - prior.mean) / s) ** 2) / s
+        for s in (min(prior.scale * ratio, 0.3) for ratio in RATIOS)
+    )
+    density = density * np.exp(-0.5 * ((tau - estimate) / sigma) ** 2)
+    density /= density.sum()
+    mean = float(tau @ density)
+    return mean, float((tau - mean) ** 2 @ density)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "sigma", "given"), [(0.01, 0.01, 0.0), (0.06, 0.01, 0.0), (-0.2, 0.05, 0.1)]
+)
+def test_the_posterior_is_bayes_rule(estimate: float, sigma: float, given: float) -> None:
+    prior = ClockPrior(given, 0.001)
+    mean, variance = prior.posterior(estimate, sigma**2)
+    expected = by_integration(prior, estimate, sigma)
+    assert mean == pytest.approx(expected[0], abs=1e-5)
+    assert variance == pytest.approx(expected[1], rel=1e-3)
+
+
+def test_chance_is_shrunk_and_evidence_is_not() -> None:
+    prior = ClockPrior(0.0, 0.001)
+    assert prior.posterior(0.01, 0.01**2)[0] < 0.004
+    assert prior.posterior(0.1, 0.01**2)[0] == pytest.approx(0.1, abs=0.002)
+
+
+def test_a_calibrated_clock_that_has_been_replaced_is_still_corrected() -> None:
+    mean, variance = ClockPrior(0.1, 0.005).posterior(-0.3, 0.01**2)
+    assert mean == pytest.approx(-0.3, abs=0.005)
+    assert variance < 0.02**2
+
+
+def test_a_correction_leaves_the_given_offset_where_it_is() -> None:
+    observer = ClockOffsetObserver(0.5, ClockPrior(0.02, 0.001))
+    observer.set_estimate(0.08, 0.005)
+    before = observer.missing[0]
+    observer.shift(before, np.zeros(4096))
+    assert observer.prior is not None
+    assert observer.prior.mean == pytest.approx(0.02 - before)
+    missing, variance = observer.missing
+    assert abs(missing) < 0.5 * np.sqrt(variance)
+
+
+def test_without_a_prior_all_offsets_of_a_search_are_equally_likely() -> None:
+    assert np.ptp(probabilities(None)) == 0.0
+
+
+def test_a_search_expects_the_given_offset_first() -> None:
+    found = probabilities(ClockPrior(0.3, 0.001))
+    assert OFFSETS_NS[int(np.argmax(found))] == 300_000_000
+    assert found.sum() == pytest.approx(1.0)
+    assert found.min() > 1e-6
