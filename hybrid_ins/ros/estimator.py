@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.navigator_events import ClockOffsetFound, RestartCause, Restarted
+from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, RestartCause, Restarted
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, wording
 from hybrid_ins.ros.aids import Aids
@@ -100,16 +100,8 @@ class Estimator:
         self.noise = NoiseInput(self.navigator, log)
         self.noise.configure(values, self.placement.mount)
         self.aids = Aids(self.values, self.navigator, self.inputs, self.placement.arm_b)
-        self.status = EstimatorStatus(
-            self.values,
-            self.navigator,
-            self.inputs,
-            self._review,
-            self.reporter,
-            self.clock,
-            self.noise,
-            self.aids,
-        )
+        parts = self.inputs, self._review, self.reporter, self.clock, self.noise, self.aids
+        self.status = EstimatorStatus(self.values, self.navigator, *parts)
         self._restart()
         if values["datum"]:
             self.set_datum(conversions.lla_from_degrees(*values["datum"]), 1)
@@ -281,12 +273,16 @@ class Estimator:
 
     def _handle_events(self) -> None:
         for event in self.navigator.pop_events():
-            self.reporter.on_event(event)
-            self._review.on_event(event)
-            if isinstance(event, Verdict):
-                self.aids.on_verdict(event)
-            elif isinstance(event, Restarted):
-                self._restart()
-            elif isinstance(event, ClockOffsetFound):
-                self.clock.on_found(event)
-                self._fixes.configure()
+            self.on_event(event)
+
+    def on_event(self, event: Event) -> None:
+        """Report what happened in the navigator, and follow it."""
+        self.reporter.on_event(event)
+        self._review.on_event(event)
+        if isinstance(event, Verdict):
+            self.aids.on_verdict(event)
+        elif isinstance(event, Restarted):
+            self._restart()
+        elif isinstance(event, ClockOffsetFound):
+            self.clock.on_found(event)
+            self._fixes.configure()

@@ -97,7 +97,7 @@ def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
     assert estimator.inputs.counts["gnss: clock offset"] > 0
     assert "run ins_calibrate" in estimator.clock.status().text
     # AND nothing is told of a right one
-    assert through_estimator(draw(SCENE, 5)).counts["gnss: clock offset"] == 0
+    assert through_estimator(draw(SCENE, 5)).inputs.counts["gnss: clock offset"] == 0
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

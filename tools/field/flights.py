@@ -162,7 +162,7 @@ class Recorded(Estimator):
         self.levels: list[Array] = []
         super().__init__(values, lambda level, text: None, record)
         if told is not None:
-            self._noise.reader = _Told(values, self._placement.mount, self.inputs.log, told)
+            self.noise.reader = _Told(values, self.placement.mount, self.inputs.log, told)
 
     def _handle_events(self) -> None:
         running = self.navigator.filter
@@ -171,7 +171,8 @@ class Recorded(Estimator):
             self.levels.append(running.noise.levels())
         super()._handle_events()
 
-    def _on_event(self, event: Event) -> None:
+    def on_event(self, event: Event) -> None:
+        """See `Estimator`."""
         if isinstance(event, Verdict):
             offset_ns = clock_offset_ns(event.measurement)
             self.rows.append(
@@ -186,7 +187,7 @@ class Recorded(Estimator):
                     offset_ns * 1e-9,
                 )
             )
-        super()._on_event(event)
+        super().on_event(event)
 
 
 @dataclass(frozen=True, eq=False)

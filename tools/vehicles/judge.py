@@ -54,10 +54,11 @@ class Judged(Estimator):
         self.rows: list[tuple[bool, float, int, bool]] = []
         super().__init__(values, log)
 
-    def _on_event(self, event: Event) -> None:
+    def on_event(self, event: Event) -> None:
+        """See `Estimator`."""
         if isinstance(event, Verdict) and event.reason not in ("aligning", "repeated stamp"):
             self.rows.append((event.accepted, event.nis, len(event.sigma), event.inflated))
-        super()._on_event(event)
+        super().on_event(event)
 
 
 def run(
