@@ -327,6 +327,7 @@ def _cell(row: Row | None) -> str:
 def report(rows: Sequence[Row], planned: int, command: str, seconds: float, draws: int) -> str:
     """Return the page for the documentation, of the runs so far."""
     failed = sum(bool(row.failures) for row in rows)
+    ended = "" if len(rows) == planned else f"; {planned} were planned, and it was ended early"
     failures = [f"- {row.fault} ({row.case}): {text}" for row in rows for text in row.failures]
     return f"""# Fault campaign
 
@@ -346,7 +347,7 @@ noise each; with `--live` all are also played into the live node over DDS. Every
 
     {command}
 
-{datetime.date.today()}: {len(rows)} of {planned} runs, {failed} failed, {seconds:.0f} s.
+{len(rows)} runs, {failed} failed, {seconds:.0f} s, on {datetime.date.today()}{ended}.
 
 {table(rows)}
 """ + "".join(f"{line}\n" for line in ("", *failures) if failures)
