@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hybrid_ins import kernels, parameters, progress
 from hybrid_ins.bags.messages import (
     FIX,
+    GPS_FIX,
     INITIAL_POSE,
     TRANSFORMS,
     VELOCITY,
@@ -34,6 +35,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros import aiding_sources
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.gps_fix_input import GpsFixInput
 from hybrid_ins.ros.imu_admission import NO_READING
 from hybrid_ins.ros.imu_block import handle_imu_block
 from hybrid_ins.ros.message_types import OUTPUTS, to_message
@@ -187,11 +189,14 @@ class _Replay:
             _OdometryWriter(out, values, topic, values[frame])
             for topic, frame in (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))
         ]
-        self._handlers: dict[str, Callable[[Message, int], None]] = {
-            fix_topic: estimator.handle_fix
-        }
+        self._handlers: dict[str, Callable[[Message, int], None]] = {}
         self._carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
-        self._carried[fix_topic] = "/gnss/fix"
+        if bag.topics[fix_topic] == GPS_FIX:
+            self._gps_fix = GpsFixInput(estimator, new_message)
+            self._handlers[fix_topic] = self._handle_gps_fix
+        else:
+            self._handlers[fix_topic] = estimator.handle_fix
+            self._carried[fix_topic] = "/gnss/fix"
         if bag.topics.get(velocity_topic) == VELOCITY:
             self._handlers[velocity_topic] = estimator.handle_velocity
             self._carried[velocity_topic] = "/gnss/velocity"
@@ -229,6 +234,13 @@ class _Replay:
         for writer in self._odometry:
             writer.flush()
         return self._estimator
+
+    def _handle_gps_fix(self, message: Message, log_ns: int) -> None:
+        """Handle a GPSFix, and write what was made of it, for `ins_evaluate` and viewers."""
+        for made, topic in zip(
+            self._gps_fix.handle(message, log_ns), ("/gnss/fix", "/gnss/velocity"), strict=False
+        ):
+            self._out.write(topic, made, log_ns)
 
     def _handle_imu(self, start: int, stop: int) -> None:
         """Handle the IMU samples of some rows, split where their frame_id changes."""

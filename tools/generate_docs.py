@@ -2,8 +2,8 @@
 Write the parts of the documentation that are made from declarations and reports, or check them.
 
 `config/default.yaml` and `docs/parameters.md` are made from `hybrid_ins.parameters`;
-`docs/figures.md` and the figures in `README.md` from the reports that `tools.figures` names. A test
-runs the check.
+the tables in `docs/ros_interface.md` from `hybrid_ins.ros.interface`; `docs/figures.md` and the
+figures in `README.md` from the reports that `tools.figures` names. A test runs the check.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from hybrid_ins import parameters  # noqa: E402
 from hybrid_ins.parameters import parameter_file  # noqa: E402
 from hybrid_ins.parameters.declared import PARAMETERS  # noqa: E402
 from hybrid_ins.parameters.parameter import Parameter  # noqa: E402
+from hybrid_ins.ros import interface  # noqa: E402
 from tools import figures  # noqa: E402
 
 FIRST_TO_SET = (
@@ -122,12 +123,45 @@ def files() -> dict[Path, str]:
     """Return each generated file with what it must hold."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     readme = put_between("figures", figures.short_table(), readme)
+    topics = (ROOT / "docs/ros_interface.md").read_text(encoding="utf-8")
+    topics = put_between("subscribed", topics_table(interface.SUBSCRIBED), topics)
+    topics = put_between("published", topics_table(interface.PUBLISHED), topics)
+    topics = put_between("services", services_table(), topics)
     return {
         ROOT / "config/default.yaml": default_file(),
         ROOT / "docs/parameters.md": page(),
         ROOT / "docs/figures.md": figures.page(),
+        ROOT / "docs/ros_interface.md": topics,
         ROOT / "README.md": readme,
     }
+
+
+def short_type(type_name: str) -> str:
+    """Return the name of a type as it is usually written: without its folder."""
+    package, _, name = type_name.split("/")
+    return f"{package}/{name}"
+
+
+def topics_table(topics: Sequence[interface.Topic]) -> str:
+    """Return a Markdown table of topics."""
+    rows = [
+        f"| `{t.name}` | {short_type(t.type_name)} | {quality_text(t.quality)} | {t.text} |"
+        for t in topics
+    ]
+    return "\n".join(("| topic | type | QoS | remarks |", "|---|---|---|---|", *rows)) + "\n"
+
+
+def services_table() -> str:
+    """Return a Markdown table of the services."""
+    rows = [f"| `{s.name}` | {short_type(s.type_name)} | {s.text} |" for s in interface.SERVICES]
+    return "\n".join(("| service | type | effect |", "|---|---|---|", *rows)) + "\n"
+
+
+def quality_text(quality: interface.Quality) -> str:
+    """Return a quality of service in words."""
+    words = ["reliable" if quality.reliable else "best effort"]
+    words += ["transient local"] * quality.transient_local
+    return ", ".join([*words, str(quality.depth)])
 
 
 def put_between(name: str, text: str, page: str) -> str:

@@ -6,12 +6,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from hybrid_ins.ros import gps_fix
 
 Message: TypeAlias = Any  # its class depends on the topic
 
 IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
+GPS_FIX = gps_fix.GPS_FIX
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -25,10 +28,12 @@ LATCHED = (
 )  # topics whose last message late readers get
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in gps_fix.DEFINITIONS.items():
+    TYPES.register(get_types_from_msg(_text, _name))
 
 
 def is_standard(type_name: str) -> bool:
-    """Return whether bags can hold a type here: those that come with ROS 2."""
+    """Return whether bags can hold a type here: those that come with ROS 2, and a GPSFix."""
     return type_name in TYPES.fielddefs
 
 

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags.formats import open_recording
 from hybrid_ins.bags.mcap_reader import Channel, Record
-from hybrid_ins.bags.messages import IMU, TYPES, Message, absolute, is_standard
+from hybrid_ins.bags.messages import (
+    FIX,
+    GPS_FIX,
+    IMU,
+    TYPES,
+    Message,
+    absolute,
+    is_standard,
+)
 from hybrid_ins.core.samples import BlockList, Blocks
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.cdr import ImuDecoder, imu_records
@@ -142,7 +150,7 @@ class BagReader:
         Find a topic of the right type.
 
         Where an input topic is missing under its usual name and only one topic has its type, that
-        one is read, with a warning.
+        one is read, with a warning. Fixes may be of either type, NavSatFix or GPSFix.
 
         Parameters
         ----------
@@ -166,18 +174,17 @@ class BagReader:
         """
         topic = absolute(topic)
         found = self.topics.get(topic)
-        if found == type_name:
+        if found == type_name or (found == GPS_FIX and type_name == FIX):
             return topic
-        others = [  # neither the map's origin nor the truth is input
-            name for name, other in self.topics.items()
-            if other == type_name and name != "/datum" and not name.startswith("/truth/")
-        ]  # fmt: skip
+        others = self._input_topics(type_name)
+        if type_name == FIX and not others:
+            others = self._input_topics(GPS_FIX)
         if not found and topic in INPUT_TOPICS and len(others) == 1:
             if topic not in self._replaced:
                 self._replaced.add(topic)
                 _log.warning(
                     "%s: no topic %s: reading %s, the only %s",
-                    *(self.path, topic, others[0], type_name),
+                    *(self.path, topic, others[0], self.topics[others[0]]),
                 )
             return others[0]
         wrong = f"{topic} is {found}, not {type_name}" if found else f"no topic {topic}"
@@ -187,6 +194,11 @@ class BagReader:
             else f"no other is {type_name}; it has {', '.join(sorted(self.topics)) or 'none'}"
         )
         raise InputError(f"{self.path}: {wrong}: {way_out}")
+
+    def _input_topics(self, type_name: str) -> list[str]:
+        """Return the topics of a type; neither the map's origin nor the truth is input."""
+        found = [name for name, other in self.topics.items() if other == type_name]
+        return [name for name in found if name != "/datum" and not name.startswith("/truth/")]
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """

@@ -17,7 +17,7 @@ from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import conversions
+from hybrid_ins.ros import conversions, gps_fix
 from hybrid_ins.ros.aiding_conversions import AidingMessages
 from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
 
@@ -107,7 +107,7 @@ def read_recording(
             fix_topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
             gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
             for _, _, message in bag.messages(fix_topic):
-                fix = gnss.position(message)
+                fix = gnss.position(gps_fix.position_of(message, messages.new_message))
                 if not isinstance(fix, Refused):
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
             if bag.topics.get(velocity_topic) == messages.VELOCITY:

@@ -15,6 +15,7 @@ from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.ros import gps_fix
 from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.imu_block import handle_imu_block
@@ -143,6 +144,7 @@ def _run(
 
         for topic, at_ns, message in bag.messages(fix_topic, *[velocity_topic] * has_velocity):
             advance(int(np.searchsorted(log_ns, at_ns, side="right")))
+            message = gps_fix.position_of(message, messages.new_message)
             if start == len(stamps):
                 break
             first_ns = first_ns or at_ns

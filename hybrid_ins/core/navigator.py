@@ -83,7 +83,7 @@ class Navigator:
         self.phases = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
         self._alignment_settings = alignment
         self._record = record
-        self._measurements = MeasurementCheck()
+        self._measurements = MeasurementCheck(parts.speed_check)
         self.reset()
 
     # Phases.

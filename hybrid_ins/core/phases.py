@@ -15,6 +15,7 @@ from hybrid_ins.core import heading_check
 from hybrid_ins.core.alignment import Alignment, Start
 from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
@@ -30,6 +31,10 @@ class FilterParts(Protocol):
     @property
     def settings(self) -> FilterSettings:
         """Return the filters' settings."""
+
+    @property
+    def speed_check(self) -> SpeedCheck:
+        """Return what knows how fast the vehicle may be; it is the same each time."""
 
     def noise(self, period: float) -> FilterNoise:
         """Return the noise of a new filter for an IMU's sample period [s]."""

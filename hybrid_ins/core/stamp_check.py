@@ -13,6 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement, PositionFix
 from hybrid_ins.core.standstill import FixMotion
@@ -85,7 +86,12 @@ class ImuStampCheck:
 
 class MeasurementCheck:
     """
-    Refuses aiding measurements that come twice, from the future, or from a stuck receiver.
+    Refuses measurements that come twice, from the future, too fast, or from a stuck receiver.
+
+    Parameters
+    ----------
+    speed_check : SpeedCheck
+        How fast the vehicle may be.
 
     Attributes
     ----------
@@ -93,11 +99,13 @@ class MeasurementCheck:
         Of the position fixes that were admitted.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, speed_check: SpeedCheck) -> None:
+        self._speed_check = speed_check
         self.reset()
 
     def reset(self) -> None:
         """Forget all measurements."""
+        self._speed_check.reset()
         self.motion = FixMotion()
         self._last_lla: NDArray[np.float64] | None = None
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
@@ -127,6 +135,8 @@ class MeasurementCheck:
         if stamps.last_ns and ahead_ns > stamps.max_gap_ns + AHEAD_NS:
             return Verdict.rejected(measurement, "stamped ahead of the IMU", -ahead_ns * 1e-9)
         self._seen.append(key)
+        if not self._speed_check.is_reachable(measurement):
+            return Verdict.rejected(measurement, "faster than gnss.max_speed")
         if not isinstance(measurement, PositionFix):
             return None
         last, self._last_lla = self._last_lla, measurement.lla

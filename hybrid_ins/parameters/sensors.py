@@ -206,6 +206,17 @@ GNSS = (
         runtime=True,
     ),
     Parameter(
+        "gnss.max_speed",
+        515.0,
+        "Greatest plausible speed of the vehicle: a fix that it could not have reached from the "
+        "one before is rejected, until fixes have agreed with it for gnss.patience; so is a "
+        "greater velocity. The default is the speed beyond which civil receivers give no fixes",
+        unit="m/s",
+        low=0.1,
+        high=1e5,
+        runtime=True,
+    ),
+    Parameter(
         "gnss.max_delay",
         1.0,
         "Fixes that arrive later than this after their stamp are rejected; earlier ones are fused "

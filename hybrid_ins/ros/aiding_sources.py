@@ -26,16 +26,12 @@ from hybrid_ins.ros.aiding_conversions import AidingMessages
 from hybrid_ins.ros.conversions import FLIP, Message, Refused
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.interface import AIDING
 from hybrid_ins.ros.reports import Status
 
 Array = NDArray[np.float64]
 
-TOPICS = {
-    "aiding/velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
-    "aiding/odometry": "nav_msgs/msg/Odometry",
-    "aiding/heading": "sensor_msgs/msg/Imu",
-    "aiding/pressure": "sensor_msgs/msg/FluidPressure",
-}
+TOPICS = {topic.name: topic.type_name for topic in AIDING}
 KEPT = 12  # states, one with each tenth of a second: readings may be a second late
 REMEDIES = {
     "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",

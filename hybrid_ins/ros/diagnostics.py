@@ -136,7 +136,7 @@ def input_status(
 ) -> Status:
     """Return what was refused until a stamp [ns], and what is wrong with the IMU now."""
     fault, new = navigator.monitor.fault, inputs.new_in_last_seconds(t_ns)
-    values: dict[str, object] = {**dict(sorted(inputs.counts.items())), **inputs.notes}
+    values = {**inputs.receiver, **dict(sorted(inputs.counts.items())), **inputs.notes}
     if fault is None and axes_fault is not None:
         return status("input", 2, f"{axes_fault.name}: {axes_fault.text}", values)
     if fault is not None:

@@ -15,6 +15,7 @@ from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
@@ -52,12 +53,15 @@ class FilterFactory:
             keep_record=keep_record,
         )
         self.set_clock_offset(values["gnss.time_offset.value"])
+        self.speed_check = SpeedCheck(values["gnss.max_speed"], values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters from now on."""
         self._values.update(changes)
         consider = self._values["gnss.time_offset.estimate"]
         self.settings = replace(self.settings, consider_clock=consider)
+        self.speed_check.max_speed = self._values["gnss.max_speed"]
+        self.speed_check.patience = self._values["gnss.patience"]
 
     def set_clock_offset(self, offset: float) -> None:
         """

@@ -30,12 +30,15 @@ class InputLog:
         By name.
     notes : dict of str
         What is used in place of input that is missing, by name; for diagnostics.
+    receiver : dict
+        What the GNSS receiver says of its fixes, by name; for diagnostics.
     """
 
     def __init__(self, log: Log) -> None:
         self.counts: Counter[str] = Counter()
         self.log = log
         self.notes: dict[str, str] = {}
+        self.receiver: dict[str, object] = {}
         self._informed: Counter[str] = Counter()
         self._totals: deque[tuple[int, int]] = deque(maxlen=64)  # stamp [ns], total
 

@@ -19,6 +19,7 @@ from geometry_msgs.msg import (
     TransformStamped,
     TwistWithCovarianceStamped,
 )
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
@@ -38,45 +39,48 @@ try:
     from tf2_msgs.msg import TFMessage
 except ImportError:  # the wheels of ROS have none
     TFMessage = None
+try:
+    from gps_msgs.msg import GPSFix
+except ImportError:
+    GPSFix = None
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import aiding_sources, conversions
+from hybrid_ins.ros import aiding_sources, conversions, interface
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
 from hybrid_ins.ros.crowded_topics import CrowdedTopics
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.geographic_services import GeographicServices
-from hybrid_ins.ros.message_types import LATCHED, OUTPUTS, fill_transforms
+from hybrid_ins.ros.gps_fix_input import ABSENT, GpsFixInput
+from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
 from hybrid_ins.ros.node_arguments import reason_of
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.warm_start import WarmStart
 
-IMU_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-GNSS_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=50, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-OUTPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
-)
-LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+NO_TRANSFORMS = "tf2_msgs is not installed: /tf is not published and /tf_static not read"
 TRANSFORM_RATE = 50.0  # Hz, on /tf
-FIXED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LAST_MESSAGES = Duration(seconds=0.2)  # of a publisher, to arrive before it is given up
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
+
+
+def _qos(topic: str) -> QoSProfile:
+    """Return the quality of service of a topic of `interface`."""
+    quality = interface.QUALITY[topic]
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=quality.depth,
+        reliability=(
+            ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
+        ),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL
+            if quality.transient_local
+            else DurabilityPolicy.VOLATILE
+        ),
+    )
 
 
 @contextmanager
@@ -137,6 +141,7 @@ class LiveEstimator:
         self._crowded = CrowdedTopics(node, self.estimator.inputs)
         self._last_imu = time.monotonic()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
+        self._gps_fix = GpsFixInput(self.estimator, new_message)
         self._geographic: GeographicServices | None = None
         self._warm_start = WarmStart(self.estimator, values)
         self._warm_start.load_at_start()
@@ -159,19 +164,16 @@ class LiveEstimator:
                 self._topics.publishers[topic] = node.create_publisher(
                     MESSAGES[type_name],
                     topic,
-                    LATCHED_QOS if topic in LATCHED else OUTPUT_QOS,
+                    _qos(topic),
                     event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 )
         if values["publish_tf"]:
             if TFMessage is None:
-                self.estimator.inputs.log(
-                    "info",
-                    "tf2_msgs is not installed: /tf is not published and /tf_static not read",
-                )
+                self.estimator.inputs.log("info", NO_TRANSFORMS)
             else:
                 self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
-                self._transform_publisher = node.create_publisher(TFMessage, "/tf", OUTPUT_QOS)
+                self._transform_publisher = node.create_publisher(TFMessage, "/tf", _qos("/tf"))
         self._topics.find_subscribers()
         self._publish_reports()
 
@@ -185,18 +187,20 @@ class LiveEstimator:
             A topic cannot be subscribed to, such as for the parameters of its QoS.
         """
         if TFMessage is not None:
-            self._subscribe(
-                TFMessage, "/tf_static", self.estimator.handle_static_transforms, FIXED_QOS
-            )
+            self._subscribe(TFMessage, "/tf_static", self.estimator.handle_static_transforms)
         self._last_imu = time.monotonic()
-        self._subscribe(Imu, "imu/data", self._on_imu, IMU_QOS, self._decode_imu)
-        self._subscribe(NavSatFix, "gnss/fix", self._on_fix, GNSS_QOS)
-        self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity, GNSS_QOS)
+        self._subscribe(Imu, "imu/data", self._on_imu, self._decode_imu)
+        self._subscribe(NavSatFix, "gnss/fix", self._on_fix)
+        if GPSFix is None:
+            self.estimator.inputs.inform("gps_msgs", ABSENT)
+        else:
+            self._subscribe(GPSFix, "gnss/gpsfix", self._on_gps_fix)
+        self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity)
         for topic, kind in aiding_sources.TOPICS.items():
             handle = partial(self.estimator.aids.sources.handle, topic)
-            self._subscribe(MESSAGES[kind], topic, partial(self._give, handle), GNSS_QOS)
+            self._subscribe(MESSAGES[kind], topic, partial(self._give, handle))
         pose = partial(self._give, self.estimator.handle_initial_pose)
-        self._subscribe(PoseWithCovarianceStamped, "initialpose", pose, OUTPUT_QOS)
+        self._subscribe(PoseWithCovarianceStamped, "initialpose", pose)
         node = self._node
         for name, action in (
             ("reset", self._reset),
@@ -231,6 +235,8 @@ class LiveEstimator:
     def destroy(self) -> None:
         """Give the publishers up."""
         for publisher in self._topics.publishers.values():
+            if self._node.context.ok():
+                publisher.wait_for_all_acked(LAST_MESSAGES)
             self._node.destroy_publisher(publisher)
         self._topics.publishers.clear()
         if self._transform_publisher is not None:
@@ -247,7 +253,6 @@ class LiveEstimator:
         kind: Any,
         topic: str,
         callback: Callable[[Any], None],
-        qos: QoSProfile,
         decode: Callable[[bytes], Any] | None = None,
     ) -> None:
         decode = decode or (lambda data: deserialize_message(data, kind))
@@ -265,7 +270,7 @@ class LiveEstimator:
                 kind,
                 topic,
                 self.guard.decoding(topic, decode, callback),
-                qos,
+                _qos(topic),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -296,8 +301,14 @@ class LiveEstimator:
         return self._node.get_clock().now().nanoseconds if self._by_receipt else None
 
     def _on_fix(self, message: NavSatFix) -> None:
+        self._gps_fix.note_fix(message)
         self.estimator.handle_fix(message, self._received_ns())
         self._warm_start.on_fix(message)
+        self._publish_reports()
+
+    def _on_gps_fix(self, message: Any) -> None:
+        for fix in self._gps_fix.handle(message, self._received_ns())[:1]:
+            self._warm_start.on_fix(fix)
         self._publish_reports()
 
     def _on_velocity(self, message: TwistWithCovarianceStamped) -> None:

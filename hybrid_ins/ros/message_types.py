@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hybrid_ins.ros.conversions import STATUS_FIX, STATUS_NO_FIX, fill_transform, set_stamp
+from hybrid_ins.ros.interface import PUBLISHED, STATUS, TRANSFORMS
 from hybrid_ins.ros.odom_frame import map_from_odom
 from hybrid_ins.ros.reports import (
     Diagnostics,
@@ -26,21 +27,7 @@ Message = Any
 NewMessage = Callable[[str], Message]
 
 KEY_VALUE = "diagnostic_msgs/msg/KeyValue"
-STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
-OUTPUTS = {
-    "odometry": "nav_msgs/msg/Odometry",
-    "odometry/local": "nav_msgs/msg/Odometry",
-    "gnss/filtered": "sensor_msgs/msg/NavSatFix",
-    "q/accelerometer": "geometry_msgs/msg/Vector3Stamped",
-    "q/gyroscope": "geometry_msgs/msg/Vector3Stamped",
-    "imu/bias": "geometry_msgs/msg/AccelWithCovarianceStamped",
-    "gnss/verdict": STATUS,
-    "aiding/verdict": STATUS,
-    "validity": STATUS,
-    "datum": "sensor_msgs/msg/NavSatFix",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-}
-LATCHED = ("datum", "validity")  # topics whose last message late subscribers get
+OUTPUTS = {topic.name: topic.type_name for topic in PUBLISHED if topic.type_name != TRANSFORMS}
 
 
 def to_message(report: Report, new: NewMessage, hardware_id: str = "") -> Message:

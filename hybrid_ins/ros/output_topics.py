@@ -11,7 +11,8 @@ from typing import Any, Protocol
 
 from hybrid_ins import parameters
 from hybrid_ins.ros.cdr import OdometryEncoder
-from hybrid_ins.ros.message_types import LATCHED, NewMessage, to_message
+from hybrid_ins.ros.interface import QUALITY
+from hybrid_ins.ros.message_types import NewMessage, to_message
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
 
@@ -26,6 +27,9 @@ class Publisher(Protocol):
 
     def get_subscription_count(self) -> int:
         """Return how many subscribers there are."""
+
+    def wait_for_all_acked(self, timeout: Any) -> bool:
+        """Wait until the subscribers have what was published."""
 
 
 class OutputTopics:
@@ -73,7 +77,7 @@ class OutputTopics:
         self._subscribed = {
             topic: publisher.publish
             for topic, publisher in self.publishers.items()
-            if topic in LATCHED or publisher.get_subscription_count()
+            if QUALITY[topic].transient_local or publisher.get_subscription_count()
         }
 
     def publish_odometry(self, odometry: Odometry) -> None:

@@ -57,6 +57,7 @@ DEFINITIONS = {
         "uint8 COVARIANCE_TYPE_KNOWN=3\nuint8 position_covariance_type\n",
     },
 }
+SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 NEEDS = {"robot_localization": ("geographic_msgs",)}
 
 
@@ -95,6 +96,8 @@ class _Package:
         self.folder, self.name = folder, name
         self.source = folder / "source" / name
         self.needs = NEEDS.get(name, ())
+        self.generated = folder / "generated" / name
+        self.described = folder / "introspection" / name  # files with the same names as others
 
     def build(self) -> None:
         from rosidl_adapter.msg import convert_msg_to_idl
@@ -104,6 +107,7 @@ class _Package:
         from rosidl_generator_type_description import generate_type_hash
         from rosidl_typesupport_c import generate_c as generate_typesupport_c
         from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+        from rosidl_typesupport_introspection_c import generate_c as generate_introspection_c
 
         for path, text in DEFINITIONS[self.name].items():
             file = self.source / path
@@ -114,7 +118,8 @@ class _Package:
         generate_type_hash(self.arguments("type_description", self.source))
         generate_c(self.arguments("generator_c"))
         generate_typesupport_fastrtps_c(self.arguments("typesupport_fastrtps_c"))
-        generate_typesupport_c(self.arguments("typesupport_c"), ["rosidl_typesupport_fastrtps_c"])
+        generate_introspection_c(self.arguments("typesupport_introspection_c", self.described))
+        generate_typesupport_c(self.arguments("typesupport_c"), list(SUPPORTS))
         generate_py(
             self.arguments("generator_py", self.folder / self.name), ["rosidl_typesupport_c"]
         )
@@ -127,7 +132,7 @@ class _Package:
         given = {
             "package_name": self.name,
             "idl_tuples": [f"{self.source}:{stem}.idl" for stem in stems],
-            "output_dir": str(output or self.folder / "generated" / self.name),
+            "output_dir": str(output or self.generated),
             "template_dir": str(SHARE / f"rosidl_{generator}" / "resource"),
             "target_dependencies": [],
             "ros_interface_dependencies": [],
@@ -149,34 +154,33 @@ class _Package:
     def compile(self) -> None:
         import numpy as np
 
-        generated, python = self.folder / "generated", self.folder / self.name
+        python = self.folder / self.name
         # Templates of CMake: what a compiler is told of the visibility of symbols.
-        for part, words in {
-            "generator_c": ("GENERATOR_C_PUBLIC", "GENERATOR_C_IMPORT", "GENERATOR_C_EXPORT"),
-            "typesupport_fastrtps_c": (
-                "TYPESUPPORT_FASTRTPS_C_PUBLIC",
-                "TYPESUPPORT_FASTRTPS_C_IMPORT",
-                "TYPESUPPORT_FASTRTPS_C_EXPORT",
-            ),
-            "typesupport_c": (),
-        }.items():
-            header = f"msg/rosidl_{part}__visibility_control.h"
-            (generated / self.name / header).parent.mkdir(parents=True, exist_ok=True)
-            (generated / self.name / header).write_text(
-                "#pragma once\n" + "".join(f"#define ROSIDL_{w}_{self.name}\n" for w in words)
+        for part, folder in (
+            ("generator_c", self.generated),
+            ("typesupport_fastrtps_c", self.generated),
+            ("typesupport_introspection_c", self.described),
+            ("typesupport_c", self.generated),
+        ):
+            header = folder / f"msg/rosidl_{part}__visibility_control.h"
+            header.parent.mkdir(parents=True, exist_ok=True)
+            words = (f"ROSIDL_{part.upper()}_{word}" for word in ("PUBLIC", "IMPORT", "EXPORT"))
+            header.write_text(
+                "#pragma once\n" + "".join(f"#define {word}_{self.name}\n" for word in words)
             )
         include = [
-            generated,
+            self.generated.parent,
+            self.described.parent,
             Path(sysconfig.get_path("include")),
             Path(np.get_include()),
             *INCLUDE.iterdir(),
             INCLUDE,
         ]
-        sources = [
-            *sorted((generated / self.name).rglob("*.c")),
-            *sorted((generated / self.name).rglob("*.cpp")),
-            *sorted(python.rglob("*_s.c")),
-        ]
+        own = [*sorted(self.generated.rglob("*.c")), *sorted(python.rglob("*_s.c"))]
+        supports = {
+            "rosidl_typesupport_fastrtps_c": sorted(self.generated.rglob("*.cpp")),
+            "rosidl_typesupport_introspection_c": sorted(self.described.rglob("*.c")),
+        }
 
         def compiled(source: Path) -> Path:
             target = source.with_suffix(source.suffix + ".o")
@@ -188,7 +192,8 @@ class _Package:
             return target
 
         with ThreadPoolExecutor(2) as pool:
-            objects = list(pool.map(compiled, sources))
+            objects = {name: list(pool.map(compiled, found)) for name, found in supports.items()}
+            own = list(pool.map(compiled, own))
         (entry,) = python.glob("*.ep.rosidl_typesupport_c.c")
         library = self.folder / f"lib{self.name}.so"
         linked = [
@@ -196,17 +201,24 @@ class _Package:
             f"-Wl,-rpath,{self.folder}", "-Wl,--allow-shlib-undefined",
             *(f"-l{name}" for name in (
                 "rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c",
-                "rosidl_typesupport_fastrtps_cpp", "rcutils", "fastcdr",
+                "rosidl_typesupport_fastrtps_cpp", "rosidl_typesupport_introspection_c", "rcutils",
+                "fastcdr",
             )),
             *(
                 f"-l{package}__rosidl_{part}"
                 for package in KNOWN
                 for part in ("generator_c", "generator_py", "typesupport_fastrtps_c",
-                             "typesupport_c")
+                             "typesupport_introspection_c", "typesupport_c")
             ),
-            *(f"-l{package}" for package in self.needs),
+            *(f"-l{name}" for package in self.needs for name in
+              (package, *(f"{package}__{support}" for support in SUPPORTS))),
         ]  # fmt: skip
-        _run("g++", "-shared", "-o", library, *objects, *linked)
+        # rosidl finds the two by these names, among what the process has loaded already.
+        for name, parts in objects.items():
+            file = f"lib{self.name}__{name}.so"
+            _run("g++", "-shared", f"-Wl,-soname,{file}", "-o", self.folder / file, *parts, *linked)
+        ours = (f"-l{self.name}__{name}" for name in SUPPORTS)
+        _run("g++", "-shared", "-o", library, *own, "-Wl,--no-as-needed", *ours, *linked)
         module = python / f"{self.name}_s__rosidl_typesupport_c.so"
         _run(
             "gcc", "-w", "-fPIC", "-shared", "-o", module, entry,

@@ -12,6 +12,7 @@ from hybrid_ins.core.alignment import AlignmentSettings, yaw_of
 from hybrid_ins.core.chi_square import quantile
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import PositionFix
@@ -39,6 +40,9 @@ class Parts:
     """Filter parts with constant noise, see `hybrid_ins.core.phases.FilterParts`."""
 
     settings = FilterSettings()
+
+    def __init__(self) -> None:
+        self.speed_check = SpeedCheck(515.0, 3.0)
 
     def noise(self, period: float) -> FilterNoise:
         return FilterNoise(ConstantNoise(Q), ProcessNoise(np.repeat([1e-6, 1e-8], 3), period), None)

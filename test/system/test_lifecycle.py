@@ -7,6 +7,7 @@ numbers of transitions, and looks at the answer and at the state that follows.
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 import time
@@ -79,12 +80,12 @@ def manager() -> Iterator[Manager]:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = tmp_path_factory.mktemp("lifecycle") / "flight.mcap"
-    assert simulate.main([str(bag), "--duration", "12", "--imu-rate", "100"]) == 0
+    assert simulate.main([str(bag), "--duration", "12", "--imu-rate", "50"]) == 0
     return bag
 
 
 def play(processes: Processes, flight: Path, out: Path) -> subprocess.Popen[str]:
-    words = [str(flight), "--record", str(out), "--rate", "3"]
+    words = [str(flight), "--record", str(out), "--rate", "4"]
     return processes.start(
         [sys.executable, "-m", "hybrid_ins.cli.play", *words], subprocess.PIPE, ENVIRONMENT
     )
@@ -120,7 +121,7 @@ def test_a_manager_brings_the_node_up_and_down(
     manager.spin_until(lambda: "/imu/data" in manager.topics())
     first = tmp_path / "first.mcap"
     text, _ = play(processes, flight, first).communicate(timeout=60)
-    assert count(first, "/odometry") > 900, text
+    assert count(first, "/odometry") > 400, text
 
     assert manager.change(DEACTIVATE)
     assert manager.state() == INACTIVE
@@ -132,7 +133,7 @@ def test_a_manager_brings_the_node_up_and_down(
     assert manager.change(ACTIVATE)
     second = tmp_path / "second.mcap"
     text, _ = play(processes, flight, second).communicate(timeout=60)
-    assert count(second, "/odometry") > 900, text  # the stamps went back: it aligned again
+    assert count(second, "/odometry") > 400, text  # the stamps went back: it aligned again
 
     assert manager.change(DEACTIVATE)
     assert manager.change(CLEANUP)
@@ -163,12 +164,17 @@ def test_a_failing_configure_can_be_repeated(
     """GIVEN a model that is missing WHEN configured THEN it fails until the parameter is set."""
     log = tmp_path / "node.log"
     model = tmp_path / "missing.onnx"
-    wrong = ("-p", f"noise.model:={model}", "-p", "alignment.window:=0.06")
+    wrong = ("-p", f"noise.model:={model}", "-p", "base_frame:=map")
     node = start_node(processes, log, *MANAGED, *wrong, said="unconfigured")
 
     assert not manager.change(CONFIGURE)
     assert manager.state() == UNCONFIGURED
-    (line,) = [text for text in log.read_text().splitlines() if "ERROR" in text]
+    assert "base_frame" in log.read_text()  # contradicts map_frame
+    assert manager.set("base_frame", "base_link").successful
+
+    assert not manager.change(CONFIGURE)
+    assert manager.state() == UNCONFIGURED
+    _, line = [text for text in log.read_text().splitlines() if "ERROR" in text]
     assert "configure: " in line
     assert str(model) in line
     assert "No such file" in line
@@ -179,18 +185,6 @@ def test_a_failing_configure_can_be_repeated(
     assert manager.state() == ACTIVE
     assert processes.stop(node) == 0
     assert "Traceback" not in log.read_text()
-
-
-def test_values_that_contradict_each_other_fail_at_configure(
-    processes: Processes, tmp_path: Path, manager: Manager
-) -> None:
-    log = tmp_path / "node.log"
-    start_node(processes, log, *MANAGED, "-p", "base_frame:=map", said="unconfigured")
-
-    assert not manager.change(CONFIGURE)
-    assert "base_frame" in log.read_text()
-    assert manager.set("base_frame", "base_link").successful
-    assert manager.change(CONFIGURE)
 
 
 def test_a_qos_that_cannot_be_fails_at_activate(
@@ -205,7 +199,10 @@ def test_a_qos_that_cannot_be_fails_at_activate(
     assert manager.state() == INACTIVE
     assert "activate: imu/data: Unexpected QoS" in log.read_text()
     assert manager.change(CLEANUP)
-    assert processes.stop(node) == 0
+    assert manager.change(CONFIGURE)
+    assert manager.state() == INACTIVE
+    assert processes.stop(node) == 0, log.read_text()  # SIGTERM while inactive
+    assert "Traceback" not in log.read_text()
 
 
 BROKEN = """
@@ -239,14 +236,17 @@ def test_an_error_in_a_transition_leads_back_to_unconfigured(
     assert processes.stop(node) == 0
 
 
-def test_impossible_transitions_are_answered(
+def test_a_manager_may_restart_an_autostarted_node(
     processes: Processes, tmp_path: Path, manager: Manager
 ) -> None:
     """GIVEN an active node WHEN it is to be activated or configured THEN the answer is no."""
     log = tmp_path / "node.log"
-    start_node(processes, log)
+    node = start_node(processes, log)
 
     assert manager.state() == ACTIVE  # by autostart
+    for package in ("robot_localization", "gps_msgs"):
+        if importlib.util.find_spec(package) is None:
+            assert log.read_text().count(f"{package} is not installed") == 1
     assert not manager.change(ACTIVATE)
     assert not manager.change(CONFIGURE)
     assert not manager.change(99)
@@ -257,27 +257,10 @@ def test_impossible_transitions_are_answered(
         GetAvailableTransitions.Request(),
     ).available_transitions
     assert {t.transition.label for t in possible} == {"deactivate", "shutdown"}
-    until(lambda: "not in the present state" in log.read_text())
+    until(lambda: "not in the present state" in log.read_text(), 30.0)
 
-
-def test_a_manager_may_restart_an_autostarted_node(
-    processes: Processes, tmp_path: Path, manager: Manager
-) -> None:
-    start_node(processes, tmp_path / "node.log")
-
-    for transition in (DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE):
+    for transition in (DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP):
         assert manager.change(transition), manager.transcript
-    assert manager.state() == ACTIVE
-
-
-@pytest.mark.parametrize("transitions", [(), (CONFIGURE,)], ids=["unconfigured", "inactive"])
-def test_sigterm_ends_the_node_in_every_state(
-    processes: Processes, tmp_path: Path, manager: Manager, transitions: tuple[int, ...]
-) -> None:
-    log = tmp_path / "node.log"
-    node = start_node(processes, log, *MANAGED, said="unconfigured")
-    for transition in transitions:
-        assert manager.change(transition)
-
-    assert processes.stop(node) == 0, log.read_text()
+    assert manager.state() == UNCONFIGURED
+    assert processes.stop(node) == 0, log.read_text()  # SIGTERM while unconfigured
     assert "Traceback" not in log.read_text()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,18 +60,29 @@ def test_a_waypoint_follower_gets_its_points(
     GIVEN a datum WHEN a client asks as nav2_waypoint_follower does THEN the points are right.
 
     That one takes each GeoPose's position to ``/fromLL`` and makes a PoseStamped in ``map`` of the
-    answer.
+    answer. Before there is a datum only ``datum`` is offered; it may be moved.
     """
-    from geographic_msgs.msg import GeoPoint
-    from robot_localization.srv import FromLL, FromLLArray, ToLL
+    from geographic_msgs.msg import GeoPoint, GeoPose
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from robot_localization.srv import FromLL, FromLLArray, SetDatum, ToLL
+    from sensor_msgs.msg import NavSatFix
 
-    start_node(
-        processes,
-        tmp_path / "node.log",
-        "-p",
-        f"datum:={list(DATUM)}",
-        environment=types,
-    )
+    start_node(processes, tmp_path / "node.log", environment=types)
+    heard: list[Any] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    client.node.create_subscription(NavSatFix, "/datum", heard.append, latched)
+    client.spin_until(lambda: "/datum" in dict(client.node.get_service_names_and_types()), 30.0)
+    assert "/fromLL" not in dict(client.node.get_service_names_and_types())
+
+    for place in ((10.0, 5.0, 100.0), DATUM):
+        point = GeoPoint(latitude=place[0], longitude=place[1], altitude=place[2])
+        client.call(SetDatum, "/datum", SetDatum.Request(geo_pose=GeoPose(position=point)))
+        client.spin_until(
+            lambda latitude=place[0]: heard and heard[-1].latitude == pytest.approx(latitude), 30.0
+        )
+        there = client.call(FromLL, "/fromLL", FromLL.Request(ll_point=point)).map_point
+        assert (there.x, there.y, there.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
     rng = np.random.default_rng(1)
     points = [
         GeoPoint(
@@ -114,38 +124,3 @@ def test_a_waypoint_follower_gets_its_points(
     assert kinds["/toLL"] == ["robot_localization/srv/ToLL"]
     assert kinds["/fromLLArray"] == ["robot_localization/srv/FromLLArray"]
     assert kinds["/datum"] == ["robot_localization/srv/SetDatum"]
-
-
-def test_conversions_wait_for_the_datum_and_follow_it(
-    processes: Processes, tmp_path: Path, client: Client, types: dict[str, str]
-) -> None:
-    """GIVEN no datum THEN only datum is offered WHEN it is set THEN the topic and the rest are."""
-    from geographic_msgs.msg import GeoPoint, GeoPose
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from robot_localization.srv import FromLL, SetDatum
-    from sensor_msgs.msg import NavSatFix
-
-    start_node(processes, tmp_path / "node.log", environment=types)
-    heard: list[Any] = []
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    client.node.create_subscription(NavSatFix, "/datum", heard.append, latched)
-    client.spin_until(lambda: "/datum" in dict(client.node.get_service_names_and_types()))
-    assert "/fromLL" not in dict(client.node.get_service_names_and_types())
-
-    for latitude in (10.0, 20.0):
-        datum = GeoPose(position=GeoPoint(latitude=latitude, longitude=5.0, altitude=100.0))
-        client.call(SetDatum, "/datum", SetDatum.Request(geo_pose=datum))
-        client.spin_until(
-            lambda latitude=latitude: heard and heard[-1].latitude == pytest.approx(latitude)
-        )
-        there = client.call(FromLL, "/fromLL", FromLL.Request(ll_point=datum.position)).map_point
-        assert (there.x, there.y, there.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-
-
-def test_without_robot_localization_the_node_says_so_once(
-    processes: Processes, tmp_path: Path
-) -> None:
-    if subprocess.run([sys.executable, "-c", "import robot_localization"], check=False).returncode:
-        log = tmp_path / "node.log"
-        start_node(processes, log)
-        assert log.read_text().count("robot_localization is not installed") == 1

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.ros_nodes import ENVIRONMENT, start_node
+from support.ros_nodes import ENVIRONMENT, start_node, until
 
 from hybrid_ins.cli import simulate
 from tools.processes import Processes
@@ -46,7 +46,10 @@ def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> No
             for frame in ("map", "odom", "base")
             for word in ("-p", f"{frame}_frame:={name}/{frame}")
         ]
-        start_node(processes, tmp_path / f"{name}.log", "-r", f"__ns:=/{name}", *frames)
+        start_node(processes, tmp_path / f"{name}.log", "-r", f"__ns:=/{name}", *frames, said="")
+    for name in ("rover1", "rover2"):
+        log = tmp_path / f"{name}.log"
+        until(lambda log=log: "ready" in log.read_text(), 90.0)
     topics = ["/imu/data:=/rover1/imu/data", "/gnss/fix:=/rover1/gnss/fix"]
     play = [sys.executable, "-m", "hybrid_ins.cli.play", str(bag), "--remap", *topics]
     processes.start(play, subprocess.DEVNULL, ENVIRONMENT)

@@ -28,7 +28,7 @@ def client() -> Iterator[Client]:
 
 
 def play(processes: Processes, bag: Path) -> None:
-    command = [sys.executable, "-m", "hybrid_ins.cli.play", str(bag), "--rate", "2"]
+    command = [sys.executable, "-m", "hybrid_ins.cli.play", str(bag), "--rate", "4"]
     player = processes.start(command, subprocess.PIPE, ENVIRONMENT)
     text, _ = player.communicate(timeout=90)
     assert player.returncode == 0, text
@@ -39,7 +39,7 @@ def test_a_killed_node_starts_with_the_heading_that_it_had(
 ) -> None:
     """GIVEN a parked vehicle WHEN its node is killed THEN the next knows the heading at once."""
     bag, file = tmp_path / "parked.mcap", tmp_path / "state.yaml"
-    words = [str(bag), "--trajectory", "static", "--duration", "12", "--imu-rate", "100"]
+    words = [str(bag), "--trajectory", "static", "--duration", "12", "--imu-rate", "50"]
     assert simulate.main(words) == 0
     state = ("-p", f"state_file:={file}", "-p", "alignment.yaw_std:=0.01")
     logs = [tmp_path / f"{name}.log" for name in ("first", "second", "third")]
@@ -58,7 +58,7 @@ def test_a_killed_node_starts_with_the_heading_that_it_had(
     node = start_node(processes, logs[1], *state, heading=False)
     assert f"loaded from {file}" in logs[1].read_text()
     play(processes, bag)
-    until(lambda: "aligned: heading known to 2.0" in logs[1].read_text())
+    until(lambda: "aligned: heading known to 2.0" in logs[1].read_text(), 30.0)
     assert "the vehicle has not moved" in logs[1].read_text()
     loaded = client.call(Trigger, "/ins_node/load", Trigger.Request())
     assert loaded.success, loaded.message
