@@ -108,7 +108,7 @@ class SmoothedLeverArm:
 
     def finish(self) -> bool:
         """Move the lever arm after the forward part; return whether it had settled before."""
-        self.covariance_b = np.linalg.inv(self._information)
+        self.covariance_b = np.asarray(np.linalg.inv(self._information))
         step = self.covariance_b @ self._gradient
         if step @ self._information @ step < SETTLED**2:
             return True

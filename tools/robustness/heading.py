@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.cli import calibrate
+from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -212,9 +212,8 @@ def recorded(data: Path, number: int, imu: int, offset: float) -> Case:
 def calibrated(data: Path, number: int, imu: int) -> float:
     """Find the clock offset [s] of a flight."""
     flight = flights.load(data, number, imu)
-    run_ = flights.as_run(flight, flights.fixes(flight, 5.0, 0, ()))
-    values = parameters.defaults()
-    found = calibrate.calibrate([run_], values, search=1.0).values
+    recording = flights.as_recording(flight, flights.fixes(flight, 5.0, 0, ()))
+    found = calibrate([recording], parameters.defaults(), search=1.0).values
     return float(found["gnss.time_offset.value"])
 
 
