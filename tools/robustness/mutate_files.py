@@ -147,7 +147,7 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
         )
         return node.main(["--ros-args", *given])
 
-    def convert(path: Path) -> int:
+    def convert_flight(path: Path) -> int:
         return convert.main([str(path), out, "--overwrite"])
 
     def convert_map(path: Path) -> int:
@@ -204,7 +204,7 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
                 (
                     "ins_convert FLIGHT",
                     f"{BYTES[k % len(BYTES)].__name__} {k}",
-                    _on_flight(convert, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng),
+                    _on_flight(convert_flight, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng),
                 )
             )
     return drawn
