@@ -79,7 +79,8 @@ class SmoothedLeverArm:
         """Return a measurement with the lever arm of this pass, where it has one."""
         if not hasattr(measurement, "lever_b"):
             return measurement
-        moved: Any = replace(measurement, lever_b=measurement.lever_b + self.lever_b)  # type: ignore[type-var]
+        lever_b = measurement.lever_b + self.lever_b
+        moved: Any = replace(measurement, lever_b=lever_b)  # type: ignore[type-var]
         return moved  # type: ignore[no-any-return]
 
     def propagate(self, F: Array, lengths: Array) -> None:
@@ -164,6 +165,7 @@ class SmoothedLeverArm:
         h = H @ self.sensitivity
         if hasattr(measurement, "lever_b"):
             for i, step in enumerate(_STEP * np.eye(3)):
-                moved: Any = replace(measurement, lever_b=measurement.lever_b + step)  # type: ignore[type-var]
+                lever_b = measurement.lever_b + step
+                moved: Any = replace(measurement, lever_b=lever_b)  # type: ignore[type-var]
                 h[:, i] += (z - moved.linearise(nav)[0]) / _STEP
         return z, H, h
