@@ -30,7 +30,7 @@ from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import calibrate, evaluate, replay, simulate
+from hybrid_ins.cli import calibrate, convert, evaluate, replay, simulate
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.resources import share_path
 from tools.processes import isolated_ros
@@ -204,7 +204,9 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
                 (
                     "ins_convert FLIGHT",
                     f"{BYTES[k % len(BYTES)].__name__} {k}",
-                    _on_flight(convert_flight, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng),
+                    _on_flight(
+                        convert_flight, files, tables[k % len(tables)], BYTES[k % len(BYTES)], rng
+                    ),
                 )
             )
     return drawn
