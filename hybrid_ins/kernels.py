@@ -21,6 +21,8 @@ import numpy as np
 from hybrid_ins import kernel_cache
 from hybrid_ins.core import (
     clock_offset,
+    fix_update,
+    imu_axes_fit,
     imu_health,
     iterated_update,
     kalman,
@@ -140,6 +142,8 @@ def _compile_filter() -> None:
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
+    clock = clock_offset.ClockOffsetObserver(0.1).values
+    fix_update.fuse_ordinary_fix(nav, z, H, np.eye(3), True, clock, 0.0, 0.0)
 
 
 def _compile_output() -> None:
@@ -168,13 +172,16 @@ def _compile_output() -> None:
         np.zeros(N_ERROR),
         6.0,
     )
-    clock_offset.regress(zero, zero, turn, 0.0)
+    clock = np.ones(clock_offset.N_CLOCK)
+    clock_offset.sensitivities(nav, clock, 0.0, H)
+    clock_offset.observe(clock, 0.0, zero, nav[:N_ERROR], zero, zero, turn, True)
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
     imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)
+    imu_axes_fit.integrate_force(np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)))
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))
     window.quantisation_step(readings)

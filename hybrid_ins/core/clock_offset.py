@@ -32,6 +32,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.clock_prior import ClockPrior
@@ -53,11 +54,21 @@ MARGIN = 1.2  # factor on σ: innovations are not quite white. Without it, the l
 # quarter of an hour of smooth driving with metre fixes was 3.1 and 3.4 σ
 
 
+# The estimate as one flat vector, so that a compiled call has one argument and a checkpoint is one
+# copy.
+RESIDUAL, DRIFT = 0, 1
+P_OFFSET, P_CROSS, P_DRIFT = 2, 3, 4  # covariance of offset and drift
+NIS_SCALE = 5
+LAST_VELOCITY = slice(6, 9)  # NED, after the last correction
+ACCELERATION = slice(9, 12)  # NED, mean before it
+N_CLOCK = 12
+
+
 class ClockOffsetObserver:
     """
     Estimates the offset that is still to be added to the stamps of fixes.
 
-    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+    A copy is a checkpoint.
 
     Parameters
     ----------
@@ -68,26 +79,42 @@ class ClockOffsetObserver:
 
     Attributes
     ----------
-    residual : float
-        Offset still to be added to the stamps of fixes, by the innovations alone [s].
-    drift : float
-        Its rate of change [s/s].
+    prior : ClockPrior or None
+        What is known of the offset without innovations.
+    values : ndarray, shape (N_CLOCK,)
+        Offset and drift by the innovations alone, their covariance, and what the next correction is
+        compared with.
     """
+
+    __slots__ = ("_t_ns", "prior", "values")
 
     def __init__(self, std: float, prior: ClockPrior | None = None) -> None:
         self.prior = prior
-        self.residual = 0.0
-        self.drift = 0.0
-        self._P = np.diag((std**2, DRIFT_STD**2))  # of offset and drift
-        self._nis_scale = 1.0
+        self.values = np.zeros(N_CLOCK)
+        self.values[P_OFFSET], self.values[P_DRIFT] = std**2, DRIFT_STD**2
+        self.values[NIS_SCALE] = 1.0
         self._t_ns = 0  # of the last correction
-        self._velocity_n = np.zeros(3)  # after it
-        self._acceleration_n = np.zeros(3)  # mean before it
+
+    def __copy__(self) -> ClockOffsetObserver:
+        twin = object.__new__(ClockOffsetObserver)
+        twin.values, twin._t_ns, twin.prior = self.values.copy(), self._t_ns, self.prior
+        return twin
+
+    @property
+    def residual(self) -> float:
+        """Offset still to be added to the stamps of fixes, by the innovations alone [s]."""
+        return float(self.values[RESIDUAL])
+
+    @property
+    def drift(self) -> float:
+        """Rate of change of `residual` [s/s]."""
+        return float(self.values[DRIFT])
 
     @property
     def sigma(self) -> float:
         """Standard deviation of `residual` [s]."""
-        return MARGIN * math.sqrt(float(self._P[0, 0]) * max(self._nis_scale, 1.0))
+        _, _, variance, _, _, scale = self.values[:6].tolist()
+        return MARGIN * math.sqrt(variance * max(scale, 1.0))
 
     @property
     def missing(self) -> tuple[float, float]:
@@ -110,6 +137,10 @@ class ClockOffsetObserver:
         mean, variance = self.missing
         return variance + mean**2
 
+    def interval(self, t_ns: int) -> float:
+        """Return the time from the last correction to a stamp [s]; infinite without one."""
+        return (t_ns - self._t_ns) * 1e-9 if self._t_ns else math.inf
+
     def sensitivity_of(self, nav: Array, t_ns: int, H: Array) -> Array:
         """
         Return the sensitivity h, shape (m,), of an innovation of fixes to the offset.
@@ -123,27 +154,13 @@ class ClockOffsetObserver:
         H : ndarray, shape (m, 15)
             Measurement matrix.
         """
-        return np.asarray(
-            H @ nav[SENSITIVITY] + H[:, DP] @ nav[VELOCITY] + self._change_of_velocity(nav, t_ns, H)
-        )
+        h, _ = sensitivities(nav, self.values, self.interval(t_ns), H)
+        return np.asarray(h)
 
     def velocity_age_covariance(self, nav: Array, t_ns: int, H: Array) -> Array:
         """Return what the unknown age of a velocity adds to its R, (m, m); see `sensitivity_of`."""
-        change = VELOCITY_AGE_STD * self._change_of_velocity(nav, t_ns, H)
-        return np.outer(change, change)
-
-    def _change_of_velocity(self, nav: Array, t_ns: int, H: Array) -> Array:
-        """Return how a measured velocity changes with its stamp, shape (m,)."""
-        return np.asarray(H[:, DV] @ self._mean_acceleration(nav, t_ns))
-
-    def _mean_acceleration(self, nav: Array, t_ns: int) -> Array:
-        """Return the acceleration of the time since the last correction [m/s²], NED."""
-        T = (t_ns - self._t_ns) * 1e-9
-        if 0.0 <= T < MIN_INTERVAL:
-            return self._acceleration_n
-        if not 0.0 < T <= MAX_INTERVAL:
-            return np.zeros(3)
-        return np.asarray((nav[VELOCITY] - self._velocity_n) / T)
+        _, change = sensitivities(nav, self.values, self.interval(t_ns), H)
+        return VELOCITY_AGE_STD**2 * np.outer(change, change)
 
     def update(self, correction: Correction, h: Array, S: Array, informs: bool = True) -> None:
         """
@@ -160,37 +177,22 @@ class ClockOffsetObserver:
         informs : bool
             The fix has the clock whose offset is estimated.
         """
-        T = (correction.t_ns - self._t_ns) * 1e-9
-        if self._t_ns and T > 0.0:
-            self._predict(T)
-        self._acceleration_n = self._mean_acceleration(correction.nav, correction.t_ns)
-        if correction.fused and informs:
-            information, gradient, nis = regress(correction.z, h, S, self.residual)
-            self._nis_scale += (nis / len(correction.z) - self._nis_scale) / NIS_MEMORY
-            gain = self._P[:, 0] / (1.0 + self._P[0, 0] * information)
-            self.residual += float(gain[0]) * gradient
-            self.drift += float(gain[1]) * gradient
-            self._P = self._P - information * np.outer(gain, self._P[0])
-            self._set_variance(float(self._P[0, 0]))
-        self._t_ns = correction.t_ns
-        self._velocity_n = correction.nav[VELOCITY] + correction.dx[DV]
+        velocity_n, informs = correction.nav[VELOCITY], correction.fused and informs
+        since = self.interval(correction.t_ns)
+        observe(self.values, since, velocity_n, correction.dx, correction.z, h, S, informs)
+        self.on_corrected(correction.t_ns)
 
-    def _predict(self, T: float) -> None:
-        """Propagate offset and drift by a time [s]."""
-        F = np.array([[1.0, T], [0.0, 1.0]])
-        self.residual += T * self.drift
-        self._P = F @ self._P @ F.T + np.diag((RANDOM_WALK**2 * T, DRIFT_WALK**2 * T))
-
-    def _set_variance(self, variance: float) -> None:
-        """Replace the offset's variance [s²], bounded from below."""
-        added = max(variance, MIN_STD**2) - self._P[0, 0]
-        self._P = self._P + np.diag((added, 0.0))
+    def on_corrected(self, t_ns: int) -> None:
+        """Note that ``values`` contain a correction with this stamp [ns]."""
+        self._t_ns = t_ns
 
     def set_estimate(self, residual: float, sigma: float) -> None:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
-        self.residual, self.drift = residual, 0.0
-        self._P = np.diag((0.0, DRIFT_STD**2))
-        self._set_variance((sigma / MARGIN) ** 2 / max(self._nis_scale, 1.0))
+        values = self.values
+        variance = (sigma / MARGIN) ** 2 / max(float(values[NIS_SCALE]), 1.0)
+        values[RESIDUAL], values[DRIFT] = residual, 0.0
+        values[P_OFFSET] = max(variance, MIN_STD**2)
+        values[P_CROSS], values[P_DRIFT] = 0.0, DRIFT_STD**2
 
     def shift(self, by: float, nav: Array) -> Array:
         """
@@ -198,18 +200,17 @@ class ClockOffsetObserver:
 
         Returns the error, shape (15,), that the flat state ``nav`` has because it was not.
         """
-        self.residual -= by
+        self.values[RESIDUAL] -= by
         if self.prior is not None:
             self.prior = self.prior._replace(mean=self.prior.mean - by)
-        left = by * min(abs(by) / MOTION_TIME, 1.0)
-        self._P = self._P + np.diag((left**2, 0.0))
+        self.values[P_OFFSET] += (by * min(abs(by) / MOTION_TIME, 1.0)) ** 2
         moved = by * nav[SENSITIVITY]
-        self._velocity_n = self._velocity_n + moved[DV]
+        self.values[LAST_VELOCITY] += moved[DV]
         return np.asarray(moved)
 
     def on_moved_state(self, velocity_n: Array) -> None:
         """Note that the state was changed by other means than a correction."""
-        self._velocity_n = velocity_n.copy()
+        self.values[LAST_VELOCITY] = velocity_n
 
 
 def initial_sensitivity(velocity_n: Array) -> Array:
@@ -219,7 +220,7 @@ def initial_sensitivity(velocity_n: Array) -> Array:
     return s
 
 
-@kernel()
+@register_jitable
 def regress(z, h, S, residual):  # type: ignore[no-untyped-def]
     """
     Regress an innovation on the clock offset.
@@ -248,3 +249,92 @@ def regress(z, h, S, residual):  # type: ignore[no-untyped-def]
         gradient += h[a] * weighted_rest[a]
         nis += rest[a] * weighted_rest[a]
     return information, gradient, nis
+
+
+@register_jitable
+def write_mean_acceleration(velocity_n, clock, interval, out):  # type: ignore[no-untyped-def]
+    """Write the acceleration (3,) [m/s²], NED, of the time since the last correction."""
+    last, acceleration = clock[LAST_VELOCITY], clock[ACCELERATION]
+    for i in range(3):
+        if 0.0 <= interval < MIN_INTERVAL:
+            out[i] = acceleration[i]
+        elif 0.0 < interval <= MAX_INTERVAL:
+            out[i] = (velocity_n[i] - last[i]) / interval
+        else:
+            out[i] = 0.0
+
+
+@kernel()
+def sensitivities(nav, clock, interval, H):  # type: ignore[no-untyped-def]
+    """
+    Return how an innovation of fixes changes with the clock offset.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state before the correction.
+    clock : ndarray, shape (N_CLOCK,)
+        `ClockOffsetObserver.values`.
+    interval : float
+        Time since the last correction [s].
+    H : ndarray, shape (m, 15)
+        Measurement matrix.
+
+    Returns
+    -------
+    h, change : ndarray, shape (m,)
+        H s + v or H s + a; and the part of it by which a measured velocity changes with its stamp.
+    """
+    m = H.shape[0]
+    s, velocity, acceleration = nav[SENSITIVITY], nav[VELOCITY], np.empty(3)
+    write_mean_acceleration(velocity, clock, interval, acceleration)
+    h, change = np.zeros(m), np.zeros(m)
+    for a in range(m):
+        for i in range(N_ERROR):
+            h[a] += H[a, i] * s[i]
+        for i in range(3):
+            h[a] += H[a, i] * velocity[i]
+            change[a] += H[a, 3 + i] * acceleration[i]
+        h[a] += change[a]
+    return h, change
+
+
+@kernel()
+def observe(clock, interval, velocity_n, dx, z, h, S, informs):  # type: ignore[no-untyped-def]
+    """
+    Take a correction into account, by a Kalman filter of offset and drift.
+
+    Parameters
+    ----------
+    clock : ndarray, shape (N_CLOCK,)
+        `ClockOffsetObserver.values`; overwritten.
+    interval : float
+        Time since the last correction [s]; infinite without one.
+    velocity_n, dx : ndarray, shape (3,), (15,)
+        Velocity before the correction [m/s], and the correction of the state.
+    z, h, S, informs
+        See `ClockOffsetObserver.update`.
+    """
+    if 0.0 < interval < np.inf:
+        cross = clock[P_CROSS] + interval * clock[P_DRIFT]
+        clock[RESIDUAL] += interval * clock[DRIFT]
+        clock[P_OFFSET] += interval * (clock[P_CROSS] + cross) + RANDOM_WALK**2 * interval
+        clock[P_CROSS] = cross
+        clock[P_DRIFT] += DRIFT_WALK**2 * interval
+    acceleration = np.empty(3)
+    write_mean_acceleration(velocity_n, clock, interval, acceleration)
+    for i in range(3):
+        clock[ACCELERATION][i] = acceleration[i]
+        clock[LAST_VELOCITY][i] = velocity_n[i] + dx[3 + i]
+    if not informs:
+        return
+    information, gradient, nis = regress(z, h, S, clock[RESIDUAL])
+    clock[NIS_SCALE] += (nis / len(z) - clock[NIS_SCALE]) / NIS_MEMORY
+    variance, cross = clock[P_OFFSET], clock[P_CROSS]
+    gain = variance / (1.0 + variance * information)
+    gain_drift = cross / (1.0 + variance * information)
+    clock[RESIDUAL] += gain * gradient
+    clock[DRIFT] += gain_drift * gradient
+    clock[P_OFFSET] = max(variance - information * gain * variance, MIN_STD**2)
+    clock[P_CROSS] = cross - information * gain * cross
+    clock[P_DRIFT] -= information * gain_drift * cross

@@ -81,9 +81,15 @@ class FilterNoise:
         if replaced and self.factors is not None and max(self.imu_factors) > 1.0:
             self.factors.restart(keep_weights=False)
 
+    @property
+    def uses_corrections(self) -> bool:
+        """Whether `learn_correction` does anything."""
+        return self.factors is not None or self.model.uses_corrections
+
     def learn_correction(self, correction: Correction) -> StateCorrection | None:
         """Learn from a fix, fused or rejected; may return where the state belongs."""
-        self.model.learn(replace(correction, restarted=self._restarted))
+        if self.model.uses_corrections:
+            self.model.learn(replace(correction, restarted=self._restarted))
         self._restarted = False
         if self.factors is None:
             return None

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.linalg import log_determinant
 from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.shallow_copy import ShallowCopy
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ class _Rejections:
     jump: bool  # the first was one
 
 
-class Gate:
+class Gate(ShallowCopy):
     """
     Weight of a measurement by its innovation, with a limit on the duration of disagreement.
 
@@ -117,11 +118,21 @@ class Gate:
     def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
-        self._rejections: dict[str, _Rejections] = {}
+        self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
 
     def threshold(self, components: int) -> float:
         """Return the largest NIS of a measurement that agrees, by its number of components."""
         return self._thresholds[components]
+
+    def ordinary_limit(self, kind: str, components: int) -> float:
+        """
+        Return the NIS up to which `judge` accepts a GNSS measurement with its full weight.
+
+        -1 after rejections: more than its NIS decides then.
+        """
+        if kind in self._rejections or components not in self._thresholds:
+            return -1.0
+        return min(self._thresholds[components], ORDINARY[components])
 
     def judge(
         self,

@@ -20,8 +20,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.imu_health import GRAVITY
+from hybrid_ins.core.measurements import turned
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec, skew
+from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
@@ -100,18 +103,26 @@ class Fit:
 
 def triples_of(t: Array, interval: float) -> NDArray[np.intp]:
     """Return the fixes (K, 3) of changes of velocity, about an interval [s] apart."""
-    rows = []
-    last_used = -np.inf
-    for k in range(1, len(t) - 1):
-        first = int(np.argmin(np.abs(t[:k] - (t[k] - interval))))
-        last = k + 1 + int(np.argmin(np.abs(t[k + 1 :] - (t[k] + interval))))
-        spans = t[k] - t[first], t[last] - t[k]
-        low, high = interval * TOLERANCE[0], interval * TOLERANCE[1]
-        usable = low <= min(spans) and max(spans) <= high
-        if usable and t[k] - last_used >= LEAST_STEP:
-            rows.append((first, k, last))
-            last_used = t[k]
-    return np.array(rows, np.intp).reshape(-1, 3)
+    index = np.arange(len(t))
+    first = np.minimum(_nearest(t, t - interval), index - 1)[1:-1]
+    last = np.maximum(_nearest(t, t + interval), index + 1)[1:-1]
+    middle, stamps = index[1:-1], t[1:-1]
+    before, after = stamps - t[first], t[last] - stamps
+    low, high = interval * TOLERANCE[0], interval * TOLERANCE[1]
+    usable = (np.minimum(before, after) >= low) & (np.maximum(before, after) <= high)
+    rows = np.column_stack((first, middle, last))[usable]
+    kept, last_used = [], -np.inf
+    for k, stamp in enumerate(stamps[usable].tolist()):
+        if stamp - last_used >= LEAST_STEP:
+            kept.append(k)
+            last_used = stamp
+    return np.asarray(rows[kept], np.intp).reshape(-1, 3)
+
+
+def _nearest(t: Array, wanted: Array) -> NDArray[np.intp]:
+    """Return the indices of the stamps ``t``, in order, that are nearest to those wanted."""
+    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
+    return np.asarray(after - (wanted - t[after - 1] <= t[after] - wanted))
 
 
 def _differences(t: Array, position: Array, triples: NDArray[np.intp]) -> Array:
@@ -177,13 +188,54 @@ def attitudes(turn: Array) -> Array:
 
 
 def _paths(motion: Motion, turn: Array, impulse: Array) -> Array:
-    """Return the twofold integral (..., N + 1, 3) of the specific force in the first attitude."""
-    force = impulse + 0.5 * np.cross(turn, impulse)
-    steps = np.einsum("...ij,...j->...i", attitudes(turn), force)
-    velocity = np.cumsum(steps, axis=-2)
-    path = np.zeros((*turn.shape[:-2], len(motion.t), 3))
-    path[..., 1:, :] = np.cumsum(STEP * (velocity - 0.5 * steps), axis=-2)
-    return path
+    """Return the twofold integral (B, N + 1, 3) of the specific force in the first attitude."""
+    paths = np.zeros((len(turn), len(motion.t), 3))
+    integrate_force(turn, np.ascontiguousarray(impulse), paths)
+    return paths
+
+
+@kernel()
+def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
+    """
+    Integrate specific force twice, turned into the attitude at the first step.
+
+    Parameters
+    ----------
+    turns, impulse : ndarray, shape (B, N, 3), (N, 3)
+        Integrals over the steps of angular rate [rad], in several versions, and of specific
+        force [m/s].
+    paths : ndarray, shape (B, N + 1, 3)
+        Written but for the first row, which is where they start [m].
+    """
+    C = np.empty(9)
+    for b in range(turns.shape[0]):
+        quat = np.array([0.0, 0.0, 0.0, 1.0])
+        vx, vy, vz = 0.0, 0.0, 0.0
+        for n in range(turns.shape[1]):
+            ax, ay, az = turns[b, n, 0], turns[b, n, 1], turns[b, n, 2]
+            fx, fy, fz = impulse[n, 0], impulse[n, 1], impulse[n, 2]
+            force = np.array(
+                [
+                    fx + 0.5 * (ay * fz - az * fy),
+                    fy + 0.5 * (az * fx - ax * fz),
+                    fz + 0.5 * (ax * fy - ay * fx),
+                ]
+            )
+            rotation(quat, C)
+            step = turned(C, force)
+            paths[b, n + 1, 0] = paths[b, n, 0] + STEP * (vx + 0.5 * step[0])
+            paths[b, n + 1, 1] = paths[b, n, 1] + STEP * (vy + 0.5 * step[1])
+            paths[b, n + 1, 2] = paths[b, n, 2] + STEP * (vz + 0.5 * step[2])
+            vx, vy, vz = vx + step[0], vy + step[1], vz + step[2]
+            angle = np.sqrt(ax * ax + ay * ay + az * az)
+            c = np.cos(0.5 * angle)
+            s = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+            ax, ay, az = s * ax, s * ay, s * az
+            x, y, z, w = quat[0], quat[1], quat[2], quat[3]
+            quat[0] = w * ax + x * c + y * az - z * ay
+            quat[1] = w * ay - x * az + y * c + z * ax
+            quat[2] = w * az + x * ay - y * ax + z * c
+            quat[3] = w * c - x * ax - y * ay - z * az
 
 
 def _changes(motion: Motion, path: Array, offsets: Array) -> Array:

@@ -79,7 +79,7 @@ def linearisation(packed, z, H, R):  # type: ignore[no-untyped-def]
     if is_nonlinear(packed, x, H, R):
         converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, x, K)
         if converged:
-            for i in range(N_ERROR):
+            for i in range(N_ERROR):  # a product of matrices would load SciPy
                 x[i] = 0.0
                 for a in range(len(z)):
                     x[i] += K_x[i, a] * z_x[a]

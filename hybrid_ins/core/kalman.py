@@ -26,6 +26,7 @@ from hybrid_ins.core.state import (
     COVARIANCE,
     LLA,
     N_ERROR,
+    PLACES,
     QUAT,
     VELOCITY,
     unpack,
@@ -75,51 +76,53 @@ def apply(nav, dx, K, H, R):  # type: ignore[no-untyped-def]
 def innovation_covariance(packed, H, R):  # type: ignore[no-untyped-def]
     """Return S = H P H' + R, shape (m, m), and P H', shape (15, m); eq. (10) of [2]_."""
     m = H.shape[0]
-    P = np.empty((N_ERROR, N_ERROR))
-    unpack(packed, P)
-    PHt = np.zeros((N_ERROR, m))
+    PHt, S = np.zeros((N_ERROR, m)), np.empty((m, m))
     for a in range(m):
         for k in range(N_ERROR):
             h = H[a, k]
             if h != 0.0:
                 for i in range(N_ERROR):
-                    PHt[i, a] += P[k, i] * h
-    S = np.empty((m, m))
+                    PHt[i, a] += packed[PLACES[k, i]] * h
     for a in range(m):
         for b in range(m):
-            total = R[a, b]
-            for k in range(N_ERROR):
-                total += H[a, k] * PHt[k, b]
-            S[a, b] = total
+            S[a, b] = R[a, b]
+        for k in range(N_ERROR):
+            h = H[a, k]
+            if h != 0.0:
+                for b in range(m):
+                    S[a, b] += h * PHt[k, b]
     return S, PHt
 
 
 @register_jitable
 def joseph_update(packed, K, H, R):  # type: ignore[no-untyped-def]
-    """P <- A P A' + K R K' with A = I - K H, eq. (12) of [2]_ in Joseph's form."""
+    """
+    P <- A P A' + K R K' with A = I - K H, eq. (12) of [2]_ in Joseph's form.
+
+    H has few elements that are not zero: A P is P - K (P H')', and A P A' is A P - (A P) H' K'.
+    """
     m = H.shape[0]
-    P, A = np.empty((N_ERROR, N_ERROR)), np.eye(N_ERROR)
-    unpack(packed, P)
+    _, PHt = innovation_covariance(packed, H, R)
+    AP, right = np.empty((N_ERROR, N_ERROR)), np.zeros((N_ERROR, m))
+    unpack(packed, AP)
     for i in range(N_ERROR):
         for a in range(m):
+            k = K[i, a]
             for j in range(N_ERROR):
-                A[i, j] -= K[i, a] * H[a, j]
-    AP, KR = np.zeros((N_ERROR, N_ERROR)), np.zeros((N_ERROR, m))
-    for i in range(N_ERROR):
-        for k in range(N_ERROR):
-            for j in range(N_ERROR):
-                AP[i, j] += A[i, k] * P[k, j]
+                AP[i, j] -= k * PHt[j, a]
+    for i in range(N_ERROR):  # K R - A P H'
         for a in range(m):
             for b in range(m):
-                KR[i, a] += K[i, b] * R[b, a]
+                right[i, a] += K[i, b] * R[b, a]
+            for k in range(N_ERROR):
+                if H[a, k] != 0.0:
+                    right[i, a] -= AP[i, k] * H[a, k]
     at = 0
     for i in range(N_ERROR):
         for j in range(i, N_ERROR):
-            total = 0.0
-            for k in range(N_ERROR):
-                total += AP[i, k] * A[j, k]
+            total = AP[i, j]
             for a in range(m):
-                total += KR[i, a] * K[j, a]
+                total += right[i, a] * K[j, a]
             packed[at] = total
             at += 1
 

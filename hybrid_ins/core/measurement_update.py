@@ -17,6 +17,7 @@ from hybrid_ins.core import iterated_update
 from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
 from hybrid_ins.core.events import ClockShift, CovarianceInflation, Event, NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.fix_update import fuse_ordinary_fix
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
@@ -91,7 +92,7 @@ class MeasurementUpdate:
         consider_clock : bool
             See `FilterSettings`.
         """
-        r_scale, verdict, moved = self.noise.fix_factor, None, False
+        r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         if isinstance(event, NoiseChange):
             self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
@@ -102,10 +103,45 @@ class MeasurementUpdate:
             pack(inflate_covariance(covariance(nav), event.std), nav[COVARIANCE])
             self.noise.restart(keep_weights=True)
         else:
-            verdict, moved = self._fuse(nav, event, age)
-        nav[PSD] = self.noise.psd()
+            fused = self._fuse_ordinary(nav, event, age) if event.sensor == GNSS else None
+            psd_changed = fused is None or self.noise.uses_corrections
+            verdict, moved = fused or self._fuse(nav, event, age)
+        if psd_changed:
+            nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved)
+
+    def _fuse_ordinary(
+        self, nav: Array, fix: Measurement, age: float
+    ) -> tuple[Verdict, bool] | None:
+        """Do what `_fuse` does with a fix that has its full weight; None, if this one has not."""
+        z, H, R = fix.linearise(nav)
+        limit = self.gate.ordinary_limit(fix.kind, len(z))
+        uses_corrections, clock = self.noise.uses_corrections, self.clock
+        before = nav.copy() if uses_corrections else nav
+        fused, nis, log_det, sigma, S, dx, K = fuse_ordinary_fix(
+            nav,
+            z,
+            H,
+            R * self.noise.fix_factor,
+            fix.kind == PositionFix.kind,
+            clock.values,
+            clock.interval(fix.t_ns),
+            limit,
+        )
+        if not fused:
+            return None
+        clock.on_corrected(fix.t_ns)
+        interval = (fix.t_ns - self._corrected_ns) * 1e-9
+        self._corrected_ns = fix.t_ns
+        threshold = self.gate.threshold(len(z))
+        verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det)
+        if not uses_corrections:
+            return verdict, False
+        C_nb = matrix_from_quat(nav[QUAT])
+        return verdict, self._learn_noise(
+            nav, Correction(fix.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
+        )
 
     def _fuse(self, nav: Array, measurement: Measurement, age: float) -> tuple[Verdict, bool]:
         """

@@ -14,6 +14,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -214,7 +215,7 @@ def clock_offset_ns(measurement: Measurement) -> int:
 
 def _given(z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:
     """Return the rows of a measurement whose innovation is a number."""
-    given = np.flatnonzero(np.isfinite(z))
-    if len(given) == len(z):
+    if math.isfinite(z.dot(z)):
         return z, H, R
+    given = np.flatnonzero(np.isfinite(z))
     return z[given], H[given], np.ascontiguousarray(R[np.ix_(given, given)])

@@ -19,6 +19,8 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.shallow_copy import ShallowCopy
+
 Array = NDArray[np.float64]
 
 
@@ -84,7 +86,14 @@ class NoiseModel(Protocol):
 
     Implementations replace their arrays and never change them in place: a shallow copy is a
     checkpoint.
+
+    Attributes
+    ----------
+    uses_corrections : bool
+        `learn` depends on corrections; otherwise they need not be given.
     """
+
+    uses_corrections: ClassVar[bool]
 
     def levels(self) -> Array:
         """Per-sample variances now: accelerometer x y z, gyroscope x y z, shape (6,), b frame."""
@@ -133,7 +142,7 @@ class ProcessNoise:
 PAPER_CONSTANTS = {"cq1": (0.002, 0.02), "cq2": (0.001, 0.01), "cq3": (0.002, 0.01)}
 
 
-class ConstantNoise:
+class ConstantNoise(ShallowCopy):
     """
     Variances that never change.
 
@@ -142,6 +151,8 @@ class ConstantNoise:
     q : ndarray, shape (6,)
         Per-sample variances [(m/s²)², (rad/s)²].
     """
+
+    uses_corrections: ClassVar[bool] = False
 
     def __init__(self, q: Array) -> None:
         self._q = np.array(q, float)
@@ -155,7 +166,7 @@ class ConstantNoise:
         return False
 
 
-class LearnedNoise:
+class LearnedNoise(ShallowCopy):
     """
     Variances that a regressor estimates from the IMU; a constant while it has no estimate.
 
@@ -179,6 +190,7 @@ class LearnedNoise:
     """
 
     HOLD_NS = 500_000_000
+    uses_corrections: ClassVar[bool] = False
 
     def __init__(self, fallback: Array, background: Array | None = None) -> None:
         self._fallback = np.array(fallback, float)

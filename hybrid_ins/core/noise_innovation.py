@@ -9,16 +9,19 @@ References
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.noise import Correction, NoiseEstimate, ProcessNoise
+from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import DV, EPS
 
 Array = NDArray[np.float64]
 
 
-class InnovationNoise:
+class InnovationNoise(ShallowCopy):
     """
     Variances from the filter's own innovations, eq. (16)-(18) of [1]_.
 
@@ -40,6 +43,8 @@ class InnovationNoise:
     literal : bool
         See above.
     """
+
+    uses_corrections: ClassVar[bool] = True
 
     def __init__(
         self,

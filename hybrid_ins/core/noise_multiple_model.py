@@ -36,6 +36,7 @@ from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import advance, mean_system
 from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
     COVARIANCE,
     DV,
@@ -90,7 +91,7 @@ class StateCorrection:
     P: Array  # (15, 15) covariance after that
 
 
-class NoiseMultipleModelBank:
+class NoiseMultipleModelBank(ShallowCopy):
     """
     Factors on the assumed noise, from the likelihood of the innovations.
 
