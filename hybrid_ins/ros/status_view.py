@@ -85,7 +85,7 @@ class NodeStatus:
             )
             values = dict(status.values)
             shown = [
-                f"{title} {values[key]}{' ' if unit == 'm' else ''}{unit}"
+                f"{title} {_short(values[key])}{' ' if unit == 'm' else ''}{unit}"
                 for key, title, unit in SHOWN.get(name, ())
                 if key in values
             ]
@@ -111,6 +111,16 @@ class NodeStatus:
         if refused and refused[-1] is not self.verdicts[-1]:
             lines.append(f"last one that was not simply fused: {refused[-1].text}")
         return [part for line in lines for part in textwrap.wrap(line, width)]
+
+
+def _short(value: str) -> str:
+    """Return a value for people: three digits of a fraction, yes or no."""
+    plain = _plain(value)
+    if isinstance(plain, bool):
+        return "yes" if plain else "no"
+    if not isinstance(plain, float):
+        return value
+    return f"{plain:.3g}" if abs(plain) < 1000.0 else f"{plain:.0f}"
 
 
 def plain_values(values: Mapping[str, str]) -> dict[str, Any]:

@@ -41,6 +41,20 @@ def test_text_has_levels_values_and_counts() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_values_are_short_enough_to_read() -> None:
+    shown = status()
+    shown.statuses["filter"].values[:] = [
+        ("sigma_position_horizontal", "0.0738773"),
+        ("sigma_position_vertical", "1234.56"),
+        ("fixes_fused", "12345"),
+        ("standing", "true"),
+    ]
+
+    text = " ".join(shown.as_text(0.0).split())
+
+    assert "σ horizontal 0.0739 m; σ vertical 1235 m; fixes fused 12345; standing yes" in text
+
+
 def test_json_has_numbers_and_truths() -> None:
     shown = status()
     shown.verdicts.append(verdict(True))
