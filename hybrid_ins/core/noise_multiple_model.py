@@ -207,7 +207,8 @@ class NoiseMultipleModelBank(ShallowCopy):
         """Refer the hypotheses to the error about the corrected state, see `iterated_update`."""
         assert self._P is not None
         full = self._P[PLACES]
-        full = np.einsum("ik,klh,jl->ijh", G, full, G, optimize=True)
+        GP = (G @ full.reshape(N_ERROR, -1)).reshape(full.shape)
+        full = np.matmul(G, GP)  # G P G' of each hypothesis: axis 1 of G P, times G
         self._P = np.ascontiguousarray(full[PACKED_ROWS, PACKED_COLUMNS])
         self._state_offset = G @ self._state_offset
 
