@@ -24,7 +24,7 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.imu_health import GRAVITY
 from hybrid_ins.core.measurements import turned
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec, skew
-from hybrid_ins.core.strapdown import rotation
+from hybrid_ins.core.strapdown import multiply, rotation
 
 Array = NDArray[np.float64]
 
@@ -230,12 +230,7 @@ def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
             angle = np.sqrt(ax * ax + ay * ay + az * az)
             c = np.cos(0.5 * angle)
             s = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-            ax, ay, az = s * ax, s * ay, s * az
-            x, y, z, w = quat[0], quat[1], quat[2], quat[3]
-            quat[0] = w * ax + x * c + y * az - z * ay
-            quat[1] = w * ay - x * az + y * c + z * ax
-            quat[2] = w * az + x * ay - y * ax + z * c
-            quat[3] = w * c - x * ax - y * ay - z * az
+            multiply(quat, s * ax, s * ay, s * az, c)
 
 
 def _changes(motion: Motion, path: Array, offsets: Array) -> Array:

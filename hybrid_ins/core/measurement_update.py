@@ -103,19 +103,20 @@ class MeasurementUpdate:
             pack(inflate_covariance(covariance(nav), event.std), nav[COVARIANCE])
             self.noise.restart(keep_weights=True)
         else:
-            fused = self._fuse_ordinary(nav, event, age) if event.sensor == GNSS else None
+            model = event.linearise(nav)
+            fused = self._fuse_ordinary(nav, event, model, age) if event.sensor == GNSS else None
             psd_changed = fused is None or self.noise.uses_corrections
-            verdict, moved = fused or self._fuse(nav, event, age)
+            verdict, moved = fused or self._fuse(nav, event, model, age)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved)
 
     def _fuse_ordinary(
-        self, nav: Array, fix: Measurement, age: float
+        self, nav: Array, fix: Measurement, model: tuple[Array, Array, Array], age: float
     ) -> tuple[Verdict, bool] | None:
         """Do what `_fuse` does with a fix that has its full weight; None, if this one has not."""
-        z, H, R = fix.linearise(nav)
+        z, H, R = model
         limit = self.gate.ordinary_limit(fix.kind, len(z))
         uses_corrections, clock = self.noise.uses_corrections, self.clock
         before = nav.copy() if uses_corrections else nav
@@ -143,15 +144,22 @@ class MeasurementUpdate:
             nav, Correction(fix.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
         )
 
-    def _fuse(self, nav: Array, measurement: Measurement, age: float) -> tuple[Verdict, bool]:
+    def _fuse(
+        self,
+        nav: Array,
+        measurement: Measurement,
+        model: tuple[Array, Array, Array],
+        age: float,
+    ) -> tuple[Verdict, bool]:
         """
         Decide on a measurement, fuse it, and let the noise and the clock learn from it.
 
-        Returns the verdict, and whether the noise moved the state, too.
+        ``model`` is `Measurement.linearise` at ``nav``. Returns the verdict, and whether the noise
+        moved the state, too.
         """
         if not np.isfinite(nav).all():
             return Verdict.rejected(measurement, "the state is lost"), False
-        z, H, R = measurement.linearise(nav)
+        z, H, R = model
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
             h = self.clock.sensitivity_of(nav, measurement.t_ns, H)
@@ -173,32 +181,6 @@ class MeasurementUpdate:
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
         nav[SENSITIVITY] -= K @ h
         S = S - of_clock
-        if measurement.sensor != GNSS:
-            if verdict.accepted and measurement.sensor != IMU:
-                C_nb = matrix_from_quat(nav[QUAT])
-                self.noise.follow(
-                    Correction(
-                        measurement.t_ns,
-                        z,
-                        S,
-                        H,
-                        K,
-                        dx,
-                        C_nb,
-                        interval,
-                        before,
-                        True,
-                        weight=verdict.weight,
-                    )
-                )
-            return verdict, False
-        if verdict.accepted:
-            self._corrected_ns = measurement.t_ns
-        if verdict.inflated:
-            self.noise.restart(keep_weights=False)
-        if verdict.inflated or verdict.jump:
-            return verdict, False
-        C_nb = matrix_from_quat(nav[QUAT])
         correction = Correction(
             measurement.t_ns,
             z,
@@ -206,12 +188,22 @@ class MeasurementUpdate:
             H,
             K,
             dx,
-            C_nb,
+            matrix_from_quat(nav[QUAT]),
             interval,
             before,
             verdict.accepted,
             weight=verdict.weight,
         )
+        if measurement.sensor != GNSS:
+            if verdict.accepted and measurement.sensor != IMU:
+                self.noise.follow(correction)
+            return verdict, False
+        if verdict.accepted:
+            self._corrected_ns = measurement.t_ns
+        if verdict.inflated:
+            self.noise.restart(keep_weights=False)
+        if verdict.inflated or verdict.jump:
+            return verdict, False
         informs = measurement.kind == PositionFix.kind
         self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R, informs)
         return verdict, self._learn_noise(nav, correction)

@@ -19,12 +19,11 @@ References
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
     COVARIANCE,
@@ -77,11 +76,7 @@ class SmoothedLeverArm:
 
     def assumed(self, measurement: Measurement) -> Measurement:
         """Return a measurement with the lever arm of this pass, where it has one."""
-        if not hasattr(measurement, "lever_b"):
-            return measurement
-        lever_b = measurement.lever_b + self.lever_b
-        moved: Any = replace(measurement, lever_b=lever_b)  # type: ignore[type-var]
-        return moved  # type: ignore[no-any-return]
+        return _moved(measurement, self.lever_b)
 
     def propagate(self, F: Array, lengths: Array) -> None:
         """Propagate the sensitivity over covariance steps: (m, 225), (m,) [s]."""
@@ -90,7 +85,7 @@ class SmoothedLeverArm:
 
     def correct(self, measurement: Measurement, before: Array, K: Array, R: Array) -> None:
         """
-        Take what a measurement tells of the lever arm, and what its fusion did to the sensitivity.
+        Add a measurement's information on the lever arm; correct the sensitivity by its gain.
 
         Parameters
         ----------
@@ -163,9 +158,13 @@ class SmoothedLeverArm:
         """Return innovation, measurement matrix, and the innovation's sensitivity (m, 3)."""
         z, H, _ = measurement.linearise(nav)
         h = H @ self.sensitivity
-        if hasattr(measurement, "lever_b"):
-            for i, step in enumerate(_STEP * np.eye(3)):
-                lever_b = measurement.lever_b + step
-                moved: Any = replace(measurement, lever_b=lever_b)  # type: ignore[type-var]
-                h[:, i] += (z - moved.linearise(nav)[0]) / _STEP
+        for i, step in enumerate(_STEP * np.eye(3)):
+            h[:, i] += (z - _moved(measurement, step).linearise(nav)[0]) / _STEP
         return z, H, h
+
+
+def _moved(measurement: Measurement, by_b: Array) -> Measurement:
+    """Return a measurement with the antenna's lever arm changed by ``by_b``, if it has one."""
+    if isinstance(measurement, (PositionFix, VelocityFix)):
+        return replace(measurement, lever_b=measurement.lever_b + by_b)
+    return measurement

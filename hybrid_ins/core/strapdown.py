@@ -49,6 +49,16 @@ def half_rotation(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
+def multiply(quat, x, y, z, w):  # type: ignore[no-untyped-def]
+    """Multiply ``quat`` in place by the quaternion (x, y, z, w) from the right."""
+    qx, qy, qz, qw = quat[0], quat[1], quat[2], quat[3]
+    quat[0] = qw * x + qx * w + qy * z - qz * y
+    quat[1] = qw * y - qx * z + qy * w + qz * x
+    quat[2] = qw * z + qx * y - qy * x + qz * w
+    quat[3] = qw * w - qx * x - qy * y - qz * z
+
+
+@register_jitable
 def mechanise(lla, velocity, quat, f0, w0, f1, w1, dt, C, f_n):  # type: ignore[no-untyped-def]
     """
     Advance position, velocity and attitude in place over one IMU interval.
@@ -131,12 +141,8 @@ def mechanise(lla, velocity, quat, f0, w0, f1, w1, dt, C, f_n):  # type: ignore[
     en_n = mean_e / transverse
     rn, re, rd = dt * (ie_n + en_n), -turn, dt * (ie_d - en_n * tan_lat)
     s, c = half_rotation(ax, ay, az)
-    bx, by, bz = s * ax, s * ay, s * az
-    x, y, z, w = quat[0], quat[1], quat[2], quat[3]
-    qx = w * bx + x * c + y * bz - z * by
-    qy = w * by - x * bz + y * c + z * bx
-    qz = w * bz + x * by - y * bx + z * c
-    qw = w * c - x * bx - y * by - z * bz
+    multiply(quat, s * ax, s * ay, s * az, c)
+    qx, qy, qz, qw = quat[0], quat[1], quat[2], quat[3]
     s, c = half_rotation(rn, re, rd)
     nx, ny, nz = -s * rn, -s * re, -s * rd
     x = c * qx + nx * qw + ny * qz - nz * qy

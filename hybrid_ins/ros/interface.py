@@ -95,7 +95,7 @@ SUBSCRIBED = (
         SENSOR,
         "required, unless `gnss/gpsfix` is given. A fix is valid when `status.status` is 0 or "
         "more. Altitude is above the WGS-84 ellipsoid; where it is NaN only the horizontal "
-        "position is corrected. [GNSS drivers](gnss_drivers.md) tells what they publish",
+        "position is corrected. What drivers publish is in [GNSS drivers](gnss_drivers.md)",
     ),
     Topic(
         "gnss/gpsfix",

@@ -14,11 +14,10 @@ REP-105 (frames).
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.strapdown import half_rotation, rotation
+from hybrid_ins.core.strapdown import half_rotation, multiply, rotation
 
 Array = NDArray[np.float64]
 
@@ -62,12 +61,13 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     rate = odometry[46:49]
     half = 0.5 * dt
     quat, last_rate = state[_QUAT], state[_RATE]
-    _turn(
-        quat,
+    x, y, z = (
         half * (rate[0] + last_rate[0]),
         half * (rate[1] + last_rate[1]),
         half * (rate[2] + last_rate[2]),
     )
+    s, c = half_rotation(x, y, z)
+    multiply(quat, s * x, s * y, s * z, c)
     rotation(quat, R)
     # The turn about the vertical that brings the map's attitude closest to the predicted one.
     M = (
@@ -125,18 +125,6 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     out[35] = s * s * a + 2.0 * c * s * b + c * c * d
     for i in range(43, 85):
         out[i] = odometry[i]
-
-
-@register_jitable
-def _turn(quat, x, y, z):  # type: ignore[no-untyped-def]
-    """Turn ``quat`` by a small rotation vector of its body [rad]."""
-    s, w = half_rotation(x, y, z)
-    x, y, z = s * x, s * y, s * z
-    a, b, c, d = quat[0], quat[1], quat[2], quat[3]
-    quat[0] = d * x + a * w + b * z - c * y
-    quat[1] = d * y - a * z + b * w + c * x
-    quat[2] = d * z + a * y - b * x + c * w
-    quat[3] = d * w - a * x - b * y - c * z
 
 
 @kernel()

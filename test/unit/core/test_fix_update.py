@@ -112,7 +112,9 @@ def test_most_fixes_take_the_compiled_form() -> None:
     for _ in range(20):
         nav = flat_state(rng)
         for fix in fixes(rng, nav):
-            taken += update(False)._fuse_ordinary(nav.copy(), fix, 0.0) is not None
+            taken += (
+                update(False)._fuse_ordinary(nav.copy(), fix, fix.linearise(nav), 0.0) is not None
+            )
     assert taken > 90
 
 
@@ -122,7 +124,7 @@ def test_a_fix_that_is_not_ordinary_changes_nothing() -> None:
     fix = PositionFix(2 * SECOND, lla, np.eye(3), np.zeros(3))
     before, clock = nav.copy(), whole.clock.values.copy()
 
-    assert whole._fuse_ordinary(nav, fix, 0.0) is None
+    assert whole._fuse_ordinary(nav, fix, fix.linearise(nav), 0.0) is None
 
     assert nav.tobytes() == before.tobytes()
     assert whole.clock.values.tobytes() == clock.tobytes()
