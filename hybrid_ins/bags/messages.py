@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -44,22 +46,31 @@ def new_message(type_name: str) -> Message:
     Numbers are 0, texts empty, fixed-size arrays NumPy zeros, sequences empty; nested messages are
     there and every attribute can be set.
     """
+    make, fields = _fields_of(type_name)
+    return make(*[zero() for zero in fields])
+
+
+@cache
+def _fields_of(type_name: str) -> tuple[Callable[..., Message], list[Callable[[], Any]]]:
+    """Return the class of a type, and for each of its fields what makes its initial value."""
     fields = TYPES.fielddefs[type_name][1]
-    return TYPES.types[type_name](*(_zero(description) for _, description in fields))
+    return TYPES.types[type_name], [_zero_of(description) for _, description in fields]
 
 
-def _zero(description: Any) -> Any:
+def _zero_of(description: Any) -> Callable[[], Any]:
     kind, detail = description
     if kind == Nodetype.BASE:
-        return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(detail[0], 0)
+        zero = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(detail[0], 0)
+        return lambda: zero
     if kind == Nodetype.NAME:
-        return new_message(detail)
+        return partial(new_message, detail)
     element, length = detail
     length = 0 if kind == Nodetype.SEQUENCE else length
     if element[0] == Nodetype.BASE and element[1][0] != "string":
         name = element[1][0]
-        return np.zeros(length, "uint8" if name in ("byte", "char") else name)
-    return [_zero(element) for _ in range(length)]
+        return partial(np.zeros, length, "uint8" if name in ("byte", "char") else name)
+    make = _zero_of(element)
+    return lambda: [make() for _ in range(length)]
 
 
 def absolute(topic: str) -> str:

@@ -79,8 +79,8 @@ def observe_wheels(
             near = np.abs(recording.t - at_ns[k] * 1e-9) < NEAR_NS * 0.5e-9
             rate_b = recording.samples[near, 3:].mean(axis=0)
             nav = _turned(one.states[k], rate_b, C_new_old)
-            if sensor.hear(begin_ns + reading.t_ns):
-                sensor.consider(reading, nav, checked=True, outage=False)
+            if sensor.admit(begin_ns + reading.t_ns):
+                sensor.check(reading, nav, checked=True, outage=False)
                 count += 1
     return sensor if count >= FEWEST else None
 

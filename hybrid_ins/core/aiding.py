@@ -97,7 +97,7 @@ class AidingSensor:
         """Mean NIS per component of the last readings that could be checked."""
         return self._nis
 
-    def hear(self, t_ns: int) -> bool:
+    def admit(self, t_ns: int) -> bool:
         """Note a reading at a stamp [ns]; return whether it is due to be used."""
         if t_ns - self._last_ns > SILENCE_NS:
             self._nis, self._checked, self._agrees = 0.0, None, None
@@ -108,7 +108,7 @@ class AidingSensor:
         self._used_ns = t_ns
         return True
 
-    def consider(
+    def check(
         self, reading: Measurement, nav: Array, *, checked: bool, outage: bool
     ) -> Measurement | None:
         """
@@ -297,7 +297,7 @@ class HeightSensor(AidingSensor):
         """See `AidingSensor`."""
         return np.array([[min(self._variance, 1e8)]])
 
-    def consider(
+    def check(
         self, reading: Measurement, nav: Array, *, checked: bool, outage: bool
     ) -> Measurement | None:
         """See `AidingSensor`; the offset wanders, and begins with the first reading."""
@@ -309,7 +309,7 @@ class HeightSensor(AidingSensor):
             self._variance = float((H @ covariance(nav) @ H.T + R)[0, 0]) + 1.0
             return None
         self._variance += self.WANDER**2 * self._interval
-        return super().consider(reading, nav, checked=checked, outage=outage)
+        return super().check(reading, nav, checked=checked, outage=outage)
 
     def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """See `AidingSensor`: z = reading - offset - height."""

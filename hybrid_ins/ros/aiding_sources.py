@@ -96,7 +96,7 @@ class AidingSources:
         if isinstance(reading, Refused):
             self._inputs.count_and_warn(topic, reading)
             return
-        if self._navigator.filter is None or not sensor.hear(reading.t_ns):
+        if self._navigator.filter is None or not sensor.admit(reading.t_ns):
             return
         nav = self._state_at(reading.t_ns)
         if nav is None:
@@ -104,7 +104,7 @@ class AidingSources:
             return
         fixes_come = self._fixes.settled(self._navigator.last_ns)
         outage = self._fixes.outage(self._navigator.last_ns)
-        measurement = sensor.consider(reading, nav, checked=fixes_come, outage=outage)
+        measurement = sensor.check(reading, nav, checked=fixes_come, outage=outage)
         self._log_change(sensor)
         if measurement is not None:
             self._navigator.measure(measurement)

@@ -57,9 +57,9 @@ def wheels(sensor: VelocitySensor, seconds: float, factor: float, start: float, 
         nav[BIAS_G] = 0.0
         reading = np.array([speed / factor + 0.05 * rng.standard_normal(), np.nan, np.nan])
         t_ns = round(t * SECOND)
-        if sensor.hear(t_ns):
+        if sensor.admit(t_ns):
             measured = BodyVelocity(t_ns, reading, 0.05**2 * np.eye(3), np.zeros(3))
-            sensor.consider(measured, nav, checked=True, outage=False)
+            sensor.check(measured, nav, checked=True, outage=False)
 
 
 @pytest.mark.parametrize("seed", [2, 4, 6])
@@ -89,9 +89,9 @@ def test_place_of_a_velocity_sensor_is_found_in_turns(seed: int) -> None:
         nav[BIAS_G] = 0.0
         reading = np.array([10.0, 0.0, np.nan]) + np.cross(rate_b, place_b)
         reading += 0.05 * rng.standard_normal(3)
-        if sensor.hear(round(t * SECOND)):
+        if sensor.admit(round(t * SECOND)):
             measured = BodyVelocity(round(t * SECOND), reading, 0.05**2 * np.eye(3), np.zeros(3))
-            sensor.consider(measured, nav, checked=True, outage=False)
+            sensor.check(measured, nav, checked=True, outage=False)
 
     assert np.all(np.abs(sensor.shift_b - place_b)[:2] < 3.0 * sensor.sigma[1:3])
     assert np.all(sensor.sigma[1:3] < 0.06)
@@ -117,10 +117,10 @@ def test_velocity_is_used_in_outages_only_and_its_errors_are_not_white() -> None
     reading = BodyVelocity(
         70_200_000_000, np.array([10.0, np.nan, np.nan]), 0.05**2 * np.eye(3), np.zeros(3)
     )
-    assert sensor.hear(70_200_000_000)
+    assert sensor.admit(70_200_000_000)
 
-    assert sensor.consider(reading, nav, checked=True, outage=False) is None
-    used = sensor.consider(reading, nav, checked=False, outage=True)
+    assert sensor.check(reading, nav, checked=True, outage=False) is None
+    used = sensor.check(reading, nav, checked=False, outage=True)
 
     assert used is not None
     assert used.linearise(nav)[2][0, 0] > 1.5 * 0.05**2
@@ -135,9 +135,9 @@ def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -
         nav = flat_state(
             np.array([5.0, 0.0, 0.0]), np.array([0.0, 0.0, yaw]), np.zeros(3), std=math.radians(2.0)
         )
-        if sensor.hear(t_ns):
+        if sensor.admit(t_ns):
             reading = Heading(t_ns, yaw + wrong, math.radians(2.0) ** 2)
-            used += sensor.consider(reading, nav, checked=True, outage=False) is not None
+            used += sensor.check(reading, nav, checked=True, outage=False) is not None
     return used
 
 
@@ -169,9 +169,9 @@ def test_offset_of_a_pressure_height_is_found_and_wanders(seed: int) -> None:
         nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3), std=0.3)
         nav[LLA][2] = 100.0 + 0.3 * rng.standard_normal()
         offset += 0.02 * rng.standard_normal()
-        if sensor.hear(t_ns):
+        if sensor.admit(t_ns):
             height = 100.0 + offset + 0.2 * rng.standard_normal()
-            sensor.consider(BarometricHeight(t_ns, height, 0.04), nav, checked=True, outage=False)
+            sensor.check(BarometricHeight(t_ns, height, 0.04), nav, checked=True, outage=False)
 
     assert sensor.state(t_ns) is AidingState.AIDING
     assert abs(sensor.offset - offset) < 3.0 * sensor.offset_std
@@ -182,6 +182,6 @@ def test_nothing_is_used_of_a_sensor_that_was_never_checked() -> None:
     sensor = HeightSensor()
     nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3))
     reading = BarometricHeight(SECOND, 100.0, 0.04)
-    assert sensor.hear(SECOND)
+    assert sensor.admit(SECOND)
 
-    assert sensor.consider(reading, nav, checked=False, outage=True) is None
+    assert sensor.check(reading, nav, checked=False, outage=True) is None
