@@ -181,7 +181,9 @@ def _compile_output() -> None:
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)
-    imu_axes_fit.integrate_force(np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)))
+    imu_axes_fit.integrate_force(
+        np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)), np.zeros((3, 2, 3))
+    )
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))
     window.quantisation_step(readings)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.imu_axes import AxesFault, ImuAxesCheck
+from hybrid_ins.core.imu_axes import ImuAxesCheck
+from hybrid_ins.core.imu_axes_faults import AxesFault
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.ros.conversions import mount_matrix
 

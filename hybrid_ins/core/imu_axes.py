@@ -9,15 +9,20 @@ its nose.
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter, deque
 from collections.abc import Generator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.imu_axes_faults import (
+    DEGREES,
+    EXPLANATIONS,
+    ROTATIONS,
+    AxesFault,
+    to_hypothesis,
+)
 from hybrid_ins.core.imu_axes_fit import (
     CLOCK_OFFSETS,
     INTERVALS,
@@ -32,114 +37,35 @@ from hybrid_ins.core.imu_axes_fit import (
 Array = NDArray[np.float64]
 
 WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
-LEAST_CHANGE = (1.0, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
+LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
 FEWEST = 8  # changes of velocity
-FITS, FITS_OTHER = 0.03, 0.3  # shares of the changes' squares left over as given, by other axes
-BETTER = 4.0  # times less is left over by other axes
-REFINED = 3  # hypotheses, the best of all
+FITS, FITS_OTHER = 0.01, 0.3  # shares of the changes' squares left over as given, by other axes
+NOISE = 0.25  # correlation of successive errors, up to which they are the fixes' noise
+BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more than noise
+AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
 TURN = 0.5  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
-MOST_OTHERS = 2  # explanations besides the most ordinary one
 UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
 LEAST_SPEED = 1.5  # m/s, of a course
 NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
-DEGREES = np.pi / 180.0
 
 
-@dataclass(frozen=True, slots=True)
-class AxesFault:
-    """
-    What is wrong with an IMU's axes or units, in the IMU's own axes.
-
-    Attributes
-    ----------
-    accelerometer, gyroscope : ndarray, shape (3, 3)
-        What the readings are to be multiplied by.
-    mount : ndarray, shape (3, 3)
-        Rotation from the IMU's axes to b, after that.
-    turned : bool
-        The mount is not the one given.
-    by_course : bool
-        The mount was found from the course: it holds for a vehicle that moves along its nose.
-    no_turns : bool
-        The gyroscope shows no turns; nothing else is found.
-    at_rest : bool
-        Found from gravity alone: the accelerations may be reversed instead.
-    others : tuple of (ndarray, ndarray)
-        Accelerometer and gyroscope of other explanations that fit as well.
-    """
-
-    accelerometer: Array
-    gyroscope: Array
-    mount: Array
-    turned: bool = False
-    by_course: bool = False
-    no_turns: bool = False
-    at_rest: bool = False
-    others: tuple[tuple[Array, Array], ...] = ()
-
-    def same(self, other: AxesFault) -> bool:
-        """Return whether another check found the same."""
-        return (self.turned, self.by_course, self.no_turns, self.at_rest) == (
-            other.turned,
-            other.by_course,
-            other.no_turns,
-            other.at_rest,
-        ) and all(
-            np.allclose(getattr(self, name), getattr(other, name))
-            for name in ("accelerometer", "gyroscope", "mount")
-        )
+AS_GIVEN = ((np.eye(3), np.eye(3)),)
 
 
-def _signed_permutations() -> Array:
-    """Return all (48, 3, 3), those with the fewest changes of axes and signs first."""
-    found = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            found.append(matrix)
-    moved = [3 * sum(m.diagonal() == 0) + sum(m.sum(axis=1) < 0) for m in found]
-    return np.array(found)[np.argsort(moved, kind="stable")]
+def _distinct_hypotheses() -> list[Fit]:
+    """Return the fits to try: several explanations may be one hypothesis."""
+    found: list[Fit] = []
+    for pair in EXPLANATIONS:
+        sign, factor = to_hypothesis(*pair)
+        if not any(f.sign == sign and np.allclose(f.gyroscope, factor) for f in found):
+            found.append(Fit(sign, factor))
+    return found
 
 
-PERMUTATIONS = _signed_permutations()
-ROTATIONS = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]
-SCALES = (DEGREES, 1.0 / DEGREES)
-
-
-def _explanations() -> list[tuple[Array, Array]]:
-    """Return what may be wrong with accelerometer and gyroscope, the most ordinary first."""
-    one = np.eye(3)
-    reversals = [np.diag(d) for d in ((1.0, 1.0, -1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0))]
-    exchanges = [one[list(order)] for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1))]
-    half_turns = [-m for m in reversals]
-    return [
-        *((one, scale * one) for scale in SCALES),
-        (-one, one),
-        *((one, m) for m in (*reversals, -one)),
-        *((m, m) for m in (*exchanges, *reversals, -one)),
-        *((one, m) for m in (*exchanges, *half_turns)),
-        *((m, one) for m in (*reversals, *exchanges, *half_turns)),
-    ]
-
-
-EXPLANATIONS = _explanations()
-
-
-def _hypothesis(accelerometer: Array, gyroscope: Array) -> tuple[float, Array]:
-    """Return the sign and the gyroscope's factor that fit the motion like an explanation."""
-    sign = float(np.linalg.det(accelerometer))
-    return sign, (sign * accelerometer).T @ gyroscope
-
-
-HYPOTHESES: list[Fit] = []
-for _pair in EXPLANATIONS:
-    _sign, _factor = _hypothesis(*_pair)
-    if not any(f.sign == _sign and np.allclose(f.gyroscope, _factor) for f in HYPOTHESES):
-        HYPOTHESES.append(Fit(_sign, _factor))
+HYPOTHESES = _distinct_hypotheses()
 
 
 class ImuAxesCheck:
@@ -215,16 +141,16 @@ class ImuAxesCheck:
             if t_ns < self._next_ns:
                 return
             self._next_ns = t_ns + PERIOD_NS
-            motion = self._motion()
-            if motion is None:
+            motions = self._motions()
+            if not motions:
                 self._on_found(self._by_gravity())
                 return
-            kinds = _kinds(motion)
+            kinds = _kinds(motions[0])
             if t_ns < self._rare_ns and all(self._checked[kind] >= ENOUGH for kind in kinds):
                 return
             self._rare_ns = t_ns + LONGEST_PERIOD_NS
             self._checked.update(kinds)
-            self._work = self._compare(motion)
+            self._work = self._compare(motions)
         try:
             next(self._work)
         except StopIteration as end:
@@ -234,46 +160,67 @@ class ImuAxesCheck:
             self._on_found(end.value)
 
     def _on_found(self, found: AxesFault | bool) -> None:
-        """Use the result of a check: what is found several times in a row counts."""
+        """Use the result of a check: what several in a row have in common counts."""
         if found is True:
             self._times, self._found, self.fault = 0, None, None
         if not isinstance(found, AxesFault):
             return
-        same = self._found is not None and self._found.same(found)
-        self._times = self._times + 1 if same else 1
-        self._found = found
-        if self._times >= CONFIRMATIONS and (self.fault is None or not self.fault.same(found)):
-            self.fault = found
+        both = None if self._found is None else self._found.in_common(found)
+        self._times = 1 if both is None else self._times + 1
+        self._found = found if both is None else both
+        if self._times < CONFIRMATIONS:
+            return
+        if self.fault is None or not self.fault.same(self._found):
+            self.fault = self._found
 
-    def _compare(self, motion: Motion) -> Generator[None, None, AxesFault | bool]:
+    def _compare(self, motions: list[Motion]) -> Generator[None, None, AxesFault | bool]:
         """
-        Return what is wrong by a motion; see `advance`.
+        Return what is wrong by motions, the one over the shortest intervals first; see `advance`.
 
-        True: nothing is. False: no hypothesis fits.
+        True: nothing is. False: no hypothesis fits, or the fixes' noise hides the motion.
         """
         one = np.eye(3)
-        change = float(np.sum(motion.change_n[:, :2] ** 2))
-        as_given = yield from fit(motion, Fit(1.0, one))
-        if as_given.left < FITS * change:
+        for motion in motions:
+            change = float(np.sum(motion.change_n[:, :2] ** 2))
+            as_given = fit(motion, Fit(1.0, one))
+            yield
+            if as_given.correlation > NOISE or as_given.left < FITS_OTHER * change:
+                break
+        else:
+            return self._by_gravity()
+        if as_given.left < FITS * change or as_given.correlation < NOISE:
             fault = self._mount_fault(motion, one, one, as_given)
             if fault is not None and not fault.by_course:
-                reversed_force = yield from fit(motion, Fit(-1.0, one))
-                if reversed_force.left < BETTER * as_given.left:
+                reversed_force = fit(motion, Fit(-1.0, one))
+                if reversed_force.left < MUCH_BETTER * as_given.left:
                     return self._by_gravity() or True
-            return fault or True
+            return fault or not self._may_be_as_found(motion, as_given)
         if not np.any(np.ptp(motion.turn, axis=0)):
-            return AxesFault(one, one, self._mount, no_turns=True)
+            return AxesFault(AS_GIVEN, self._mount, no_turns=True)
         fits: list[Fit] = []
         for hypothesis in HYPOTHESES:
-            fits.append((yield from fit(motion, hypothesis, 0)))
-        fits.sort(key=lambda one: one.left)
-        for k in range(REFINED):
-            fits[k] = yield from fit(motion, fits[k])
-        best = min(one.left for one in fits)
-        if best > min(FITS_OTHER * change, as_given.left / BETTER):
+            fits.append(fit(motion, hypothesis))
+            yield
+        fits = [f for f in fits if f.left < as_given.left / MUCH_BETTER or not _is_slow(f)]
+        best = min(fits, key=lambda one: one.left)
+        times = BETTER if best.correlation < NOISE else MUCH_BETTER
+        if best.left > min(FITS_OTHER * change, as_given.left / times):
             return self._by_gravity()
-        fitting = [one for one in fits if one.left < max(2.0 * best, best + 0.05 * change)]
+        most = max(AS_GOOD * best.left, best.left + FITS * change)
+        fitting = [one for one in fits if one.left < most]
         return self._explain(motion, fitting) or self._by_gravity()
+
+    def _may_be_as_found(self, motion: Motion, as_given: Fit) -> bool:
+        """Return whether a motion that fits as given does not contradict an earlier check."""
+        found = self._found
+        if found is None or found.at_rest:
+            return False
+        if found.no_turns:
+            return not np.any(np.ptp(motion.turn, axis=0))
+        if found.turned:
+            return found.by_course and not _is_winding(_courses(motion)[0])
+        hypothesis = Fit(*to_hypothesis(*found.explanations[0]))
+        return fit(motion, hypothesis).left < AS_GOOD * as_given.left
 
     def _by_gravity(self) -> AxesFault | bool:
         """Return how the IMU lies by its mean specific force, if it does not lie as given."""
@@ -281,14 +228,13 @@ class ImuAxesCheck:
         if len(grid) < SHORTEST / STEP:
             return False
         mount = _mount_upright(self._mount, grid[-1, 4:] - grid[0, 4:])
-        one = np.eye(3)
-        return False if mount is None else AxesFault(one, one, mount, turned=True, at_rest=True)
+        return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
 
-    def _motion(self) -> Motion | None:
-        """Return the last seconds, if there is enough motion in them."""
+    def _motions(self) -> list[Motion]:
+        """Return the last seconds, by those intervals over which there is enough motion."""
         grid, fixes = self._grid, self._fixes
         if len(grid) < SHORTEST / STEP or len(fixes) < 3:
-            return None
+            return []
         fix_t = np.array([(t_ns - self._start_ns) * 1e-9 for t_ns, _ in fixes])
         lla = np.array([place for _, place in fixes])
         reach = CLOCK_OFFSETS[-1]
@@ -296,23 +242,24 @@ class ImuAxesCheck:
         inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
         fix_t, lla = fix_t[inside], lla[inside]
         if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
-            return None
+            return []
         position_n = np.nan_to_num((lla - lla[0]) * curvature_scale(lla[0]))
         steps = np.diff(grid[:, 1:], axis=0)
+        motions = []
         for interval, least in zip(INTERVALS, LEAST_CHANGE, strict=True):
             triples = triples_of(fix_t, interval)
             motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
             changes = np.sum(motion.change_n[:, :2] ** 2)
             if len(triples) >= FEWEST and changes > least**2 * len(triples):
-                return motion
-        return None
+                motions.append(motion)
+        return motions
 
     def _explain(self, motion: Motion, fitting: list[Fit]) -> AxesFault | None:
         """Return the most ordinary explanation of hypotheses that fit, by gravity and course."""
         with_mount: list[AxesFault] = []
         plain: list[tuple[Array, Array]] = []
         for accelerometer, gyroscope in EXPLANATIONS:
-            sign, factor = _hypothesis(accelerometer, gyroscope)
+            sign, factor = to_hypothesis(accelerometer, gyroscope)
             found = [f for f in fitting if f.sign == sign and np.allclose(f.gyroscope, factor)]
             if not found:
                 continue
@@ -322,8 +269,7 @@ class ImuAxesCheck:
             else:
                 with_mount.append(fault)
         if plain:
-            others = tuple(plain[1 : 1 + MOST_OTHERS])
-            return AxesFault(*plain[0], self._mount, others=others)
+            return AxesFault(tuple(plain), self._mount)
         return with_mount[0] if with_mount else None
 
     def _mount_fault(
@@ -337,7 +283,13 @@ class ImuAxesCheck:
             return None
         chosen = mount if along is None else along
         by_course = along is not None
-        return AxesFault(accelerometer, gyroscope, chosen, turned=True, by_course=by_course)
+        explanation = ((accelerometer, gyroscope),)
+        return AxesFault(explanation, chosen, turned=True, by_course=by_course)
+
+
+def _is_slow(hypothesis: Fit) -> bool:
+    """Return whether rates were in degrees: without turns the motion fits this, too."""
+    return bool(np.allclose(hypothesis.gyroscope, DEGREES * np.eye(3)))
 
 
 def _mount_upright(mount: Array, mean_force: Array) -> Array | None:
@@ -363,6 +315,11 @@ def _courses(motion: Motion) -> tuple[Array, Array]:
     return course, 0.5 * (t[first] + t[last])[fast]
 
 
+def _is_winding(course: Array) -> bool:
+    """Return whether courses [rad] are no straight run: the wind, or a drone flying sideways."""
+    return len(course) >= 10 and abs(np.mean(np.exp(1j * course))) < 0.9
+
+
 def _kinds(motion: Motion) -> list[str]:
     """Return what kinds of motion there are: turns about the IMU's axes, and of the course."""
     turned = np.ptp(np.cumsum(motion.turn, axis=0), axis=0) > TURN
@@ -377,8 +334,8 @@ def _mount_along_course(
 ) -> Array | None:
     """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
     course, t = _courses(motion)
-    if len(course) < 10 or abs(np.mean(np.exp(1j * course))) > 0.9:
-        return None  # a straight run: the wind, or a drone that flies sideways
+    if not _is_winding(course):
+        return None
     rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
     k = np.clip(((t - motion.t[0]) / STEP).astype(np.intp), 0, len(motion.turn) - 1)
     C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)[k]

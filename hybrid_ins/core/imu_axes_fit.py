@@ -3,8 +3,10 @@ Whether readings of an IMU fit the changes of velocity that fixes show.
 
 The specific force, turned into one attitude by the gyroscope and integrated, is the change of
 velocity over ground less gravity's, but for one constant rotation, [1]_. That rotation is found in
-closed form, with the clock offset on a grid and the gyroscope's bias by least squares; what is left
-over shows how well the readings fit.
+closed form, with the clock offset on a grid; by least squares the gyroscope's bias, the lever arm
+from the IMU to the antenna and the clock offset between the grid's. What is left over shows how
+well the readings fit. Without the lever arm wrong axes may fit as well as right ones: 0.3 m between
+IMU and antenna move like a horizontal force on a vehicle that tilts to accelerate.
 
 References
 ----------
@@ -14,10 +16,10 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -29,13 +31,19 @@ from hybrid_ins.core.strapdown import multiply, rotation
 Array = NDArray[np.float64]
 
 STEP = 0.05  # s, over which readings are integrated
-INTERVALS = (1.0, 2.5)  # s, between the fixes of a change of velocity: brisk and gentle motion
+INTERVALS = (1.0, 2.5, 5.0)  # s, of a change of velocity: brisk motion, gentle motion, poor fixes
 TOLERANCE = (0.5, 2.0)  # of an interval
 LEAST_STEP = 0.24  # s, from one change of velocity to the next
 CLOCK_OFFSETS = np.linspace(-1.0, 1.0, 21)  # s, that may explain a misfit
+CLOCK_STEP = float(CLOCK_OFFSETS[1] - CLOCK_OFFSETS[0])
 BIAS_STD, LARGEST_BIAS = 0.02, 0.05  # rad/s, of a gyroscope
+LEVER_ARM_STD, LONGEST_LEVER_ARM = 0.5, 3.0  # m, from the IMU to the antenna along each axis
 CHANGE_STD = 0.3  # m/s, of a change of velocity by fixes
 NUDGE = 1e-3  # rad/s, for derivatives by the bias
+ITERATIONS, SMALLER = 5, 0.99  # at most; as long as so many times as much is left over
+# Bias, lever arm and clock offset between those of the grid.
+NUISANCE_STD = np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1))
+LARGEST = np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,17 +96,24 @@ class Fit:
         The hypothesis: what specific force and angular rate are multiplied by.
     left : float
         Sum of the squares of what is left over of the changes of horizontal velocity [m²/s²].
+    correlation : float
+        Of successive errors of the horizontal velocity: near zero or negative if they come from
+        the fixes' noise, near one if they come from the hypothesis.
     C_ni : ndarray, shape (3, 3)
         Rotation to n from the IMU's axes at the first step.
     bias : ndarray, shape (3,)
         Of the gyroscope [rad/s], after it is multiplied.
+    lever_arm : ndarray, shape (3,)
+        From the IMU to the antenna [m], in the axes of the readings that are multiplied.
     """
 
     sign: float
     gyroscope: Array
     left: float = np.inf
+    correlation: float = 1.0
     C_ni: Array = field(default_factory=lambda: np.eye(3))
     bias: Array = field(default_factory=lambda: np.zeros(3))
+    lever_arm: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def triples_of(t: Array, interval: float) -> NDArray[np.intp]:
@@ -136,41 +151,50 @@ def _differences(t: Array, position: Array, triples: NDArray[np.intp]) -> Array:
     )
 
 
-def fit(motion: Motion, start: Fit, iterations: int = 2) -> Generator[None, None, Fit]:
-    """
-    Return how well a hypothesis fits; without iterations, with the bias that it has.
-
-    Pauses after some milliseconds of work.
-    """
+def fit(motion: Motion, start: Fit) -> Fit:
+    """Return how well a hypothesis fits, from the bias and the lever arm of its start on."""
     turn, change_n = motion.turn @ start.gyroscope.T, motion.change_n
     impulse = start.sign * motion.impulse
-    best, bias = start, start.bias
-    for iteration in range(iterations + 1):
-        yield
-        last = iteration == iterations
-        biases = bias + NUDGE * np.eye(4, 3, -1)[: 1 if last else 4]
-        paths = _paths(motion, turn - STEP * biases[:, None], impulse)
-        changes = _changes(motion, paths[0], CLOCK_OFFSETS)
+    best, nuisance = start, np.concatenate((start.bias, start.lever_arm, [0.0]))
+    for _ in range(ITERATIONS):
+        bias, lever_arm, offsets = nuisance[:3], nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
+        biases = bias + NUDGE * np.eye(4, 3, -1)
+        paths, arms = _paths(motion, turn - STEP * biases[:, None], impulse)
+        paths += np.tensordot(lever_arm, arms, 1)
+        changes = _changes(motion, paths[0], offsets)
         C = _rotations(changes, change_n)
         misfit = change_n - np.einsum("tij,tkj->tki", C, changes)
         left = np.sum(misfit[..., :2] ** 2, axis=(1, 2))
         k = int(np.argmin(left))
+        if left[k] > SMALLER * best.left:
+            break
         if left[k] < best.left:
-            best = Fit(start.sign, start.gyroscope, float(left[k]), C[k], bias)
-        if not last:
-            nudged = _changes(motion, paths, CLOCK_OFFSETS[k : k + 1])[:, 0] @ C[k].T
-            step = _bias_step(nudged, misfit[k], bias)
-            bias = np.clip(bias + step, -LARGEST_BIAS, LARGEST_BIAS)
+            correlation = float(np.sum(misfit[k, 1:, :2] * misfit[k, :-1, :2]) / left[k])
+            best = replace(
+                best,
+                left=float(left[k]),
+                correlation=correlation,
+                C_ni=C[k],
+                bias=bias,
+                lever_arm=lever_arm,
+            )
+        around = offsets[k] + CLOCK_STEP * np.arange(-1.0, 2.0)
+        before, at, after = _changes(motion, paths[0], around)
+        nudged = _changes(motion, paths[1:], around[1:2])[:, 0]
+        by_arm = _changes(motion, arms, around[1:2])[:, 0]
+        columns = (*(nudged - at) / NUDGE, *by_arm, (after - before) / (2.0 * CLOCK_STEP))
+        step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance)
+        nuisance = np.clip(nuisance + step, -LARGEST, LARGEST)
     return best
 
 
-def _bias_step(nudged_n: Array, misfit: Array, bias: Array) -> Array:
-    """Return the change of the bias (3,) by least squares, with the rotation free."""
-    columns = [-skew(nudged_n[0])[:, :, i] for i in range(3)]
-    columns += [(nudged_n[1 + i] - nudged_n[0]) / NUDGE for i in range(3)]
-    weight = CHANGE_STD / BIAS_STD
-    H = np.vstack((np.stack(columns, axis=-1).reshape(-1, 6), weight * np.eye(3, 6, 3)))
-    z = np.concatenate((misfit.ravel(), -weight * bias))
+def _step(C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array) -> Array:
+    """Return the change of the nuisance parameters (7,) by least squares, the rotation free."""
+    by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
+    of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1).reshape(-1, 10)
+    weight = np.diag(CHANGE_STD / NUISANCE_STD)
+    H = np.vstack((of_changes, np.hstack((np.zeros((7, 3)), weight))))
+    z = np.concatenate((misfit.ravel(), -weight @ nuisance))
     return np.asarray(np.linalg.lstsq(H, z, rcond=None)[0][3:])
 
 
@@ -187,15 +211,28 @@ def attitudes(turn: Array) -> Array:
     return C
 
 
-def _paths(motion: Motion, turn: Array, impulse: Array) -> Array:
-    """Return the twofold integral (B, N + 1, 3) of the specific force in the first attitude."""
+def _paths(motion: Motion, turn: Array, impulse: Array) -> tuple[Array, Array]:
+    """
+    Return the paths (B, N + 1, 3) by the specific force in the first attitude, and of arms.
+
+    The arms (3, N + 1, 3) are one metre along the axes, in the attitudes of the first version.
+    """
     paths = np.zeros((len(turn), len(motion.t), 3))
-    integrate_force(turn, np.ascontiguousarray(impulse), paths)
-    return paths
+    arms = np.empty((3, len(motion.t), 3))
+    integrate_force(turn, np.ascontiguousarray(impulse), paths, arms)
+    return paths, arms
+
+
+@register_jitable
+def write_columns(C, columns, n):  # type: ignore[no-untyped-def]
+    """Write the columns of a matrix C, shape (9,), to the n-th rows (3, n, 3)."""
+    for i in range(3):
+        for j in range(3):
+            columns[j, n, i] = C[3 * i + j]
 
 
 @kernel()
-def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
+def integrate_force(turns, impulse, paths, arms):  # type: ignore[no-untyped-def]
     """
     Integrate specific force twice, turned into the attitude at the first step.
 
@@ -206,6 +243,8 @@ def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
         force [m/s].
     paths : ndarray, shape (B, N + 1, 3)
         Written but for the first row, which is where they start [m].
+    arms : ndarray, shape (3, N + 1, 3)
+        Written: where the three axes point, in the first version of the angular rate.
     """
     C = np.empty(9)
     for b in range(turns.shape[0]):
@@ -222,6 +261,8 @@ def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
                 ]
             )
             rotation(quat, C)
+            if b == 0:
+                write_columns(C, arms, n)
             step = turned(C, force)
             paths[b, n + 1, 0] = paths[b, n, 0] + STEP * (vx + 0.5 * step[0])
             paths[b, n + 1, 1] = paths[b, n, 1] + STEP * (vy + 0.5 * step[1])
@@ -231,6 +272,9 @@ def integrate_force(turns, impulse, paths):  # type: ignore[no-untyped-def]
             c = np.cos(0.5 * angle)
             s = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
             multiply(quat, s * ax, s * ay, s * az, c)
+        if b == 0:
+            rotation(quat, C)
+            write_columns(C, arms, turns.shape[1])
 
 
 def _changes(motion: Motion, path: Array, offsets: Array) -> Array:

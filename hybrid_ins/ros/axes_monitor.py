@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu_axes import SCALES, AxesFault, ImuAxesCheck
+from hybrid_ins.core.imu_axes import ImuAxesCheck
+from hybrid_ins.core.imu_axes_faults import SCALES, AxesFault
 from hybrid_ins.core.measurements import Measurement, PositionFix
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 
 SAMPLES_NS = 500_000_000  # between two checks of the IMU's ring buffer
 LONGEST_GAP_NS = 500_000_000  # between samples, over which nothing is integrated
+MOST_EXPLANATIONS = 3  # in a text, the most ordinary first
 ACCELERATION, RATE = "linear_acceleration", "angular_velocity"
 
 
@@ -97,22 +99,23 @@ def describe(fault: AxesFault) -> Refused:
             "imu: no rates",
             f"{RATE} does not change while the vehicle moves: check that the driver fills it",
         )
-    factor = fault.gyroscope[0, 0]
-    if np.allclose(fault.gyroscope, SCALES[0] * one):
+    _, gyroscope = fault.explanations[0]
+    factor = gyroscope[0, 0]
+    if np.allclose(gyroscope, SCALES[0] * one):
         return Refused(
             "imu: wrong unit",
             f"{RATE} fits the motion only if it is divided by 57.3: it is in degrees per second; "
             "let the driver publish radians per second",
         )
-    if np.allclose(fault.gyroscope, SCALES[1] * one):
+    if np.allclose(gyroscope, SCALES[1] * one):
         return Refused(
             "imu: wrong unit",
             f"{RATE} is {factor:.1f} times too small for the motion: multiply it by {factor:.1f} "
             "(degrees converted to radians twice?)",
         )
-    if fault.turned and np.allclose(fault.accelerometer, one) and np.allclose(fault.gyroscope, one):
+    if fault.turned and np.allclose(fault.explanations[0], one):
         return Refused("imu: wrong mount", _describe_mount(fault))
-    ways = [(fault.accelerometer, fault.gyroscope), *fault.others]
+    ways = fault.explanations[:MOST_EXPLANATIONS]
     text = "the axes do not fit the motion: " + ", or ".join(_describe_axes(*way) for way in ways)
     if fault.turned:
         text += f"; then {_remount(fault)}"

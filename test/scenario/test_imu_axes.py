@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hybrid_ins.core.imu_axes import AxesFault, ImuAxesCheck
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.cli import convert
+from hybrid_ins.core.imu_axes import ImuAxesCheck
+from hybrid_ins.core.imu_axes_faults import AxesFault
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.ros.axes_monitor import describe
 from hybrid_ins.ros.conversions import FLIP
@@ -114,6 +118,75 @@ def test_what_a_quadrotor_shows_is_named_within_30_seconds_of_motion(
         motion = 4.0  # s, when it takes off
         first = next(t for t, fault in check(drives[QUADROTOR], ONE, gyroscope) if fault)
         assert first < motion + 30.0
+
+
+@pytest.fixture(scope="module")
+def recorded(flights: Path, tmp_path_factory: pytest.TempPathFactory) -> Readings:
+    """A real flight that hardly turns about up, with 0.3 m between IMU and antenna."""
+    bag = tmp_path_factory.mktemp("recorded") / "flight.mcap"
+    assert convert.main([str(flights / "Horizontal" / "path_4"), str(bag)]) == 0
+    imu, gnss = [], []
+    with BagReader(bag) as reader:
+        for topic, _, message in reader.messages("/imu/data", "/gnss/fix"):
+            t = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if topic == "/imu/data":
+                force, rate = message.linear_acceleration, message.angular_velocity
+                imu.append((t, force.x, force.y, force.z, rate.x, rate.y, rate.z))
+            else:
+                place = np.radians(message.latitude), np.radians(message.longitude)
+                gnss.append((t, *place, message.altitude))
+    samples, places = np.array(imu), np.array(gnss)
+    start = samples[0, 0]
+    return (
+        samples[:, 0] - start,
+        samples[:, 1:4],
+        samples[:, 4:],
+        places[:, 0] - start,
+        places[:, 1:],
+    )
+
+
+@pytest.mark.parametrize(
+    ("accelerometer", "gyroscope", "words"),
+    [
+        (ONE, np.diag([-1.0, 1.0, 1.0]), "x of angular_velocity reversed"),
+        (ONE, np.diag([1.0, -1.0, 1.0]), "y of angular_velocity reversed"),
+        (ONE, np.diag([1.0, 1.0, -1.0]), "z of angular_velocity reversed"),
+        (EXCHANGED, EXCHANGED, "x and y of linear_acceleration and angular_velocity exchanged"),
+    ],
+)
+def test_in_a_recorded_flight_wrong_axes_are_named_within_30_seconds(
+    recorded: Readings, accelerometer: np.ndarray, gyroscope: np.ndarray, words: str
+) -> None:
+    found = [(t, fault) for t, fault in check(recorded, accelerometer, gyroscope) if fault]
+
+    assert found[0][0] < 30.0
+    assert all(words in describe(fault).text for _, fault in (found[0], found[-1]))
+
+
+def test_a_recorded_flight_is_not_accused(recorded: Readings) -> None:
+    assert not any(fault for _, fault in check(recorded))
+
+
+def of_vehicle(name: str) -> Readings:
+    drive = from_simulation(record(VEHICLES[name], 2))
+    t = (drive.imu_ns - drive.imu_ns[0]) * 1e-9
+    fix_t = (drive.fix_ns - drive.imu_ns[0]) * 1e-9
+    return t, drive.force, drive.rate, fix_t, drive.fix_lla
+
+
+def test_gentle_turns_are_not_taken_for_degrees() -> None:
+    found = [f for _, f in check(of_vehicle("boat"), ONE, np.diag([1.0, 1.0, -1.0])) if f]
+
+    assert found
+    assert not any("57.3" in describe(fault).text for fault in found)
+
+
+def test_what_was_named_stays_while_the_vehicle_drives_straight() -> None:
+    found = [fault for _, fault in check(of_vehicle("car"), ONE, 0.0 * ONE)]
+    first = next(k for k, fault in enumerate(found) if fault)
+
+    assert all(found[first:])
 
 
 @pytest.mark.parametrize("name", sorted(VEHICLES))

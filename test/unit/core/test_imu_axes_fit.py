@@ -3,14 +3,21 @@
 import numpy as np
 import pytest
 
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.imu_axes import NOISE
 from hybrid_ins.core.imu_axes_fit import (
     LEAST_STEP,
     STEP,
     TOLERANCE,
+    Fit,
+    Motion,
     attitudes,
+    fit,
     integrate_force,
     triples_of,
 )
+from hybrid_ins.simulation.motions import quadrotor_flight
+from hybrid_ins.simulation.sensors import fixes, sample, sample_times
 
 
 def plain_triples(t: np.ndarray, interval: float) -> np.ndarray:
@@ -46,12 +53,50 @@ def test_few_fixes_have_few_triples(count: int) -> None:
 def test_integrated_force_is_that_of_products_of_rotations(size: float) -> None:
     rng = np.random.default_rng(1)
     turns, impulse = rng.normal(0.0, size, (3, 40, 3)), rng.normal(0.0, 1.0, (40, 3))
-    paths = np.zeros((3, 41, 3))
+    paths, arms = np.zeros((3, 41, 3)), np.empty((3, 41, 3))
 
-    integrate_force(turns, impulse, paths)
+    integrate_force(turns, impulse, paths, arms)
 
     force = impulse + 0.5 * np.cross(turns, impulse)
     steps = np.einsum("...ij,...j->...i", attitudes(turns), force)
     velocity = np.cumsum(steps, axis=-2)
     expected = np.cumsum(STEP * (velocity - 0.5 * steps), axis=-2)
     np.testing.assert_allclose(paths[:, 1:], expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(np.moveaxis(arms[:, :-1], 0, 2), attitudes(turns)[0], atol=1e-11)
+
+
+def motion(lever_arm_b: tuple[float, float, float], std: float, offset: float = 0.0) -> Motion:
+    """Return 20 s of a quadrotor's figures of eight, without errors of the IMU."""
+    flight, begin = quadrotor_flight(40.0, 3), 15.0
+    truth = sample(flight, sample_times(40.0, 100.0))
+    gnss = fixes(
+        sample(flight, sample_times(40.0, 5.0)), np.random.default_rng(1), std, lever_arm_b
+    )
+    t = begin + STEP * np.arange(round(22.0 / STEP) + 1)  # a second more at both ends
+    steps = []
+    for readings in (truth.angular_rate_b, truth.specific_force_b):
+        mean = 0.5 * (readings[1:] + readings[:-1])
+        sums = np.vstack((np.zeros(3), np.cumsum(mean * np.diff(truth.t)[:, None], axis=0)))
+        at = np.stack([np.interp(t, truth.t, column) for column in sums.T], axis=1)
+        steps.append(np.diff(at, axis=0))
+    used = (gnss.t > begin + 1.0) & (gnss.t < begin + 21.0)
+    position_n = (gnss.lla[used] - gnss.lla[used][0]) * curvature_scale(gnss.lla[used][0])
+    fix_t = gnss.t[used] - offset
+    return Motion(t, *steps, fix_t, position_n, triples_of(fix_t, 1.0))
+
+
+def test_a_lever_arm_and_a_clock_offset_are_found_and_leave_nothing_over() -> None:
+    lever_arm = 0.2, -0.1, 0.4
+
+    found = fit(motion(lever_arm, 0.0, 0.13), Fit(1.0, np.eye(3)))
+
+    change = float(np.sum(motion(lever_arm, 0.0).change_n[:, :2] ** 2))
+    np.testing.assert_allclose(found.lever_arm, lever_arm, atol=0.08)  # a prior holds it back
+    assert found.left < 1e-3 * change
+
+
+def test_errors_of_right_axes_are_noise_and_those_of_wrong_ones_are_not() -> None:
+    flown = motion((0.2, -0.1, 0.4), 0.1)
+
+    assert fit(flown, Fit(1.0, np.eye(3))).correlation < NOISE
+    assert fit(flown, Fit(1.0, np.diag([-1.0, 1.0, 1.0]))).correlation > 2.0 * NOISE

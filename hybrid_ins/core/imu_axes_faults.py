@@ -1,0 +1,107 @@
+"""What may be wrong with the axes, units and mount of an IMU."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DEGREES = np.pi / 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class AxesFault:
+    """
+    What is wrong with an IMU's axes or units, in the IMU's own axes.
+
+    Attributes
+    ----------
+    explanations : tuple of (ndarray, ndarray)
+        What the readings of accelerometer and gyroscope are to be multiplied by, (3, 3) each; the
+        most ordinary explanation of what was found comes first.
+    mount : ndarray, shape (3, 3)
+        Rotation from the IMU's axes to b, after that.
+    turned : bool
+        The mount is not the one given.
+    by_course : bool
+        The mount was found from the course: it holds for a vehicle that moves along its nose.
+    no_turns : bool
+        The gyroscope shows no turns; nothing else is found.
+    at_rest : bool
+        Found from gravity alone: the accelerations may be reversed instead.
+    """
+
+    explanations: tuple[tuple[Array, Array], ...]
+    mount: Array
+    turned: bool = False
+    by_course: bool = False
+    no_turns: bool = False
+    at_rest: bool = False
+
+    def in_common(self, other: AxesFault) -> AxesFault | None:
+        """Return the fault with the explanations that another check found, too; None without."""
+        both = tuple(
+            one
+            for one in self.explanations
+            if any(np.allclose(one, another) for another in other.explanations)
+        )
+        alike = (self.turned, self.by_course, self.no_turns, self.at_rest) == (
+            other.turned,
+            other.by_course,
+            other.no_turns,
+            other.at_rest,
+        ) and np.allclose(self.mount, other.mount)
+        return replace(self, explanations=both) if both and alike else None
+
+    def same(self, other: AxesFault) -> bool:
+        """Return whether another check found the same."""
+        both = self.in_common(other)
+        return both is not None and (
+            len(self.explanations) == len(other.explanations) == len(both.explanations)
+        )
+
+
+def _signed_permutations() -> Array:
+    """Return all (48, 3, 3), those with the fewest changes of axes and signs first."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            found.append(matrix)
+    moved = [3 * sum(m.diagonal() == 0) + sum(m.sum(axis=1) < 0) for m in found]
+    return np.array(found)[np.argsort(moved, kind="stable")]
+
+
+PERMUTATIONS = _signed_permutations()
+ROTATIONS = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]
+SCALES = (DEGREES, 1.0 / DEGREES)
+
+
+def _explanations() -> list[tuple[Array, Array]]:
+    """Return what may be wrong with accelerometer and gyroscope, the most ordinary first."""
+    one = np.eye(3)
+    reversals = [np.diag(d) for d in ((1.0, 1.0, -1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0))]
+    exchanges = [one[list(order)] for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1))]
+    half_turns = [-m for m in reversals]
+    return [
+        *((one, scale * one) for scale in SCALES),
+        (-one, one),
+        *((one, m) for m in (*reversals, -one)),
+        *((m, m) for m in (*exchanges, *reversals, -one)),
+        *((one, m) for m in (*exchanges, *half_turns)),
+        *((m, one) for m in (*reversals, *exchanges, *half_turns)),
+    ]
+
+
+EXPLANATIONS = _explanations()
+
+
+def to_hypothesis(accelerometer: Array, gyroscope: Array) -> tuple[float, Array]:
+    """Return the sign and the gyroscope's factor that fit the motion like an explanation."""
+    sign = float(np.linalg.det(accelerometer))
+    return sign, (sign * accelerometer).T @ gyroscope
