@@ -7,17 +7,39 @@ import pytest
 from support.endurance import assert_clock_is_within_three_sigma
 
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.reports import Report
 from tools.robustness import endurance
 
 MINUTE = 60.0
 
 
-def test_smooth_driving_does_not_end_the_node() -> None:
+@pytest.fixture(scope="module")
+def smooth_drive() -> tuple[endurance.Day, list[float]]:
+    """A quarter of an hour of smooth driving, and the speeds at which it was taken for standing."""
+    duration = 15.0 * MINUTE
+    motion = endurance.MOTIONS["smooth drive"](duration + 1.0, 0)
+    speeds: list[float] = []
+
+    class Watched(Estimator):
+        def pop_reports(self) -> list[Report]:
+            if self.navigator.monitor.standing:
+                t = (self.navigator.last_ns - endurance.T0_NS) * 1e-9
+                speeds.append(float(np.linalg.norm(motion.displacement(t, 1))))
+            return super().pop_reports()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(endurance, "Estimator", Watched)
+        return endurance.live("smooth drive", duration, 0, 0.0, {}), speeds
+
+
+def test_smooth_driving_does_not_end_the_node(
+    smooth_drive: tuple[endurance.Day, list[float]],
+) -> None:
     """
     GIVEN a quarter of an hour of smooth driving with an ordinary receiver
     THEN the estimator goes on, every fix is used, and what it claims of clock and position holds.
     """
-    day = endurance.live("smooth drive", 15.0 * MINUTE, 0, 0.0, {})
+    day, _ = smooth_drive
 
     assert not day.failure
     assert day.t[-1] > 14.5 * MINUTE
@@ -25,6 +47,19 @@ def test_smooth_driving_does_not_end_the_node() -> None:
     assert day.clock_excess < 3.0
     assert 1.5 < day.position_nees[3:].mean() < 4.5
     assert day.sensitivity.max() < 100.0
+
+
+def test_smooth_braking_is_not_standing(
+    smooth_drive: tuple[endurance.Day, list[float]],
+) -> None:
+    """
+    GIVEN a vehicle that brakes so steadily that its IMU seems to stand, and fixes that scatter by
+    metres
+    THEN no zero velocity is fused while it moves.
+    """
+    _, speeds = smooth_drive
+
+    assert not [speed for speed in speeds if speed > 0.1]
 
 
 def test_zero_updates_correct_the_sensitivity_too() -> None:
@@ -50,26 +85,4 @@ def test_clock_offset_stays_within_its_uncertainty(kind: str, offset: float) -> 
     GIVEN motion that shows little of the clock, and fixes stamped early or late
     THEN the true offset is within three sigma at all times, and sigma is no less than stamps allow.
     """
-    assert_clock_is_within_three_sigma(kind, offset, seed=1)
-
-
-def test_smooth_braking_is_not_standing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    GIVEN a vehicle that brakes so steadily that its IMU seems to stand, and fixes that scatter by
-    metres
-    THEN no zero velocity is fused while it moves.
-    """
-    motion = endurance.MOTIONS["smooth drive"](5.0 * MINUTE + 1.0, 0)
-    moved: list[float] = []
-
-    class Watched(Estimator):
-        def pop_reports(self) -> object:
-            if self.navigator.monitor.standing:
-                t = (self.navigator.last_ns - endurance.T0_NS) * 1e-9
-                moved.append(float(np.linalg.norm(motion.displacement(t, 1))))
-            return super().pop_reports()
-
-    monkeypatch.setattr(endurance, "Estimator", Watched)
-    endurance.live("smooth drive", 5.0 * MINUTE, 0, 0.0, {})
-
-    assert not [speed for speed in moved if speed > 0.1]
+    assert_clock_is_within_three_sigma(kind, offset, seed=1, duration=120.0)

@@ -125,7 +125,6 @@ class Day:
 def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[str, object]) -> Day:
     """Run the node's estimator over a day; ``offset`` [s] is missing from the stamps of fixes."""
     rng = np.random.default_rng(seed)
-    duration = CHUNK * np.ceil(duration / CHUNK)
     motion = MOTIONS[kind](duration + 1.0, seed)
     sign = rng.choice([-1.0, 1.0], 6)
     errors = ImuErrors(
@@ -146,7 +145,8 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
     rows: list[tuple[float, ...]] = []
     failure = ""
     for begin in np.arange(0.0, duration, CHUNK):
-        t = begin + np.arange(round(CHUNK * RATE)) / RATE
+        chunk = min(CHUNK, duration - begin)
+        t = begin + np.arange(round(chunk * RATE)) / RATE
         imu = corrupt(sample(motion, t), errors, rng)
         errors = replace(
             errors,
@@ -154,7 +154,7 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
             gyroscope_bias=imu.gyroscope_bias[-1],
         )
         stamps, force, rate = _stamps(t), imu.specific_force @ FLIP, imu.angular_rate @ FLIP
-        gnss = fixes(sample(motion, begin + 0.5 + np.arange(CHUNK)), rng, FIX_STD)
+        gnss = fixes(sample(motion, begin + 0.5 + np.arange(int(chunk))), rng, FIX_STD)
         start = 0
         try:
             for k in range(len(gnss.t)):
