@@ -39,12 +39,12 @@ from hybrid_ins.ros import imu_admission, odom_frame, output
 
 COMPILING = "compiling the filter for this machine, once: 10 to 60 s"
 WAITING = "another process compiles the filter for this machine; waiting for it: up to 60 s"
-FILTER, CALIBRATION = "filter", "calibration"
+FILTER, SMOOTHING, CALIBRATION = "filter", "smoothing", "calibration"
+OFFLINE = (SMOOTHING, CALIBRATION)
+"""Parts that programs need besides the filter's, which all need."""
 
 
-def prepare(
-    announce: Callable[[str], None] = lambda text: None, *, calibration: bool = False
-) -> None:
+def prepare(announce: Callable[[str], None] = lambda text: None, parts: Sequence[str] = ()) -> None:
     """
     Load every kernel, after compiling it where that has not been done.
 
@@ -55,24 +55,16 @@ def prepare(
     ----------
     announce : callable
         Given a line for the user before anything that takes long.
-    calibration : bool
-        The kernels of `hybrid_ins.calibration`, too.
+    parts : sequence of str
+        Of `OFFLINE`: compiled, too, where that has not been done.
     """
     _skip_scipy()
     kernel_cache.enable()
-    parts = (FILTER, CALIBRATION) if calibration else (FILTER,)
-    if not all(map(kernel_cache.is_complete, parts)):
+    if _missing(parts):
         with kernel_cache.exclusive(lambda: announce(WAITING)):
-            if not all(map(kernel_cache.is_complete, parts)):
+            if _missing(parts):
                 announce(COMPILING)
-                with _filter_compiled_beside():
-                    _compile_output()
-                _compile_filter()
-                kernel_cache.mark_complete(FILTER)
-                if calibration:
-                    _compile_calibration()
-                    kernel_cache.mark_complete(CALIBRATION)
-                return
+                _compile(parts)
     _compile_filter()
     _compile_output()
 
@@ -82,14 +74,34 @@ def is_compiled() -> bool:
     return kernel_cache.is_complete(FILTER)
 
 
+def _missing(parts: Sequence[str]) -> list[str]:
+    return [part for part in (FILTER, *parts) if not kernel_cache.is_complete(part)]
+
+
+def _compile(parts: Sequence[str]) -> None:
+    """Compile what is missing, half of it in another process."""
+    if not kernel_cache.is_complete(FILTER):
+        with _compiled_beside(FILTER):
+            _compile_output()
+        _compile_filter()
+        kernel_cache.mark_complete(FILTER)
+    missing = _missing(parts)
+    with _compiled_beside(*missing[1:]):
+        for part in missing[:1]:
+            _COMPILE[part]()
+    for part in missing:
+        _COMPILE[part]()
+        kernel_cache.mark_complete(part)
+
+
 @contextmanager
-def _filter_compiled_beside() -> Iterator[None]:
-    """Within the block, another process compiles the filter; it does not outlive this one."""
-    if kernel_cache.enable() is None:
+def _compiled_beside(*parts: str) -> Iterator[None]:
+    """Within the block, another process compiles these; it does not outlive this one."""
+    if not parts or kernel_cache.enable() is None:
         yield
         return
     child = subprocess.Popen(
-        [sys.executable, "-m", "hybrid_ins.kernels", FILTER],
+        [sys.executable, "-m", "hybrid_ins.kernels", *parts],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -189,6 +201,20 @@ def _compile_output() -> None:
     window.quantisation_step(readings)
 
 
+def _compile_smoothing() -> None:
+    from hybrid_ins.core.smoother import Smoother
+    from hybrid_ins.core.smoother_segments import Start, Update
+
+    samples = np.zeros(40, SAMPLE_DTYPE)
+    samples["t_ns"] = np.arange(40) * 10_000_000
+    samples["f"][:, 2] = -9.8
+    start = Start(100_000_000, np.zeros(6), NavState.from_flat(_some_state()), np.ones(12))
+    fix = measurements.PositionFix(205_000_000, start.state.lla, np.eye(3), np.zeros(3))
+    updates = [Update(fix.t_ns, start.psd, fix, 1.0)]
+    smoother = Smoother(start, samples, updates, 0.01, 100_000_000, {}, {})
+    assert sum(len(stamps) for stamps, _ in smoother.smooth()) > 0
+
+
 def _compile_calibration() -> None:
     from hybrid_ins.calibration.innovations import innovations
 
@@ -211,6 +237,13 @@ def _compile_calibration() -> None:
     )
 
 
+_COMPILE = {
+    FILTER: _compile_filter,
+    SMOOTHING: _compile_smoothing,
+    CALIBRATION: _compile_calibration,
+}
+
+
 def _some_state() -> np.ndarray:
     return NavState(
         np.array([0.5, 0.0, 0.0]),
@@ -223,14 +256,15 @@ def _some_state() -> np.ndarray:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Compile all kernels, or (as a child of `prepare`) those of the filter proper."""
+    """Compile all kernels, or (as a child of `prepare`) those of the parts that are named."""
     words = list(sys.argv[1:] if argv is None else argv)
-    if words == [FILTER]:
+    if words:
         _end_with_parent()
         kernel_cache.enable()
-        _compile_filter()
+        for part in words:
+            _COMPILE[part]()
     else:
-        prepare(print, calibration=True)
+        prepare(print, OFFLINE)
     return 0
 
 

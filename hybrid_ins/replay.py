@@ -179,7 +179,7 @@ class _Replay:
         self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
         self._frames = deque(imu.frames)
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
-        kernels.prepare(partial(log, "info"))
+        kernels.prepare(partial(log, "info"), (kernels.SMOOTHING,) if record is not None else ())
         self._estimator = estimator = Estimator(values, log, record)
         rows = slice(None) if imu.has_reading.all() else imu.has_reading
         estimator.noise.preload(

@@ -96,7 +96,7 @@ def _body(args: argparse.Namespace) -> int:
         fault = axes_fault(recording, values)
         if fault is not None:
             log_message("warn", f"{recording.name}: {describe(fault).text}")
-    kernels.prepare(partial(log_message, "info"), calibration=True)
+    kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _Stages() as stages:
         found = calibrate(
             recordings,

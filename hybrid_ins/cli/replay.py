@@ -78,7 +78,7 @@ def _run(args: argparse.Namespace) -> int:
         if args.plot is not None or args.export:
             raise InputError("--plot and --export are for one bag at a time")
         jobs = batch.find_jobs(args.input, args.output)
-        kernels.prepare(partial(log_message, "info"))
+        kernels.prepare(partial(log_message, "info"), (kernels.SMOOTHING,) if args.smooth else ())
         return batch.run(
             jobs,
             partial(_replay_one, values, topics, args.smooth, args.overwrite),

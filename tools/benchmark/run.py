@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     about = machine()
     print(f"{about['processor']}, {about['processors']} processors, load {about['load']}")
-    kernels.prepare(print, calibration=True)
+    kernels.prepare(print, kernels.OFFLINE)
     done: list[Section] = []
     start = time.monotonic()
     for name in args.only:
