@@ -137,7 +137,7 @@ GNSS = (
     ),
     Parameter(
         "gnss.time_offset.estimate",
-        False,
+        True,
         "Estimate the clock offset and its drift while running and correct them; published "
         "covariances include what is not known of them. If false, a wrong offset is only reported",
         runtime=True,

@@ -155,7 +155,7 @@ class ClockCorrection:
         elif abs(missing) > limit:
             return (
                 f"gnss.time_offset.value seems to be {total:+.2f} ± {sigma:.2f} s, not "
-                f"{self.offset:+.3f} s: run ins_calibrate, or set gnss.time_offset.estimate"
+                f"{self.offset:+.3f} s: run ins_calibrate, or set gnss.time_offset.estimate to true"
             )
         return ""
 
