@@ -85,7 +85,7 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
 
 def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
     run = stamped_early(draw(SCENE, 4), 0.15)
-    estimator = through_estimator(run, **{"gnss.time_offset.estimate": True})
+    estimator = through_estimator(run)
     assert estimator.clock.offset == pytest.approx(0.15, abs=0.03)
     clock = estimator.clock.status()
     assert clock.name.endswith("clock")
@@ -93,13 +93,14 @@ def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
 
 
 def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
+    given = {"gnss.time_offset.estimate": False}
     run = stamped_early(draw(SCENE, 5), 0.15)
-    estimator = through_estimator(run)
+    estimator = through_estimator(run, **given)
     assert estimator.clock.offset == 0.0
     assert estimator.inputs.counts["gnss: clock offset"] > 0
     assert "run ins_calibrate" in estimator.clock.status().text
     # AND nothing is told of a right one
-    assert through_estimator(draw(SCENE, 5)).inputs.counts["gnss: clock offset"] == 0
+    assert through_estimator(draw(SCENE, 5), **given).inputs.counts["gnss: clock offset"] == 0
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -174,9 +174,10 @@ def test_while_nothing_moves_there_are_no_clocks_for_each_heading() -> None:
 
 def test_nothing_is_searched_for_unasked_and_no_longer_than_asked() -> None:
     run = until(stamped_early(draw(SCENE, 4), 0.1), 5.0)
-    assert not isinstance(through_estimator(run).navigator.phase.bank, ClockSearch)
+    given = through_estimator(run, **{"gnss.time_offset.estimate": False})
+    assert not isinstance(given.navigator.phase.bank, ClockSearch)
 
-    estimator = estimating(run)
+    estimator = through_estimator(run)
     assert isinstance(estimator.navigator.phase.bank, ClockSearch)
     estimator.change({"gnss.time_offset.estimate": False})
     assert estimator.navigator.phase.bank is None

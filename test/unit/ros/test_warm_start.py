@@ -132,9 +132,9 @@ def test_a_heading_given_otherwise_is_not_replaced(file: Path) -> None:
 def test_the_clock_offset_is_where_the_search_begins(file: Path) -> None:
     replace(SavedState.read(file), clock_offset=0.123).write(file)
 
-    assert Parked(file).estimator.clock.offset == 0.0
-    run = Parked(file, **{"gnss.time_offset.estimate": True})
-    assert run.estimator.clock.offset == 0.123
+    given = Parked(file, **{"gnss.time_offset.estimate": False})
+    assert given.estimator.clock.offset == 0.0
+    assert Parked(file).estimator.clock.offset == 0.123
 
 
 BROKEN = {
