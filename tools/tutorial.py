@@ -1,30 +1,35 @@
 """
 Run the commands that `docs/tutorial.md` shows, and write or check what it shows as their output.
 
-    python -m tools.tutorial [--check] DATASET
+    python -m tools.tutorial [--check [--quick]] DATASET
 
 DATASET is the folder of the quadrotor dataset. Numbers may differ by 1 % and by one in their last
 digit, since processors round differently; everything else has to be the same. Without `--check` the
-page and its picture are written.
+page, its picture and the calibrated parameters are written, and the figures that `README.md` quotes
+from the page. With `--quick` these parameters are used as they are instead of calibrating anew,
+which takes most of the time: so a test can check the rest.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import io
 import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from tools.processes import program
+from tools import generate_docs
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "tutorial.md"
+CALIBRATED = ROOT / "docs" / "my_robot.yaml"
 PICTURE = ("tuned.png", ROOT / "docs" / "figures" / "flight.png")
 DATASET = "quadrotor"  # what the page calls the dataset's folder
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -32,21 +37,21 @@ BLOCK = re.compile(r"^```\n(\$ .*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def run(command: str, folder: Path) -> str:
-    """Return what a command prints, both streams in the order of the terminal."""
+    """Return what a command prints in a folder, both streams in the order of the terminal."""
     name, *arguments = shlex.split(command)
-    done = subprocess.run(
-        [program(name), *arguments],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-        env={**os.environ, "COLUMNS": "200"},
-        timeout=600,
-    )
-    if done.returncode:
-        raise RuntimeError(f"{command}: status {done.returncode}: {done.stdout}")
+    program = importlib.import_module(f"hybrid_ins.cli.{name.removeprefix('ins_')}")
+    printed, before = io.StringIO(), Path.cwd()
+    os.environ["COLUMNS"] = "200"
+    os.chdir(folder)
+    try:
+        with redirect_stdout(printed), redirect_stderr(printed):
+            status = program.main(arguments)
+    finally:
+        os.chdir(before)
+    if status:
+        raise RuntimeError(f"{command}: status {status}: {printed.getvalue()}")
     # The first run on a machine says that it compiles.
-    lines = done.stdout.splitlines(keepends=True)
+    lines = printed.getvalue().splitlines(keepends=True)
     return "".join(line for line in lines if "info: compiling the filter" not in line)
 
 
@@ -57,11 +62,18 @@ def steps(block: str) -> Iterator[tuple[str, str]]:
         yield command, output
 
 
-def written_anew(page: str, folder: Path) -> str:
+def written_anew(page: str, folder: Path, quick: bool) -> str:
     """Return the page with the output that its commands print now."""
 
     def output_of(block: re.Match[str]) -> str:
-        parts = [f"$ {command}\n{run(command, folder)}" for command, _ in steps(block[1])]
+        parts = []
+        for command, shown in steps(block[1]):
+            if quick and command.startswith("ins_calibrate"):
+                shutil.copy(CALIBRATED, folder)
+                printed = shown
+            else:
+                printed = run(command, folder)
+            parts.append(f"$ {command}\n{printed}")
         return "```\n" + "".join(parts) + "```"
 
     return BLOCK.sub(output_of, page)
@@ -97,16 +109,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tutorial", description=__doc__.splitlines()[1])
     parser.add_argument("dataset", type=Path, help="folder of the quadrotor dataset")
     parser.add_argument("--check", action="store_true", help="write nothing, fail if out of date")
+    parser.add_argument("--quick", action="store_true", help=f"use {CALIBRATED.name} as it is")
     args = parser.parse_args(argv)
     page = PAGE.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / DATASET).symlink_to(args.dataset.resolve())
-        text = written_anew(page, folder)
+        text = written_anew(page, folder, args.quick)
         if not args.check:
             PAGE.write_text(text, encoding="utf-8")
             shutil.copy(folder / PICTURE[0], PICTURE[1])
-            return 0
+            shutil.copy(folder / CALIBRATED.name, CALIBRATED)
+            return generate_docs.main([])
     found = differences(page, text)
     if found:
         print(f"{PAGE.relative_to(ROOT)} is out of date: run python -m tools.tutorial DATASET")

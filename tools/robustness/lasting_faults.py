@@ -105,7 +105,7 @@ LASTING: tuple[Fault, ...] = tuple(
             "gps_time",
             "fixes stamped in GPS time",
             by_another_clock(18.0),
-            ("18.0 s ahead of the IMU's",),
+            ("in GPS time, the other in UTC",),
         ),
         (
             "years_away",
