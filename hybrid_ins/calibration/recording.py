@@ -20,12 +20,14 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, gps_fix
 from hybrid_ins.ros.aiding_conversions import AidingMessages
 from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
+from hybrid_ins.ros.fix_refusals import describe_clocks
 
 Array = NDArray[np.float64]
 
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
+BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
 
 
@@ -94,21 +96,23 @@ def read_recording(
     Raises
     ------
     InputError
-        A topic is missing, or there are too few samples or fixes.
+        A topic is missing, there are too few samples or fixes, or they are stamped by two clocks.
     """
     with BagReader(path) as bag:
         imu = bag.imu(imu_topic)
         wheels = _wheels(bag, values)
         aid: list[tuple[int, int, Array, Array]] = []
+        ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
         attitude = None
         if use_truth:
             aid, attitude = _truth(bag)
         else:
             fix_topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
             gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
-            for _, _, message in bag.messages(fix_topic):
+            for _, log_ns, message in bag.messages(fix_topic):
                 fix = gnss.position(gps_fix.position_of(message, messages.new_message))
                 if not isinstance(fix, Refused):
+                    ahead_ns.append(fix.t_ns - log_ns)
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
             if bag.topics.get(velocity_topic) == messages.VELOCITY:
                 for _, _, message in bag.messages(velocity_topic):
@@ -122,6 +126,10 @@ def read_recording(
                                 velocity.covariance_n,
                             )
                         )
+    if ahead_ns:
+        ahead = (np.median(ahead_ns) - np.median(imu.stamp_ns - imu.log_ns)) * 1e-9
+        if abs(ahead) > BEFORE_AND_AFTER:
+            raise InputError(f"{path}: {fix_topic}: fixes: {describe_clocks(float(ahead))}")
     aid.sort(key=lambda row: row[:2])
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     stamps = imu.stamp_ns
@@ -139,7 +147,8 @@ def read_recording(
     origin = int(stamps[0])
     t = np.asarray((stamps - origin) * 1e-9, float)
     keep = t <= longest
-    rows = [row for row in aid if -10.0 < (row[0] - origin) * 1e-9 < min(t[-1], longest) + 10.0]
+    first, last = -BEFORE_AND_AFTER, min(t[-1], longest) + BEFORE_AND_AFTER
+    rows = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
     positions = [row for row in rows if row[1] == POSITION]
     if len(positions) < FEWEST_FIXES or (positions[-1][0] - positions[0][0]) < SHORTEST * 1e9:
         raise InputError(

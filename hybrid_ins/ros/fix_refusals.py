@@ -53,7 +53,7 @@ class FixRefusals:
         ahead = (fix.t_ns - imu_ns) * 1e-9
         if imu_ns == 0 or abs(ahead) < ANOTHER_CLOCK:
             return None
-        return Refused("another clock", _describe_clocks(ahead))
+        return Refused("another clock", describe_clocks(ahead))
 
     @property
     def dominant(self) -> str:
@@ -66,7 +66,7 @@ class FixRefusals:
         return f"{count} of the last {len(self._outcomes)} fixes are of no use: {self._texts[name]}"
 
 
-def _describe_clocks(ahead: float) -> str:
+def describe_clocks(ahead: float) -> str:
     """Return how far the fixes are stamped ahead of the IMU [s], why, and the remedy."""
     size = abs(ahead)
     if size < 1000.0:
