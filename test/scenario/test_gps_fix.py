@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from hybrid_ins.bags.messages import GPS_FIX, new_message
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import replay, simulate
+from hybrid_ins.calibration.recording import read_recording
+from hybrid_ins.calibration.trial import run_trial
+from hybrid_ins.cli import convert, replay, simulate
 from hybrid_ins.parameters import check_all
 from hybrid_ins.ros.conversions import stamp_ns
 from hybrid_ins.ros.estimator import Estimator
@@ -31,11 +33,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def as_gps_fix(drive: Path, out: Path, track_of: Any = lambda track: track) -> Path:
-    """Write a drive with GPSFix messages instead, with 95 % uncertainties."""
+    """Write a recording with GPSFix messages instead, with 95 % uncertainties."""
+    velocities = {stamp_ns(m.header.stamp): m.twist for m in messages(drive, "/gnss/velocity")}
     with BagReader(drive) as bag, BagWriter(out) as written:
-        velocities = {
-            stamp_ns(m.header.stamp): m.twist for _, _, m in bag.messages("/gnss/velocity")
-        }
         for topic, log_ns, data in bag.raw():
             if topic == "/gnss/velocity":
                 continue
@@ -48,13 +48,13 @@ def as_gps_fix(drive: Path, out: Path, track_of: Any = lambda track: track) -> P
             made.latitude, made.longitude, made.altitude = fix.latitude, fix.longitude, fix.altitude
             made.position_covariance = fix.position_covariance
             made.position_covariance_type = fix.position_covariance_type
-            twist = velocities[stamp_ns(fix.header.stamp)]
-            east, north = twist.twist.linear.x, twist.twist.linear.y
-            std = math.sqrt(twist.covariance[0])
-            made.speed, made.climb = math.hypot(east, north), twist.twist.linear.z
-            made.track = track_of(math.degrees(math.atan2(east, north)) % 360.0)
-            made.err_speed = made.err_climb = 1.96 * std
             made.hdop = 0.8
+            if velocities:
+                twist = velocities[stamp_ns(fix.header.stamp)]
+                east, north = twist.twist.linear.x, twist.twist.linear.y
+                made.speed, made.climb = math.hypot(east, north), twist.twist.linear.z
+                made.track = track_of(math.degrees(math.atan2(east, north)) % 360.0)
+                made.err_speed = made.err_climb = 1.96 * math.sqrt(twist.covariance[0])
             written.write("/gnss/gpsfix", made, log_ns)
     return out
 
@@ -128,6 +128,31 @@ def test_a_track_of_another_convention_is_named_and_not_used(
     last = sorted(places(out).items())[-1]
     there = truth[last[0]]
     assert last[1] == pytest.approx([there.x, there.y, there.z], abs=0.5)
+
+
+def test_a_recorded_flight_calibrates_the_same_with_gps_fixes(
+    flights: Path, tmp_path: Path
+) -> None:
+    """GIVEN a real flight with either message WHEN ins_calibrate reads it THEN all is the same."""
+    flight, gps = tmp_path / "flight", tmp_path / "gps.mcap"
+    assert convert.main([str(flights / "Horizontal" / "path_4"), str(flight)]) == 0
+    as_gps_fix(flight, gps)
+
+    values = check_all({"gnss.time_offset.value": 0.11})
+    one, other = read_recording(flight, values), read_recording(gps, values)
+    topics: InputTopics = {
+        "imu_topic": "/imu/data",
+        "fix_topic": "/gnss/fix",
+        "velocity_topic": "/gnss/velocity",
+    }
+    judged, again = run_trial(flight, values, topics), run_trial(gps, values, topics)
+
+    assert len(one.aid_t) > 190
+    for name in ("t", "samples", "aid_t", "aid_kind", "aid", "aid_R"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(one, name), err_msg=name)
+    assert np.isfinite(judged.error).sum() > 40
+    np.testing.assert_array_equal(again.error, judged.error)
+    assert again.used == judged.used > 0.95
 
 
 def test_a_navsatfix_goes_before_a_gps_fix(tmp_path: Path) -> None:

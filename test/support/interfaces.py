@@ -177,10 +177,18 @@ class _Package:
             INCLUDE,
         ]
         own = [*sorted(self.generated.rglob("*.c")), *sorted(python.rglob("*_s.c"))]
+        described = [source for source in own if source.stem.endswith("__description")]
+        own = [source for source in own if source not in described]
         supports = {
             "rosidl_typesupport_fastrtps_c": sorted(self.generated.rglob("*.cpp")),
             "rosidl_typesupport_introspection_c": sorted(self.described.rglob("*.c")),
         }
+
+        def together(name: str, sources: list[Path]) -> Path:
+            """Write one source of several: most of the work is in the headers that they share."""
+            file = self.folder / "source" / self.name / f"{name}{sources[0].suffix}"
+            file.write_text("".join(f'#include "{source}"\n' for source in sources))
+            return file
 
         def compiled(source: Path) -> Path:
             target = source.with_suffix(source.suffix + ".o")
@@ -191,9 +199,15 @@ class _Package:
             )  # fmt: skip
             return target
 
+        # Names of types stand in each description again: these are compiled one by one.
+        parts = [together("own", own), *described]
+        parts += [together(name, found) for name, found in supports.items()]
         with ThreadPoolExecutor(2) as pool:
-            objects = {name: list(pool.map(compiled, found)) for name, found in supports.items()}
-            own = list(pool.map(compiled, own))
+            compiled_parts = list(pool.map(compiled, parts))
+        own, objects = (
+            compiled_parts[:-2],
+            {name: [part] for name, part in zip(supports, compiled_parts[-2:], strict=True)},
+        )
         (entry,) = python.glob("*.ep.rosidl_typesupport_c.c")
         library = self.folder / f"lib{self.name}.so"
         linked = [

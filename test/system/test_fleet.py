@@ -164,7 +164,7 @@ def test_an_interrupted_fleet_goes_on_where_it_was(tmp_path: Path) -> None:
                     "--duration",
                     "20",
                     "--imu-rate",
-                    "200",
+                    "100",
                     "--seed",
                     str(seed),
                 ]
