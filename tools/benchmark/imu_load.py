@@ -1,10 +1,11 @@
 """
 Two processes that a node is measured between: one sends IMU and GNSS, the other takes odometry.
 
-    python -m tools.benchmark.imu_load send RATE DURATION OUT.npy
+    python -m tools.benchmark.imu_load send RATE DURATION OUT.npy [--aiding]
     python -m tools.benchmark.imu_load take OUT.npy [--times]
 
-The first writes the stamps [ns] of the Imu messages that it sent; the second those of the Odometry
+The first writes the stamps [ns] of the Imu messages that it sent, with --aiding beside the velocity
+of wheels and the pressure of a barometer; the second those of the Odometry
 messages that came until SIGTERM, with the times at which they were published.
 
 A stamp is the wall clock's time right before the message was given to the middleware, so that the
@@ -22,23 +23,24 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, NavSatFix
+from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
 from hybrid_ins.ros.cdr import StampedEncoder
 from hybrid_ins.ros.conversions import DIAGONAL, set_stamp
 
-FIX_PERIOD_NS = 200_000_000
+FIX_PERIOD_NS, AIDING_PERIOD_NS = 200_000_000, 20_000_000
 NOISE = np.array([0.002] * 3 + [0.02] * 3)  # rad/s, m/s²: an MPU-9250
 LATENCY_OF_FIX_NS = 50_000_000
 DEEP = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def send(rate: float, duration: float, out: Path) -> None:
+def send(rate: float, duration: float, out: Path, aiding: bool) -> None:
     """Send Imu at a rate and fixes at 5 Hz, once somebody listens, of a vehicle that hovers."""
     rclpy.init()
     node = rclpy.create_node("imu_load")
@@ -51,6 +53,12 @@ def send(rate: float, duration: float, out: Path) -> None:
     fix.header.frame_id, fix.status.status, fix.status.service = "gnss", 0, 0
     fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
     fix.position_covariance_type = DIAGONAL
+    velocities = node.create_publisher(TwistWithCovarianceStamped, "aiding/velocity", DEEP)
+    pressures = node.create_publisher(FluidPressure, "aiding/pressure", DEEP)
+    velocity = TwistWithCovarianceStamped()
+    velocity.header.frame_id = "base_link"
+    velocity.twist.covariance = np.diag([0.01] * 6).ravel()
+    pressure = FluidPressure(fluid_pressure=101_325.0, variance=25.0)
     noise = np.random.default_rng(0).normal(size=(4096, 6)) * NOISE
     end = time.monotonic() + 20.0
     while publisher.get_subscription_count() == 0:
@@ -59,7 +67,7 @@ def send(rate: float, duration: float, out: Path) -> None:
         time.sleep(0.02)
     period = 1.0 / rate
     sent = np.zeros(int(rate * duration) + 1, np.int64)
-    next_fix_ns = 0
+    next_fix_ns = next_aiding_ns = 0
     start = time.perf_counter()
     publish, values, message = publisher.publish, imu.values, imu.message
     for k in range(len(sent)):
@@ -77,6 +85,12 @@ def send(rate: float, duration: float, out: Path) -> None:
             next_fix_ns = t_ns + FIX_PERIOD_NS
             set_stamp(fix.header.stamp, t_ns - LATENCY_OF_FIX_NS)
             fixes.publish(fix)
+        if aiding and t_ns >= next_aiding_ns:
+            next_aiding_ns = t_ns + AIDING_PERIOD_NS
+            set_stamp(velocity.header.stamp, t_ns)
+            velocities.publish(velocity)
+            set_stamp(pressure.header.stamp, t_ns)
+            pressures.publish(pressure)
     np.save(out, sent)
     time.sleep(0.5)  # what is on the way arrives
     rclpy.try_shutdown()
@@ -136,12 +150,13 @@ def main() -> int:
     sending.add_argument("rate", type=float)
     sending.add_argument("duration", type=float)
     sending.add_argument("out", type=Path)
+    sending.add_argument("--aiding", action="store_true")
     taking = commands.add_parser("take")
     taking.add_argument("out", type=Path)
     taking.add_argument("--times", action="store_true")
     args = parser.parse_args()
     if args.command == "send":
-        send(args.rate, args.duration, args.out)
+        send(args.rate, args.duration, args.out, args.aiding)
     else:
         take(args.out, args.times)
     return 0
