@@ -210,7 +210,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
     "Robustness": (
         Figure(
             "Runs with named faults: NaN, wrong units, frozen and saturated sensors, lost and late "
-            "data, clock jumps, wrong axes, false fixes; replayed",
+            "data, clock jumps, wrong axes, false fixes; replayed and live",
             "{:.0f} runs, {:.0f} failed",
             (
                 Source(CAMPAIGN, ("--report docs/fault_campaign.md\n",)),
