@@ -1,6 +1,6 @@
 """``ins_calibrate``: what it finds is not lost, and no input is lost either."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +105,8 @@ def test_a_first_compilation_is_announced_before_the_work(
 ) -> None:
     order: list[str] = []
 
-    def prepare(announce: Callable[[str], None], *, calibration: bool) -> None:
-        assert calibration
+    def prepare(announce: Callable[[str], None], parts: Sequence[str]) -> None:
+        assert "calibration" in parts
         announce("compiling")
         order.append("compiled")
 
