@@ -175,6 +175,16 @@ def of_vehicle(name: str) -> Readings:
     return t, drive.force, drive.rate, fix_t, drive.fix_lla
 
 
+@pytest.mark.parametrize("name", ["slow rover", "car, consumer"])
+def test_slow_vehicles_and_receivers_with_metres_show_their_axes(name: str) -> None:
+    found = check(of_vehicle(name), ONE, np.diag([1.0, 1.0, -1.0]))
+
+    t, fault = next((t, fault) for t, fault in found if fault)
+
+    assert t < 60.0
+    assert ": z of angular_velocity reversed" in describe(fault).text
+
+
 def test_gentle_turns_are_not_taken_for_degrees() -> None:
     found = [f for _, f in check(of_vehicle("boat"), ONE, np.diag([1.0, 1.0, -1.0])) if f]
 
