@@ -6,27 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
+from support.long_stand import assert_standing_shows_nothing_of_the_clock
 from support.runs import begin, fly, stamped_early, through_estimator
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.events import ClockShift
-from hybrid_ins.core.measurements import Standstill
 from hybrid_ins.core.state import N_NAV
-from hybrid_ins.simulation.motions import START_LLA, Motion
 from tools.paper.runs import Scenario, draw
-
-
-def car_then_stand(duration: float, seed: int) -> Motion:
-    """Half a minute of a drive that begins and ends at rest, and standing after it."""
-    t = np.arange(0.0, duration + 0.1, 0.1)
-    speed = 8.0 * np.sin(np.pi * np.clip(t / 30.0, 0.0, 1.0)) ** 2
-    yaw = 0.5 * np.sin(2.0 * np.pi * np.clip(t / 30.0, 0.0, 1.0)) + seed
-    velocity_n = speed[:, None] * np.stack((np.cos(yaw), np.sin(yaw), 0.0 * t), axis=1)
-    rpy = np.stack((0.0 * t, 0.0 * t, yaw), axis=1)
-    displacement = make_interp_spline(t, velocity_n, k=5).antiderivative()
-    return Motion(START_LLA, duration, displacement, make_interp_spline(t, rpy, k=5))
-
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 
@@ -103,29 +89,8 @@ def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
     assert through_estimator(draw(SCENE, 5), **given).inputs.counts["gnss: clock offset"] == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_standing_shows_nothing_of_the_clock(seed: int) -> None:
-    """
-    GIVEN a drive, and a vehicle that then stands for half an hour with zero updates
-    THEN the offset stays within three sigma, and sigma grows again.
-    """
-    rest, stand = 30.0, 1800.0
-    scene = Scenario("stop", car_then_stand, rate=20.0, duration=rest + stand, fix_rate=1.0)
-    run = draw(scene, seed)
-    ins, stamps, at = begin(run), run.samples["t_ns"], 1
-    sigma = []
-    for k, fix in enumerate(run.fixes):
-        stop = int(np.searchsorted(stamps, fix.t_ns, side="right"))
-        ins.ring.extend(run.samples[at:stop])
-        ins.predict_block(run.samples[at:stop])
-        at = stop
-        ins.submit(fix)
-        if k > rest + 5.0:
-            ins.submit(Standstill.of(ins.ring.latest(20)))
-        assert abs(ins.clock.residual) < 3.0 * ins.clock.sigma
-        sigma.append(ins.clock.sigma)
-    assert min(sigma) >= 1e-3
-    assert sigma[-1] > 0.9 * np.sqrt(min(sigma) ** 2 + 1e-6 * stand)
+def test_standing_shows_nothing_of_the_clock() -> None:
+    assert_standing_shows_nothing_of_the_clock(seed=0)
 
 
 @pytest.mark.parametrize("estimate", [False, True])
