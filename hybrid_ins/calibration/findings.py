@@ -255,6 +255,7 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
     else:
         sensor, parameter = "antenna", "gnss.antenna_position"
         position = np.add(found.values["imu.position"], arm)
+    position = np.round(position, 3) + 0.0  # which leaves no negative zero
     comments = []
     for k, axis in enumerate("xyz"):
         name = f"lever_{axis}"
@@ -271,7 +272,7 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
             verdict, note = "weak", "few turns" if axis != "z" else "little roll and pitch"
         found.add(label, f"{position[k]:+.3f} m", f"{sigma:.3f} m", verdict, note)
         comments.append(f"{label} {position[k]:+.3f} ± {sigma:.3f} ({verdict})")
-    found.values[parameter] = [round(float(a), 3) for a in position]
+    found.values[parameter] = position.tolist()
     found.notes[parameter] = "; ".join(comments)
 
 
