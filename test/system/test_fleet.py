@@ -22,6 +22,7 @@ from hybrid_ins.errors import InputError
 from tools.processes import Processes
 
 HEADING = ["-p", "alignment.heading_source:=parameter", "-p", "alignment.yaw:=1.570796"]
+ALONE = ["--jobs", "1"]  # a process takes seconds to start
 ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
 
 
@@ -101,20 +102,20 @@ def test_a_fleet_is_replayed_resumed_and_evaluated(
     # Again: nothing is done twice; another parameter: everything is.
     first = ages(out)
     (folder / "broken.mcap").unlink()
-    assert replay.main([str(folder), str(out), *HEADING]) == 0
+    assert replay.main([str(folder), str(out), *HEADING, *ALONE]) == 0
     assert "2 of 2 bags were finished before" in capsys.readouterr().out
     assert ages(out) == first
     (out / "one.json").unlink()  # as if it had been interrupted before it was complete
-    assert replay.main([str(folder), str(out), *HEADING, "--overwrite"]) == 0
+    assert replay.main([str(folder), str(out), *HEADING, *ALONE, "--overwrite"]) == 0
     done = ages(out)
     assert done["one.mcap"] != first["one.mcap"]
     capsys.readouterr()
-    assert replay.main([str(folder), str(out), *HEADING, "-p", "noise.mode:=constant"]) == 0
+    assert replay.main([str(folder), str(out), *HEADING, *ALONE, "-p", "noise.mode:=constant"]) == 0
     assert "finished before" not in capsys.readouterr().out
     assert all(ages(out)[name] != age for name, age in done.items())
 
     results = tmp_path / "results"
-    assert evaluate.main([str(out), "--results", str(results)]) == 0
+    assert evaluate.main([str(out), "--results", str(results), *ALONE]) == 0
     said = capsys.readouterr()
     assert "PRMSE [m]" in said.out
     assert [line.split()[0] for line in said.out.splitlines()] == ["bag", "monday/two", "one"]
