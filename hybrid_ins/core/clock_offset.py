@@ -11,7 +11,8 @@ the filter's own equations, [1]_::
 
 The s that these give is as stable as the filter is. Regressing the innovations on h is what a
 filter with tau among its states would do; the filter itself is not changed by it. The regression
-has two parameters, tau and its drift, of which innovations show the first.
+has two parameters, tau and its drift, of which innovations show the first. Without information
+their variances grow no larger than those of a clock of which nothing is known.
 
 What is not known of tau is *considered*, [2]_: its variance V adds V h h' to the covariance of an
 innovation that a fix is judged by, and V s s' to the covariance of the state that is reported.
@@ -46,6 +47,7 @@ Array = NDArray[np.float64]
 RANDOM_WALK = 1e-4  # s per sqrt(s), of one clock against the other
 DRIFT_STD, DRIFT_WALK = 1e-4, 1e-6  # s/s, and s/s per sqrt(s), likewise
 MIN_STD = 1e-3  # s: stamps are no better than that
+MAX_STD = 0.5  # s, of a clock of which nothing is known: fixes that come later are not fused
 VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
 MIN_INTERVAL, MAX_INTERVAL = 0.02, 60.0  # s, over which a mean acceleration is meaningful
@@ -320,7 +322,10 @@ def observe(clock, interval, velocity_n, dx, z, h, S, informs):  # type: ignore[
         clock[RESIDUAL] += interval * clock[DRIFT]
         clock[P_OFFSET] += interval * (clock[P_CROSS] + cross) + RANDOM_WALK**2 * interval
         clock[P_CROSS] = cross
-        clock[P_DRIFT] += DRIFT_WALK**2 * interval
+        clock[P_DRIFT] = min(clock[P_DRIFT] + DRIFT_WALK**2 * interval, DRIFT_STD**2)
+        if clock[P_OFFSET] > MAX_STD**2:  # the correlation with the drift stays
+            clock[P_CROSS] *= MAX_STD / np.sqrt(clock[P_OFFSET])
+            clock[P_OFFSET] = MAX_STD**2
     acceleration = np.empty(3)
     write_mean_acceleration(velocity_n, clock, interval, acceleration)
     for i in range(3):

@@ -7,7 +7,7 @@ import pytest
 from support.analytic_motion import difference
 from support.runs import begin, stamped_early
 
-from hybrid_ins.core.clock_offset import MIN_STD, ClockOffsetObserver
+from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, MIN_STD, ClockOffsetObserver
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -103,6 +103,35 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_the_clock_offset(speeds:
     by_difference = difference(right.nav, wrong.nav) / late
 
     assert np.linalg.norm((by_difference - s) / sigma) < 0.1 * np.linalg.norm(s / sigma)
+
+
+def test_without_information_sigma_is_that_of_an_unknown_clock() -> None:
+    """
+    GIVEN a vehicle that moves for a minute, stands for a day, and moves again
+    THEN sigma grows to what it was at the start and no further, and motion shows the offset again.
+
+    With the drift unknown to 1e-4 it grew to ten seconds in a day.
+    """
+    observer, rng = ClockOffsetObserver(MAX_STD), np.random.default_rng(2)
+
+    def update(t: float, fix: Correction) -> None:
+        assert observer.values[2] * observer.values[4] >= observer.values[3] ** 2
+        h = observer.sensitivity_of(fix.nav, fix.t_ns, fix.H)
+        observer.update(fix, h, fix.S)
+
+    for t in range(1, 61):
+        update(t, moving(t, rng, 0.1, 1.0))
+    known = observer.sigma
+    for t in range(61, 86_400, 10):
+        update(t, replace(moving(t, rng, 0.0, 1.0), nav=np.zeros(N_FLAT)))
+    unknown = observer.sigma
+    for t in range(86_400, 86_460):
+        update(t, moving(t, rng, -0.3, 1.0))
+
+    assert known < 0.1
+    assert 0.9 * MAX_STD < unknown < 1.1 * MARGIN * MAX_STD
+    assert observer.residual == pytest.approx(-0.3, abs=3.0 * observer.sigma)
+    assert observer.sigma < 0.1
 
 
 def moving(t: float, rng: np.random.Generator, tau: float, std: float) -> Correction:
