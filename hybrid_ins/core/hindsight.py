@@ -33,7 +33,7 @@ from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoother import N_ADJOINT, N_STATE, Smoother, Store
 from hybrid_ins.core.smoother_segments import Start, Update
-from hybrid_ins.core.state import NavState
+from hybrid_ins.core.state import N_ERROR, NavState
 
 Array = NDArray[np.float64]
 
@@ -225,9 +225,10 @@ def _about_heading(start: Start, found: NavState) -> Start:
 
     The same measurements find it again: what counts twice is one part in ``LOOSE`` squared.
     """
-    state, std = start.state, LOOSE * math.sqrt(found.P[8, 8])
+    state, std = start.state, max(LOOSE * math.sqrt(found.P[8, 8]), LEAST_HEADING_STD)
     turn = np.array([0.0, 0.0, yaw_of(found.quat_xyzw) - yaw_of(state.quat_xyzw)])
-    P = state.P.copy()
-    P[8, 8] = max(std, LEAST_HEADING_STD) ** 2
+    scale = np.ones(N_ERROR)  # the correlations stay, or P might be indefinite
+    scale[8] = std / math.sqrt(state.P[8, 8])
+    P = state.P * np.outer(scale, scale)
     quat = quat_multiply(quat_from_rotvec(turn), state.quat_xyzw)
     return replace(start, state=replace(state, quat_xyzw=quat, P=P))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, propagation
-from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.clock_offset import MAX_STD, ClockOffsetObserver, initial_sensitivity
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -67,7 +67,7 @@ class FilterSettings:
 
     covariance_interval: float = 0.01
     max_delay: float = 1.0
-    clock_std: float = 0.5
+    clock_std: float = MAX_STD
     clock_prior: ClockPrior | None = None
     consider_clock: bool = False
     keep_record: bool = False

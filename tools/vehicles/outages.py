@@ -60,8 +60,9 @@ def every_vehicle() -> dict[str, Vehicle]:
 def calibrated(vehicle: Vehicle) -> dict[str, Any]:
     """Return what ``ins_calibrate`` finds in drives of this vehicle, but for its nose and axle."""
     drives = [as_recording(record(vehicle, seed)) for seed in CALIBRATION_SEEDS]
-    found = calibrate(drives, parameters.defaults()).values
-    return {name: value for name, value in found.items() if not name.startswith("vehicle.")}
+    given = parameters.defaults()
+    found = calibrate(drives, given).values
+    return {**found, **{name: given[name] for name in given if name.startswith("vehicle.")}}
 
 
 def as_recording(drive: Recording) -> Calibrating:

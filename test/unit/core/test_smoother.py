@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hybrid_ins.core import hindsight
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -143,6 +144,21 @@ def test_smoothed_flights_are_those_of_batch_least_squares() -> None:
     # AND the smoothed errors are as small
     by_smoother, by_batch = np.sqrt(np.mean(squares, axis=0))
     assert by_smoother < 1.01 * by_batch
+
+
+def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
+    """With the heading's variance replaced beside its covariances it was indefinite."""
+    flight = Flight(1)
+    P = np.diag(STD**2)
+    P[8, 8], P[8, 3], P[3, 8] = 1.0, 0.8 * STD[3], 0.8 * STD[3]
+    start = replace(flight.start, state=replace(flight.start.state, P=P))
+    found = replace(start.state, P=1e-6 * np.eye(N_ERROR))
+
+    moved = hindsight._about_heading(start, found).state
+
+    assert moved.P[8, 8] == pytest.approx(hindsight.LEAST_HEADING_STD**2)
+    assert np.linalg.eigvalsh(moved.P / np.outer(STD, STD)).min() > 0.0
+    assert moved.P[3, 8] / np.sqrt(moved.P[8, 8]) == pytest.approx(P[3, 8])
 
 
 def test_gaps_and_interpolated_stamps_are_those_of_the_filter() -> None:
