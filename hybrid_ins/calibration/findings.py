@@ -52,6 +52,7 @@ NOT_IDENTIFIABLE = {  # smallest σ
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
+SCATTER, SMALLEST_SCATTER, LARGEST_SCATTER = "gnss.position_scatter", 0.2, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +192,7 @@ def calibrate(
     reasons = misfits(fitted, after, nominal, levels, period)
     if reasons:
         found.values["gnss.time_offset.std"] = 0.0
+        found.values[SCATTER] = values[SCATTER]
         found.withdraw_verdicts()
     return Calibration(fitted, before, after, found.rows, found.values, found.notes, reasons)
 
@@ -363,11 +365,9 @@ def add_fix_scatter(found: Findings, fitted: Fit) -> None:
     if abs(scale) < max(3.0 * sigma, 0.4):
         note = ""
     else:
-        note = "raise gnss.position_std_min" if scale > 0 else "the receiver's σ is too large"
-    found.add(
-        "fixes' scatter",
-        f"{factor:.2f} × stated σ",
-        f"{0.5 * sigma * factor:.2f}",
-        "identified" if sigma < 0.3 else "weak",
-        note,
-    )
+        note = "the receiver's σ is too " + ("small" if scale > 0 else "large")
+    verdict = "identified" if sigma < 0.3 else "weak"
+    if note and verdict == "identified":
+        found.values[SCATTER] = min(max(round(factor, 2), SMALLEST_SCATTER), LARGEST_SCATTER)
+    text = f"{factor:.2f} × stated σ"
+    found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.2f}", verdict, note, SCATTER)

@@ -47,7 +47,20 @@ class CovarianceInflation:
     kind: ClassVar[str] = "covariance inflation"
 
 
-Change = NoiseEstimate | NoiseChange | ClockShift | CovarianceInflation
+@dataclass(frozen=True, slots=True)
+class ScatterInForce:
+    """
+    From its stamp on, positions are fused with the scatter that was learned.
+
+    Hypotheses of a bank fuse them with the given one: their likelihoods are to be those of the same
+    measurements.
+    """
+
+    t_ns: int
+    kind: ClassVar[str] = "scatter in force"
+
+
+Change = NoiseEstimate | NoiseChange | ClockShift | CovarianceInflation | ScatterInForce
 Event = Measurement | Change
 
 

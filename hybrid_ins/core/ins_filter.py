@@ -24,6 +24,7 @@ from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
@@ -63,6 +64,10 @@ class FilterSettings:
         that offset.
     keep_record : bool
         Keep a `FilterRecord`, for a smoother.
+    position_scatter : float
+        Scatter of positions from fix to fix, relative to the standard deviations they claim.
+    learn_scatter : bool
+        Learn that from the fixes, see `PositionScatter`.
     """
 
     covariance_interval: float = 0.01
@@ -71,6 +76,12 @@ class FilterSettings:
     clock_prior: ClockPrior | None = None
     consider_clock: bool = False
     keep_record: bool = False
+    position_scatter: float = 1.0
+    learn_scatter: bool = False
+
+    def scatter(self) -> PositionScatter:
+        """Return the scatter of positions that a filter begins with."""
+        return PositionScatter(self.position_scatter**2, self.learn_scatter)
 
 
 class InsFilter:
@@ -126,7 +137,7 @@ class InsFilter:
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n)
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
-        self._update = MeasurementUpdate(noise, gate, clock, corrected_ns=t_ns)
+        self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns)
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import iterated_update
 from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
-from hybrid_ins.core.events import ClockShift, CovarianceInflation, Event, NoiseChange
+from hybrid_ins.core.events import (
+    ClockShift,
+    CovarianceInflation,
+    Event,
+    NoiseChange,
+    ScatterInForce,
+)
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_update import fuse_ordinary_fix
 from hybrid_ins.core.gate import Gate, Verdict
@@ -23,6 +29,7 @@ from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.position_scatter import PositionScatter, residual_variance
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
@@ -37,6 +44,7 @@ from hybrid_ins.core.state import (
 )
 
 Array = NDArray[np.float64]
+Model = tuple[Array, Array, Array]  # z, H, R
 
 
 class Outcome(NamedTuple):
@@ -61,21 +69,33 @@ class MeasurementUpdate:
         Decides which measurements are fused.
     clock : ClockOffsetObserver
         Clock offset of fixes, estimated beside the state.
+    scatter : PositionScatter
+        Share of the claimed variance of positions that is white.
     corrected_ns : int
         Stamp of the last fix that was fused, or of the start [ns].
     """
 
     def __init__(
-        self, noise: FilterNoise, gate: Gate, clock: ClockOffsetObserver, corrected_ns: int
+        self,
+        noise: FilterNoise,
+        gate: Gate,
+        clock: ClockOffsetObserver,
+        scatter: PositionScatter,
+        corrected_ns: int,
     ) -> None:
         self.noise = noise
         self.gate = gate
         self.clock = clock
+        self.scatter = scatter
         self._corrected_ns = corrected_ns
 
     def __copy__(self) -> MeasurementUpdate:
         return MeasurementUpdate(
-            copy.copy(self.noise), copy.copy(self.gate), copy.copy(self.clock), self._corrected_ns
+            copy.copy(self.noise),
+            copy.copy(self.gate),
+            copy.copy(self.clock),
+            copy.copy(self.scatter),
+            self._corrected_ns,
         )
 
     def apply(self, nav: Array, event: Event, age: float, consider_clock: bool) -> Outcome:
@@ -102,18 +122,36 @@ class MeasurementUpdate:
         elif isinstance(event, CovarianceInflation):
             pack(inflate_covariance(covariance(nav), event.std), nav[COVARIANCE])
             self.noise.restart(keep_weights=True)
+        elif isinstance(event, ScatterInForce):
+            self.scatter.in_force = True
         else:
             model = event.linearise(nav)
+            learn_scatter = None
+            if isinstance(event, PositionFix):
+                model, learn_scatter = self._split_position(nav, event, model)
             fused = self._fuse_ordinary(nav, event, model, age) if event.sensor == GNSS else None
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved = fused or self._fuse(nav, event, model, age)
+            if verdict.accepted and learn_scatter is not None:
+                self.scatter.learn(*learn_scatter)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved)
 
+    def _split_position(
+        self, nav: Array, fix: PositionFix, model: Model
+    ) -> tuple[Model, tuple[float, int, int]]:
+        """Return a position's model with the white part of R, and what its scatter teaches."""
+        z, H, claimed = model
+        share = self.scatter.share(claimed)
+        self.scatter.split(nav, claimed, share, fix.t_ns)
+        white = share * claimed
+        found = residual_variance(nav[COVARIANCE], z, H, white, self.noise.fix_factor)
+        return (z, H, white), (share * found, len(z), fix.t_ns)
+
     def _fuse_ordinary(
-        self, nav: Array, fix: Measurement, model: tuple[Array, Array, Array], age: float
+        self, nav: Array, fix: Measurement, model: Model, age: float
     ) -> tuple[Verdict, bool] | None:
         """Do what `_fuse` does with a fix that has its full weight; None, if this one has not."""
         z, H, R = model
@@ -148,7 +186,7 @@ class MeasurementUpdate:
         self,
         nav: Array,
         measurement: Measurement,
-        model: tuple[Array, Array, Array],
+        model: Model,
         age: float,
     ) -> tuple[Verdict, bool]:
         """

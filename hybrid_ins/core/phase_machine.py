@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment
 from hybrid_ins.core.clock_search import OFFSET_KNOWN, ClockSearch
-from hybrid_ins.core.events import Change
+from hybrid_ins.core.events import Change, ScatterInForce
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.heading_check import is_contradicted
@@ -99,6 +99,8 @@ class PhaseMachine:
 
     def _enter(self, phase: Phase) -> None:
         """Change the phase; every transition passes here."""
+        if phase.filter is not None and phase.filter is not self.filter:
+            phase.filter.submit(ScatterInForce(phase.filter.t_ns))
         self.phase = phase
         self.filter = phase.filter  # beside the phase: read at every sample
         self._stamps.steady_ns = self._stamps.max_gap_ns

@@ -47,7 +47,8 @@ PENDING_C = slice(38, 47)
 COVARIANCE = slice(47, 47 + N_ERROR * (N_ERROR + 1) // 2)
 SENSITIVITY = slice(COVARIANCE.stop, COVARIANCE.stop + N_ERROR)  # s = d(error)/d(clock offset)
 CLOCK_VARIANCE = SENSITIVITY.stop  # V [s²], of what the clock offset of fixes lacks
-N_NAV = CLOCK_VARIANCE + 1
+SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `position_scatter`
+N_NAV = SLOW_VARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 N_FLAT = SCRATCH.stop
@@ -73,13 +74,19 @@ def unpack(packed, full):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def unpack_total(nav, full):  # type: ignore[no-untyped-def]
-    """Write P + V s s', the covariance with the uncertain clock offset considered, (15, 15)."""
+    """
+    Write the covariance that is reported, (15, 15).
+
+    P + V s s', the uncertain clock offset considered, and B, the slow error of fixes.
+    """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
     if variance > 0.0:
         for i in range(N_ERROR):
             for j in range(N_ERROR):
                 full[i, j] += variance * s[i] * s[j]
+    for i in range(3):
+        full[i, i] += nav[SLOW_VARIANCE][i]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -143,4 +150,5 @@ def covariance(nav: Array) -> Array:
 def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
+    variance[DP] += nav[SLOW_VARIANCE]
     return np.sqrt(variance)

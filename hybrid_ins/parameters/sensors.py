@@ -153,6 +153,16 @@ GNSS = (
         runtime=True,
     ),
     Parameter(
+        "gnss.position_scatter",
+        1.0,
+        "Scatter of positions from fix to fix, relative to the standard deviations they claim, as "
+        "ins_calibrate finds it. Below 1 the rest of what they claim is a slow error: it does not "
+        "weigh fixes less, and is part of the published covariance. Learned while running where "
+        "noise.innovation_scale is true",
+        low=0.2,
+        high=10.0,
+    ),
+    Parameter(
         "gnss.position_std_max",
         100.0,
         "Fixes with a greater horizontal standard deviation are rejected",

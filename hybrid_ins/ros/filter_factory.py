@@ -51,6 +51,8 @@ class FilterFactory:
             values["gnss.max_delay"],
             consider_clock=values["gnss.time_offset.estimate"],
             keep_record=keep_record,
+            position_scatter=values["gnss.position_scatter"],
+            learn_scatter=self._adapts(),
         )
         self.set_clock_offset(values["gnss.time_offset.value"])
         self.speed_check = SpeedCheck(values["gnss.max_speed"], values["gnss.patience"])
@@ -103,12 +105,14 @@ class FilterFactory:
 
     def noise(self, period: float) -> FilterNoise:
         """Return the noise of a new filter for an IMU's sample period [s]."""
-        values = self._values
         process = self._process(period)
-        factors = None
-        if values["noise.mode"] == "learned" and values["noise.innovation_scale"]:
-            factors = NoiseMultipleModelBank()
+        factors = NoiseMultipleModelBank() if self._adapts() else None
         return FilterNoise(self._model(process), process, factors)
+
+    def _adapts(self) -> bool:
+        """Return whether noise is learned from the innovations, too."""
+        values = self._values
+        return bool(values["noise.mode"] == "learned" and values["noise.innovation_scale"])
 
     def _process(self, period: float) -> ProcessNoise:
         walk_a = self._values["imu.accelerometer_bias_walk"]

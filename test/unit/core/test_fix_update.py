@@ -14,6 +14,7 @@ from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
@@ -35,7 +36,8 @@ def update(factors: bool) -> MeasurementUpdate:
     process = ProcessNoise(np.full(6, 1e-6), 0.01)
     bank = NoiseMultipleModelBank() if factors else None
     noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), process, bank)
-    return MeasurementUpdate(noise, Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3), SECOND)
+    gate, clock = Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3)
+    return MeasurementUpdate(noise, gate, clock, PositionScatter(), SECOND)
 
 
 def flat_state(rng: np.random.Generator) -> Array:

@@ -1,0 +1,158 @@
+"""
+Scatter of GNSS positions below what their receiver claims: a white part and a slow one.
+
+Many receivers claim metres, which is how far off they are, and scatter by decimetres from fix to
+fix: most of their error is slow, [1]_. A filter that takes all of it as white follows the fixes
+less than they deserve, and its covariance, which averages white errors away, holds the absolute
+error less than it claims to. So the claimed variance is split: R is the white part, a share r of
+it, and the rest is the variance B of a slow error, a first-order Gauss-Markov process.
+
+The share r is learned from the residuals e of the fixes that are fused, as the variational filter
+of [2]_ does it: their variance about the true position is e e' + H P H' after the update. What was
+learned fades, and starts as a prior about the given share.
+
+The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
+to the covariance of the position that is reported, not to that of the filter. From fix to fix it
+changes, as a random walk of position; where the claimed variance falls by more than a factor,
+the receiver has found a better solution, and the old slow error is left in the state.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 9.3 (correlated errors of GNSS).
+.. [2] S. Särkkä, A. Nummenmaa, "Recursive noise adaptive Kalman filtering by variational Bayesian
+       approximations", IEEE Transactions on Automatic Control 54, 2009.
+.. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.kalman import innovation_covariance
+from hybrid_ins.core.linalg import factorise, solve
+from hybrid_ins.core.shallow_copy import ShallowCopy
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
+
+Array = NDArray[np.float64]
+
+MEMORY = 30.0  # s, over which the scatter is averaged
+PRIOR_COUNT = 20.0  # components, that the given share weighs at the start
+MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
+SMALLEST = 0.03  # share of the claimed variance
+SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
+LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
+SLOW_TIME = 100.0  # s, correlation time of the slow error
+BETTER_SOLUTION = 0.25  # of the slow error's variance
+
+
+class PositionScatter(ShallowCopy):
+    """
+    Share of the claimed variance of positions that is white.
+
+    A copy is a checkpoint.
+
+    Parameters
+    ----------
+    given : float
+        The share to begin with: the square of ``gnss.position_scatter``.
+    learning : bool
+        Learn the share from the fixes; otherwise it stays.
+
+    Attributes
+    ----------
+    in_force : bool
+        Positions are fused with the learned share; otherwise with the given one.
+    """
+
+    def __init__(self, given: float = 1.0, learning: bool = False) -> None:
+        self._given = given
+        self._learning = learning
+        self._count = PRIOR_COUNT
+        self._sum = PRIOR_COUNT * given / MARGIN
+        self._learned = given
+        self._t_ns = 0  # of the last position
+        self.in_force = False
+
+    @property
+    def learned(self) -> float:
+        """Share that the fixes show; the given one until they do."""
+        return self._learned
+
+    def share(self, claimed: Array) -> float:
+        """Return the share in force for a claimed covariance (m, m)."""
+        share = self._learned if self.in_force else self._given
+        if share >= 1.0:
+            return share
+        horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
+        return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
+
+    def split(self, nav: Array, claimed: Array, share: float, t_ns: int) -> None:
+        """Let the slow error of a flat state change until a fix with a claimed covariance."""
+        interval = min(max((t_ns - self._t_ns) * 1e-9, 0.0), 0.5 * SLOW_TIME)
+        change_slow_error(nav, max(1.0 - share, 0.0) * claimed.diagonal(), interval)
+
+    def learn(self, found: float, m: int, t_ns: int) -> None:
+        """Use the `residual_variance` of a fix with ``m`` components that was fused."""
+        interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
+        self._t_ns = t_ns
+        if not self._learning:
+            return
+        fading = math.exp(-interval / MEMORY)
+        self._count = fading * self._count + m
+        self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL)
+        mean = MARGIN * self._sum / self._count
+        self._learned = min(max(mean, SMALLEST), max(1.0, self._given))
+
+
+@kernel()
+def residual_variance(packed, z, H, claimed, factor):  # type: ignore[no-untyped-def]
+    """
+    Return the variance that a fix shows after its update, relative to the claimed one.
+
+    With R = ``factor`` ``claimed``, y = S^-1 z and the residual e = R y, it is the mean over the
+    components of claimed^-1 (e e' + H P H'), where H P H' = R - R S^-1 R after the update; eq. (25)
+    of [2]_ in terms of the innovation.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (120,)
+        Upper triangle of P, before the update.
+    z, H, claimed : ndarray, shape (m,), (m, 15), (m, m)
+        Innovation, measurement matrix, claimed covariance.
+    factor : float
+        With which that is fused.
+    """
+    m = len(z)
+    root, _ = innovation_covariance(packed, H, factor * claimed)
+    factorise(root)
+    y, square, trace = z.copy(), 0.0, 0.0
+    solve(root, y)
+    for a in range(m):
+        column = claimed[:, a].copy()
+        for b in range(m):
+            square += y[a] * claimed[a, b] * y[b]
+        solve(root, column)
+        trace += column[a]
+    return factor + factor * factor * (square - trace) / m
+
+
+@kernel()
+def change_slow_error(nav, variance, interval):  # type: ignore[no-untyped-def]
+    """
+    Let the slow error of fixes change over an interval [s], to a new variance [m²], NED.
+
+    ``variance``, shape (m,), may lack the height. Overwrites P and B of the flat state ``nav``.
+    """
+    for i in range(len(variance)):
+        slow = nav[SLOW_VARIANCE][i]
+        grown = 2.0 * slow * interval / SLOW_TIME
+        if variance[i] < BETTER_SOLUTION * slow:
+            grown = slow
+        nav[COVARIANCE][DIAGONAL[i]] += grown
+        nav[SLOW_VARIANCE][i] = variance[i]

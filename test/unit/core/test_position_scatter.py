@@ -1,0 +1,132 @@
+"""The share of the claimed variance of positions that is white, and the slow rest."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core import iterated_update
+from hybrid_ins.core.kalman import innovation
+from hybrid_ins.core.position_scatter import (
+    MARGIN,
+    PositionScatter,
+    change_slow_error,
+    residual_variance,
+)
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DP,
+    N_ERROR,
+    SLOW_VARIANCE,
+    Array,
+    NavState,
+    covariance,
+    pack,
+    total_std,
+    unpack_total,
+)
+
+SECOND = 1_000_000_000
+H = np.eye(3, N_ERROR)
+
+
+def standing(P: Array) -> Array:
+    """Return a flat state whose position has the covariance P (3, 3)."""
+    full = 1e-12 * np.eye(N_ERROR)
+    full[DP, DP] = P
+    lla, identity = np.array([0.5, 0.6, 10.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    return NavState(lla, np.zeros(3), identity, np.zeros(3), np.zeros(3), full).to_flat()
+
+
+def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> PositionScatter:
+    """Return what fixes at 5 Hz teach, whose errors about a wandering position are white."""
+    rng = np.random.default_rng(3)
+    found, nav = PositionScatter(learning=True), standing(np.eye(3))
+    found.in_force = True
+    R, offset = claimed**2 * np.eye(3), rng.normal(0.0, 1.0, 3)  # true minus estimated
+    for k in range(1, count):
+        P = covariance(nav)
+        P[DP, DP] += walk**2 * np.eye(3)
+        pack(P, nav[COVARIANCE])
+        offset += rng.normal(0.0, walk, 3)
+        z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
+        residual = residual_variance(nav[COVARIANCE], z, H, R, share)
+        dx, _ = iterated_update.update(nav, z, H, share * R)
+        offset -= dx[DP]
+        found.learn(residual, 3, k * SECOND // 5)
+    return found
+
+
+@pytest.mark.parametrize("walk", [0.02, 0.2])
+@pytest.mark.parametrize(("scatter", "claimed"), [(0.4, 1.0), (0.6, 3.0)])
+def test_a_scatter_below_the_claim_is_learned(scatter: float, claimed: float, walk: float) -> None:
+    true = (scatter / claimed) ** 2
+    assert learned(scatter, claimed, walk).learned == pytest.approx(MARGIN * true, rel=0.4)
+
+
+@pytest.mark.parametrize("walk", [0.02, 0.3])
+def test_a_right_claim_stays(walk: float) -> None:
+    assert learned(1.0, 1.0, walk).learned > 0.95
+
+
+def test_more_scatter_than_claimed_is_left_to_the_noise_factors() -> None:
+    assert learned(3.0, 1.0, 0.1).learned == 1.0
+
+
+def test_centimetres_are_not_split() -> None:
+    found = learned(0.1, 1.0, 0.02)
+    assert found.share(np.eye(3)) < 0.1
+    assert found.share(1e-4 * np.eye(3)) == 1.0
+
+
+def test_the_learned_share_waits_until_it_is_in_force() -> None:
+    found = learned(0.2, 1.0, 0.02)
+    before = copy.copy(found)
+    before.in_force = False
+    assert before.share(np.eye(3)) == 1.0 and found.share(np.eye(3)) < 0.1
+
+
+def test_a_given_share_above_1_is_the_upper_limit() -> None:
+    found = PositionScatter(9.0, learning=True)
+    for k in range(200):
+        found.learn(9.0, 3, k * SECOND)
+    assert found.share(np.eye(3)) == 9.0
+
+
+def test_residual_variance_is_that_of_the_dense_update() -> None:
+    rng = np.random.default_rng(5)
+    root, other = rng.normal(size=(2, 3, 3))
+    nav, claimed = standing(root @ root.T), other @ other.T + np.eye(3)
+    z, factor = rng.normal(size=3), 0.3
+    P, R = covariance(nav), factor * claimed
+    S, _ = innovation(nav, z, H, R)
+    K = P @ H.T @ np.linalg.inv(S)
+    e, after = z - H @ K @ z, H @ (P - K @ H @ P) @ H.T
+
+    expected = np.trace(np.linalg.inv(claimed) @ (np.outer(e, e) + after)) / 3.0
+
+    assert residual_variance(nav[COVARIANCE], z, H, claimed, factor) == pytest.approx(expected)
+
+
+def test_the_slow_error_is_reported_and_walks() -> None:
+    nav, P = standing(0.01 * np.eye(3)), np.empty((N_ERROR, N_ERROR))
+    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 5.0)
+    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # there was none before
+
+    change_slow_error(nav, np.array([0.8, 0.8, 1.8]), 0.5)
+
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], 0.01 + np.array([0.009, 0.009, 0.02]))
+    unpack_total(nav, P)
+    np.testing.assert_allclose(np.diag(P)[DP], [0.819, 0.819, 1.83])
+    np.testing.assert_allclose(total_std(nav), np.sqrt(np.diag(P)))
+
+
+def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
+    """GIVEN metres WHEN a fix claims a centimetre THEN it can correct what the former left."""
+    nav = standing(0.01 * np.eye(3))
+    nav[SLOW_VARIANCE] = 0.9, 0.9, 2.0
+
+    change_slow_error(nav, np.zeros(2), 0.2)  # a fix without height
+
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], [0.91, 0.91, 0.01])
+    np.testing.assert_allclose(nav[SLOW_VARIANCE], [0.0, 0.0, 2.0])
