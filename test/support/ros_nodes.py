@@ -15,7 +15,12 @@ from support.paths import ROOT
 from tools.processes import Processes
 
 ENVIRONMENT = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-HEADING = ["alignment.heading_source:=parameter", f"alignment.yaw:={math.pi / 2:.6f}"]
+# With a clock that is known as well, nothing is searched for when a short flight begins.
+HEADING = [
+    "alignment.heading_source:=parameter",
+    f"alignment.yaw:={math.pi / 2:.6f}",
+    "gnss.time_offset.estimate:=false",
+]
 
 
 def start_node(
