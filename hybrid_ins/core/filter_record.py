@@ -12,6 +12,7 @@ from hybrid_ins.core.events import Event
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurement_update import Outcome
+from hybrid_ins.core.position_scatter import Split
 from hybrid_ins.core.state import NavState
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ class Decided:
     verdict: Verdict | None  # None: no measurement
     r_scale: float  # factor on the covariance of fixes
     state_moved: bool  # by a `StateCorrection`
+    split: Split | None  # of a position's covariance
     levels: Array  # (6,) per-sample variances in force after it
     clock_residual: float  # s, to be added to the stamps of fixes
     clock_variance: float  # s²
@@ -82,6 +84,7 @@ class FilterRecord:
                 verdict,
                 noise.fix_factor,
                 False,
+                None,
                 noise.levels(),
                 clock.residual,
                 clock.sigma**2,

@@ -138,7 +138,8 @@ def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Updat
         if update is not None or not np.array_equal(step.levels, levels):
             updates.append(update or Update(step.decided.event.t_ns, psd(step.levels)))
             levels = step.levels
-    start = Start(first.start.t_ns, first.start.sample, first.start.state, psd(first_levels))
+    slow = next((u.split.slow_variance for u in updates if u.split is not None), None)
+    start = Start(first.start.t_ns, first.start.sample, first.start.state, psd(first_levels), slow)
     return start, sorted(updates, key=lambda update: update.t_ns)
 
 
@@ -153,7 +154,8 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
         return Update(event.t_ns, psd, std=event.std)
     if verdict is None:
         return None
-    plain = verdict.accepted and not verdict.inflated
+    plain, split = verdict.accepted and not verdict.inflated, step.decided.split
+    white = 1.0 if split is None else split.share
     measurement = verdict.measurement
     if measurement.sensor == GNSS:
         measurement = replace(measurement, t_ns=measurement.t_ns + moved_ns)  # type: ignore[type-var]
@@ -161,9 +163,10 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
         measurement.t_ns,
         psd,
         measurement,
-        step.r_scale / verdict.weight if measurement.sensor == GNSS else 1.0,
+        step.r_scale * white / verdict.weight if measurement.sensor == GNSS else 1.0,
         math.inf if plain else verdict.threshold,
         verdict.inflated,
+        split=split,
     )
 
 

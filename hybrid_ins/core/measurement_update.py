@@ -29,7 +29,12 @@ from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate
-from hybrid_ins.core.position_scatter import PositionScatter, residual_variance
+from hybrid_ins.core.position_scatter import (
+    PositionScatter,
+    Split,
+    change_slow_error,
+    residual_variance,
+)
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
@@ -53,6 +58,7 @@ class Outcome(NamedTuple):
     verdict: Verdict | None  # None: no measurement
     r_scale: float  # factor that was on the covariance of fixes
     state_moved: bool  # by a `StateCorrection`
+    split: Split | None  # of a position's covariance
 
 
 class MeasurementUpdate:
@@ -113,6 +119,7 @@ class MeasurementUpdate:
             See `FilterSettings`.
         """
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
+        split: Split | None = None
         if isinstance(event, NoiseChange):
             self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
@@ -126,29 +133,26 @@ class MeasurementUpdate:
             self.scatter.in_force = True
         else:
             model = event.linearise(nav)
-            learn_scatter = None
             if isinstance(event, PositionFix):
-                model, learn_scatter = self._split_position(nav, event, model)
+                split = self.scatter.split(model[2], event.t_ns)
+                model, found = self._split_position(nav, model, split)
             fused = self._fuse_ordinary(nav, event, model, age) if event.sensor == GNSS else None
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved = fused or self._fuse(nav, event, model, age)
-            if verdict.accepted and learn_scatter is not None:
-                self.scatter.learn(*learn_scatter)
+            if verdict.accepted and split is not None:
+                self.scatter.learn(found, len(model[0]), event.t_ns)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
-        return Outcome(verdict, r_scale, moved)
+        return Outcome(verdict, r_scale, moved, split)
 
-    def _split_position(
-        self, nav: Array, fix: PositionFix, model: Model
-    ) -> tuple[Model, tuple[float, int, int]]:
+    def _split_position(self, nav: Array, model: Model, split: Split) -> tuple[Model, float]:
         """Return a position's model with the white part of R, and what its scatter teaches."""
         z, H, claimed = model
-        share = self.scatter.share(claimed)
-        self.scatter.split(nav, claimed, share, fix.t_ns)
-        white = share * claimed
+        change_slow_error(nav, split.slow_variance, split.interval)
+        white = split.share * claimed
         found = residual_variance(nav[COVARIANCE], z, H, white, self.noise.fix_factor)
-        return (z, H, white), (share * found, len(z), fix.t_ns)
+        return (z, H, white), split.share * found
 
     def _fuse_ordinary(
         self, nav: Array, fix: Measurement, model: Model, age: float

@@ -29,6 +29,7 @@ References
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,14 @@ SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 BETTER_SOLUTION = 0.25  # of the slow error's variance
+
+
+class Split(NamedTuple):
+    """The claimed variance of a position in two parts."""
+
+    share: float  # of it that is white
+    slow_variance: Array  # (m,) m², NED, the rest
+    interval: float  # s, since the position before, in which the slow error has changed
 
 
 class PositionScatter(ShallowCopy):
@@ -92,10 +101,11 @@ class PositionScatter(ShallowCopy):
         horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
         return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
 
-    def split(self, nav: Array, claimed: Array, share: float, t_ns: int) -> None:
-        """Let the slow error of a flat state change until a fix with a claimed covariance."""
-        interval = min(max((t_ns - self._t_ns) * 1e-9, 0.0), 0.5 * SLOW_TIME)
-        change_slow_error(nav, max(1.0 - share, 0.0) * claimed.diagonal(), interval)
+    def split(self, claimed: Array, t_ns: int) -> Split:
+        """Return the split of a claimed covariance (m, m) with a stamp [ns]."""
+        share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
+        interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
+        return Split(share, max(1.0 - share, 0.0) * claimed.diagonal(), interval)
 
     def learn(self, found: float, m: int, t_ns: int) -> None:
         """Use the `residual_variance` of a fix with ``m`` components that was fused."""

@@ -34,6 +34,7 @@ from hybrid_ins.core.backward_propagation import run_backward
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.position_scatter import change_slow_error
 from hybrid_ins.core.smoothed_lever_arm import (
     MOST_PASSES,
     N_SENSITIVITY,
@@ -158,6 +159,8 @@ class Smoother:
         nav = self._start.state.to_flat()
         nav[LAST_F], nav[LAST_W] = self._start.sample[:3], self._start.sample[3:]
         nav[PSD] = self._start.psd
+        if self._start.slow_variance is not None:
+            change_slow_error(nav, self._start.slow_variance, 0.0)
         self._corrected_ns = self._start.t_ns
         self._spans.clear()
         self._fused.clear()
@@ -176,8 +179,7 @@ class Smoother:
 
     def _apply(self, nav: Array, k: int, update: Update) -> None:
         """Apply an update to the flat state of the forward pass."""
-        if update.std is not None:
-            pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
+        _inflate(nav, update)
         if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
             measurement = self._assumed(update.measurement)
             z, H, R = measurement.linearise(nav)
@@ -231,8 +233,7 @@ class Smoother:
         """Return the adjoint before an update, given that after it and the state before it."""
         update = self._nodes[k].update
         assert update is not None and update.measurement is not None
-        if update.std is not None:
-            pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
+        _inflate(nav, update)
         measurement = self._assumed(update.measurement)
         z, H, R = measurement.linearise(nav)
         if k in self._spans:
@@ -325,6 +326,14 @@ class Smoother:
         t_ns, rows = run_backward(nav, self._start.t_ns, samples, self._long_step_ns)
         if len(rows):
             yield t_ns, rows
+
+
+def _inflate(nav: Array, update: Update) -> None:
+    """Add what is not known any more, before an update's measurement is fused."""
+    if update.std is not None:
+        pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
+    if update.split is not None:
+        change_slow_error(nav, update.split.slow_variance, update.split.interval)
 
 
 def _bridge(nav: Array, dt: float, reading: Array, interval: float) -> tuple[Any, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.position_scatter import Split
 from hybrid_ins.core.samples import as_numbers, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import NavState
 
@@ -32,6 +33,7 @@ class Start:
     sample: Array  # (6,) the IMU sample then: m/s², rad/s, b
     state: NavState
     psd: Array  # (12,) Qc's diagonal from then on
+    slow_variance: Array | None = None  # (m,) m², NED, of the slow error of positions, if any
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,8 @@ class Update:
         Beyond the threshold the covariance is inflated to fit the measurement, which is fused then.
     std : ndarray, shape (15,), or None
         The covariance is inflated to at least these standard deviations.
+    split : Split or None
+        How a position's covariance was split; ``r_scale`` contains the share that is white.
     """
 
     t_ns: int
@@ -64,6 +68,7 @@ class Update:
     threshold: float = np.inf
     inflates: bool = False
     std: Array | None = None
+    split: Split | None = None
 
 
 class Node(NamedTuple):

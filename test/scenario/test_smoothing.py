@@ -108,6 +108,22 @@ def test_late_fixes_are_smoothed_as_those_in_time() -> None:
     assert np.abs(in_time[1000:, :3] - late[1000:, :3]).max() < 0.02
 
 
+def test_positions_are_smoothed_with_their_scatter_and_the_slow_rest_is_reported() -> None:
+    # GIVEN fixes that scatter by 0.1 m, and the same that claim 1 m
+    run = draw(Scenario("claims", rate=100.0, duration=60.0), 1)
+    claims = tuple(replace(fix, covariance_n=np.eye(3)) for fix in run.fixes)
+    given = {"gnss.time_offset.estimate": False}
+    # WHEN both are smoothed
+    _, right = smoothed(run, **given)
+    _, claimed = smoothed(replace(run, fixes=claims), **given)
+    # THEN the tracks are close, also where the filter has not learned the scatter yet
+    apart = np.linalg.norm((claimed - right)[1000:, :3], axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.033  # 0.040 with the claimed covariance
+    # AND what is reported holds what the receiver may be off by
+    variance = claimed[1000:, [7, 14, 21]]
+    assert variance.min() > 0.5 and variance.max() < 1.5
+
+
 def test_stretches_between_restarts_are_smoothed_each_by_itself() -> None:
     # GIVEN a run without IMU samples for 5 s
     run = draw(Scenario("gap", rate=100.0, duration=60.0), 2)

@@ -88,7 +88,6 @@ def through_estimator(
         record,
     )
     fix = new_message("sensor_msgs/msg/NavSatFix")
-    fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
     fix.position_covariance_type = 2
     stamps, start = run.samples["t_ns"], 0
     for f in run.fixes:
@@ -103,5 +102,6 @@ def through_estimator(
         conversions.set_stamp(fix.header.stamp, f.t_ns)
         fix.latitude, fix.longitude = np.degrees(f.lla[:2]).tolist()
         fix.altitude = float(f.lla[2])
+        fix.position_covariance = np.diag(f.covariance_n.diagonal()[[1, 0, 2]]).ravel()
         estimator.handle_fix(fix)
     return estimator

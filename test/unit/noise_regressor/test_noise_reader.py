@@ -506,7 +506,7 @@ def test_an_impossible_mode_is_refused_before_anything_changes() -> None:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("run") / "run.mcap"
-    assert simulate.main([str(path), "--duration", "12", "--imu-rate", "200"]) == 0
+    assert simulate.main([str(path), "--duration", "20", "--imu-rate", "200"]) == 0
     return path
 
 
