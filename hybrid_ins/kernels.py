@@ -10,11 +10,13 @@ installation.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 
 import numpy as np
 
@@ -65,7 +67,8 @@ def prepare(announce: Callable[[str], None] = lambda text: None, parts: Sequence
         with kernel_cache.exclusive(lambda: announce(WAITING)):
             if _missing(parts):
                 announce(COMPILING)
-                _compile(parts)
+                with signals_repeated():
+                    _compile(parts)
     _compile_filter()
     _compile_output()
 
@@ -113,6 +116,38 @@ def _compiled_beside(*parts: str) -> Iterator[None]:
     finally:
         child.kill()
         child.wait()
+
+
+@contextmanager
+def signals_repeated() -> Iterator[None]:
+    """
+    Within the block, SIGINT and SIGTERM come again every second until one ends the block.
+
+    A handler ends it by an exception, and the compiler loses one that is raised while it calls
+    back from C.
+    """
+    timers: list[threading.Timer] = []
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        timers.append(threading.Timer(1.0, os.kill, (os.getpid(), number)))
+        timers[-1].start()
+        handler = handlers[signal.Signals(number)]
+        assert callable(handler)
+        handler(number, frame)
+
+    wrapped = [number for number, handler in handlers.items() if callable(handler)]
+    if threading.current_thread() is not threading.main_thread():
+        wrapped = []  # no other thread has handlers
+    for number in wrapped:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for timer in timers:
+            timer.cancel()
+        for number in wrapped:
+            signal.signal(number, handlers[number])
 
 
 def _end_with_parent() -> None:
