@@ -136,9 +136,8 @@ def signals_repeated() -> Iterator[None]:
         assert callable(handler)
         handler(number, frame)
 
-    wrapped = [number for number, handler in handlers.items() if callable(handler)]
-    if threading.current_thread() is not threading.main_thread():
-        wrapped = []  # no other thread has handlers
+    is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
+    wrapped = [number for number, handler in handlers.items() if is_main and callable(handler)]
     for number in wrapped:
         signal.signal(number, handle)
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hybrid_ins.ros import gps_fix
+from hybrid_ins.ros import gps_fix, interface
 
 Message: TypeAlias = Any  # its class depends on the topic
 
@@ -21,13 +21,6 @@ VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
-
-LATCHED = (
-    "/datum",
-    "/validity",
-    "/truth/datum",
-    "/tf_static",
-)  # topics whose last message late readers get
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in gps_fix.DEFINITIONS.items():
@@ -76,3 +69,10 @@ def _zero_of(description: Any) -> Callable[[], Any]:
 def absolute(topic: str) -> str:
     """Return a topic's name with its leading slash."""
     return topic if topic.startswith("/") else f"/{topic}"
+
+
+LATCHED = frozenset(
+    {"/truth/datum"}
+    | {absolute(name) for name, q in interface.QUALITY.items() if q.transient_local}
+)
+"""Topics whose last message late readers get."""

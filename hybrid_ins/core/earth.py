@@ -13,6 +13,8 @@ References
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
@@ -173,3 +175,12 @@ def curvature_scale(lla: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     meridian, transverse = radii(lla[0])
     return np.array([meridian + lla[2], (transverse + lla[2]) * np.cos(lla[0]), -1.0])
+
+
+def horizontal_displacement(
+    start: tuple[float, float], end: tuple[float, float]
+) -> tuple[float, float]:
+    """Return north, east [m] from one latitude and longitude [rad] to another near by."""
+    meridian, transverse = radii(end[0])
+    turn = math.remainder(end[1] - start[1], math.tau)
+    return (end[0] - start[0]) * meridian, turn * transverse * math.cos(end[0])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hybrid_ins.core.earth import radii
+from hybrid_ins.core.earth import horizontal_displacement
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 
 SIGMAS = 4.0  # of the measurements' own noise, that no speed needs to explain
@@ -80,10 +80,7 @@ class SpeedCheck:
 
     def _connects(self, before: _Place, here: _Place) -> bool:
         """Return whether the vehicle can get from one place to the other in that time."""
-        meridian, transverse = radii(here.latitude)
-        north = (here.latitude - before.latitude) * meridian
-        turn = math.remainder(here.longitude - before.longitude, 2.0 * math.pi)
-        east = turn * transverse * math.cos(here.latitude)
+        north, east = horizontal_displacement(before[1:3], here[1:3])
         seconds = max(abs(here.t_ns - before.t_ns) * 1e-9, SHORTEST)
         noise = SIGMAS * math.sqrt(before.variance + here.variance)
         return math.hypot(north, east) - noise <= self.max_speed * seconds

@@ -146,11 +146,13 @@ class MeasurementUpdate:
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved, split)
 
-    def _split_position(self, nav: Array, model: Model, split: Split) -> tuple[Model, float]:
+    def _split_position(self, nav: Array, model: Model, split: Split) -> tuple[Model, float | None]:
         """Return a position's model with the white part of R, and what its scatter teaches."""
         z, H, claimed = model
         change_slow_error(nav, split.slow_variance, split.interval)
         white = split.share * claimed
+        if not self.scatter.learning:
+            return (z, H, white), None
         found = residual_variance(nav[COVARIANCE], z, H, white, self.noise.fix_factor)
         return (z, H, white), split.share * found
 

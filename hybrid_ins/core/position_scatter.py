@@ -75,27 +75,26 @@ class PositionScatter(ShallowCopy):
 
     Attributes
     ----------
+    learning : bool
+        See above.
+    learned : float
+        Share that the fixes show; the given one until they do.
     in_force : bool
         Positions are fused with the learned share; otherwise with the given one.
     """
 
     def __init__(self, given: float = 1.0, learning: bool = False) -> None:
         self._given = given
-        self._learning = learning
+        self.learning = learning
         self._count = PRIOR_COUNT
         self._sum = PRIOR_COUNT * given / MARGIN
-        self._learned = given
+        self.learned = given
         self._t_ns = 0  # of the last position
         self.in_force = False
 
-    @property
-    def learned(self) -> float:
-        """Share that the fixes show; the given one until they do."""
-        return self._learned
-
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
-        share = self._learned if self.in_force else self._given
+        share = self.learned if self.in_force else self._given
         if share >= 1.0:
             return share
         horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
@@ -107,17 +106,21 @@ class PositionScatter(ShallowCopy):
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
         return Split(share, max(1.0 - share, 0.0) * claimed.diagonal(), interval)
 
-    def learn(self, found: float, m: int, t_ns: int) -> None:
-        """Use the `residual_variance` of a fix with ``m`` components that was fused."""
+    def learn(self, found: float | None, m: int, t_ns: int) -> None:
+        """
+        Note a fix with ``m`` components that was fused; ``found`` is its `residual_variance`.
+
+        That is needed while ``learning`` only.
+        """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
         self._t_ns = t_ns
-        if not self._learning:
+        if found is None:
             return
         fading = math.exp(-interval / MEMORY)
         self._count = fading * self._count + m
         self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL)
         mean = MARGIN * self._sum / self._count
-        self._learned = min(max(mean, SMALLEST), max(1.0, self._given))
+        self.learned = min(max(mean, SMALLEST), max(1.0, self._given))
 
 
 @kernel()

@@ -36,6 +36,7 @@ from hybrid_ins.core.state import (
 )
 
 Array = NDArray[np.float64]
+Fix = PositionFix | VelocityFix  # of the antenna
 
 STD = 0.5  # m, of each component before anything is measured
 SETTLED = 0.1  # standard deviations by which the last pass may still have moved it
@@ -76,7 +77,7 @@ class SmoothedLeverArm:
 
     def assumed(self, measurement: Measurement) -> Measurement:
         """Return a measurement with the lever arm of this pass, where it has one."""
-        return _moved(measurement, self.lever_b)
+        return _moved(measurement, self.lever_b) if isinstance(measurement, Fix) else measurement
 
     def propagate(self, F: Array, lengths: Array) -> None:
         """Propagate the sensitivity over covariance steps: (m, 225), (m,) [s]."""
@@ -158,13 +159,12 @@ class SmoothedLeverArm:
         """Return innovation, measurement matrix, and the innovation's sensitivity (m, 3)."""
         z, H, _ = measurement.linearise(nav)
         h = H @ self.sensitivity
-        for i, step in enumerate(_STEP * np.eye(3)):
-            h[:, i] += (z - _moved(measurement, step).linearise(nav)[0]) / _STEP
+        if isinstance(measurement, Fix):
+            for i, step in enumerate(_STEP * np.eye(3)):
+                h[:, i] += (z - _moved(measurement, step).linearise(nav)[0]) / _STEP
         return z, H, h
 
 
-def _moved(measurement: Measurement, by_b: Array) -> Measurement:
-    """Return a measurement with the antenna's lever arm changed by ``by_b``, if it has one."""
-    if isinstance(measurement, (PositionFix, VelocityFix)):
-        return replace(measurement, lever_b=measurement.lever_b + by_b)
-    return measurement
+def _moved(fix: Fix, by_b: Array) -> Fix:
+    """Return a fix with the antenna's lever arm changed by ``by_b``."""
+    return replace(fix, lever_b=fix.lever_b + by_b)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import radii
+from hybrid_ins.core.earth import horizontal_displacement
 
 Array = NDArray[np.float64]
 Message = Any
@@ -68,6 +68,11 @@ LONGEST_STEP_NS, LONGEST_NS = 2_000_000_000, 10_000_000_000  # between messages,
 SHORTEST = 5.0  # m, of a comparison
 AGREES = math.radians(25.0)
 VOTES, MAJORITY = 5, 4
+
+
+def fix_type(status: int) -> str:
+    """Return the name of a ``GPSStatus.status`` or a ``NavSatStatus.status``."""
+    return FIX_TYPES.get(status, f"unknown ({status})")
 
 
 def position_of(message: Message, new: NewMessage) -> Message:
@@ -160,7 +165,8 @@ class TrackCheck:
             self._begin(here)
             return
         self._way += 0.5e-9 * (t_ns - before[0]) * (before[1] + velocities)
-        moved = _displacement(self._from, here)
+        north, east = horizontal_displacement(self._from[1:], here[1:])
+        moved = east, north
         if math.hypot(*moved) >= SHORTEST:
             self._votes.append(tuple(_angle(moved, way) < AGREES for way in self._way))
             self._decide()
@@ -191,15 +197,6 @@ def _velocities(speed: float, track: float) -> Array:
     """Return east, north [m/s] with a track in degrees from north, radians, degrees from east."""
     angles = np.array([0.5 * math.pi - math.radians(track), track, math.radians(track)])
     return speed * np.column_stack((np.cos(angles), np.sin(angles)))
-
-
-def _displacement(
-    start: tuple[int, float, float], end: tuple[int, float, float]
-) -> tuple[float, float]:
-    """Return east, north [m] between two places."""
-    meridian, transverse = radii(end[1])
-    turn = math.remainder(end[2] - start[2], math.tau)
-    return turn * transverse * math.cos(end[1]), (end[1] - start[1]) * meridian
 
 
 def _angle(one: tuple[float, float], other: Array) -> float:

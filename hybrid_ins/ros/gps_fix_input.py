@@ -8,7 +8,7 @@ from typing import Any
 
 from hybrid_ins.ros.conversions import stamp_ns
 from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.gps_fix import FIX_TYPES, NewMessage, TrackCheck, position_of, velocity_of
+from hybrid_ins.ros.gps_fix import NewMessage, TrackCheck, fix_type, position_of, velocity_of
 
 Message = Any
 
@@ -40,11 +40,8 @@ class GpsFixInput:
 
     def handle(self, message: Message, received_ns: int | None = None) -> list[Message]:
         """Use a message; returns what was made of it: a NavSatFix, a velocity."""
-        estimator, inputs, t_ns = (
-            self._estimator,
-            self._estimator.inputs,
-            stamp_ns(message.header.stamp),
-        )
+        estimator, inputs = self._estimator, self._estimator.inputs
+        t_ns = stamp_ns(message.header.stamp)
         if abs(t_ns - self._other_ns) < OTHER_TOPIC_NS:
             inputs.warn_once(
                 "gnss: two topics of fixes",
@@ -71,12 +68,10 @@ class GpsFixInput:
 
     def _note_receiver(self, message: Message) -> None:
         """Keep for diagnostics what a NavSatFix does not have."""
-        inputs, number = self._estimator.inputs, int(message.status.status)
-        fix_type = FIX_TYPES.get(number, f"unknown ({number})")
-        if self._fix_type and fix_type != self._fix_type:
-            inputs.inform(f"gnss: {fix_type}", f"gnss/gpsfix: {self._fix_type} -> {fix_type}")
-        self._fix_type = fix_type
-        inputs.receiver["fix_type"] = fix_type
+        inputs, found = self._estimator.inputs, fix_type(int(message.status.status))
+        if self._fix_type and found != self._fix_type:
+            inputs.inform(f"gnss: {found}", f"gnss/gpsfix: {self._fix_type} -> {found}")
+        self._fix_type = inputs.receiver["fix_type"] = found
         inputs.receiver["satellites_used"] = int(message.status.satellites_used)
         for name in ("hdop", "vdop"):
             value = float(getattr(message, name))

@@ -19,7 +19,7 @@ from hybrid_ins.ros.axes_monitor import AxesMonitor
 from hybrid_ins.ros.conversions import Message, Refused, missing_covariance
 from hybrid_ins.ros.fix_refusals import FixRefusals
 from hybrid_ins.ros.fix_scatter import FixScatter
-from hybrid_ins.ros.gps_fix import FIX_TYPES
+from hybrid_ins.ros.gps_fix import fix_type
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.lasting import LastingConditions
 
@@ -65,8 +65,7 @@ class InputReview:
     def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
         """Note a NavSatFix, and what it was converted to."""
         self._refusals.note(fix)
-        status = int(message.status.status)
-        self._inputs.receiver["fix_type"] = FIX_TYPES.get(status, f"unknown ({status})")
+        self._inputs.receiver["fix_type"] = fix_type(int(message.status.status))
         missing = "" if isinstance(fix, Refused) else missing_covariance(message)
         if missing:
             std = ", ".join(f"{s:g}" for s in self._values["gnss.position_std_default"])
