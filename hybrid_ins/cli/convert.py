@@ -12,13 +12,16 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.convert import DEFAULT_MAP, Conversion, convert
 from hybrid_ins.dataset.convert_logs import convert_logs
+from hybrid_ins.errors import InputError
 from hybrid_ins.resources import share_path
 from hybrid_ins.simulation.sensors import RTK_STD
+
+OF_FOLDERS = "imu", "gnss_rate", "gnss_noise", "seed", "outage", "map"  # options
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
-    return program.run(_run, _parser().parse_args(argv))
+    return program.run(_run, _parser().parse_intermixed_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -89,8 +92,14 @@ Rows that cannot be used are reported on stderr and left out.""",
 
 def _run(args: argparse.Namespace) -> None:
     if len(args.input) > 1 or args.input[0].is_file():
+        for name in OF_FOLDERS:
+            if getattr(args, name) != _parser().get_default(name):
+                option = "--" + name.replace("_", "-")
+                raise InputError(f"{option} is for a folder of CSV files, not for logs")
         origin = None
         if args.origin is not None:
+            if not (abs(args.origin[0]) < 90.0 and abs(args.origin[1]) <= 180.0):
+                raise InputError(f"--origin: {args.origin[:2]} is no latitude and longitude [deg]")
             origin = np.array([*np.radians(args.origin[:2]), args.origin[2]])
         offset, overwrite = args.time_offset, args.overwrite
         print(convert_logs(args.input, args.out, offset, origin, overwrite=overwrite))

@@ -20,7 +20,7 @@ from hybrid_ins.replay import log_message, replay_bag
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
-    return program.run(_run, _parser().parse_args(argv))
+    return program.run(_run, _parser().parse_intermixed_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -23,7 +23,7 @@ from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.dataset.logs.clock_match import clock_offset
 from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
-from hybrid_ins.dataset.logs.plausibility import check_imu
+from hybrid_ins.dataset.logs.plausibility import check_clocks, check_imu, check_velocity
 from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import SWAP, datum_fix
@@ -32,6 +32,7 @@ from hybrid_ins.ros.trajectory import Array, Trajectory
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
 UNKNOWN_VARIANCE = 1e6
 AUTOPILOT = "/autopilot"  # topics of its own estimate
+LATEST = 2.0**31  # s, of a stamp
 EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
 
 
@@ -71,6 +72,8 @@ def convert_logs(
         A file cannot be read, or the two have no time in common.
     """
     imu, gnss = read_logs(paths, origin)
+    _check_times(imu, 2)
+    _check_times(gnss, 1)
     told = ""
     common = min(imu.t[-1], gnss.t[-1]) - max(imu.t[0], gnss.t[0])
     if time_offset is not None:
@@ -84,6 +87,9 @@ def convert_logs(
         )
     if min(imu.t[-1], gnss.t[-1]) < max(imu.t[0], gnss.t[0]):
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
+    if time_offset is None and not told and imu.is_dated and gnss.is_dated:
+        check_clocks(imu, gnss)
+    check_velocity(gnss)
     imu = check_imu(imu, gnss)
     if not gnss.is_dated:
         imu, gnss = replace(imu, t=imu.t + EPOCH), replace(gnss, t=gnss.t + EPOCH)
@@ -92,6 +98,10 @@ def convert_logs(
     if estimate is not None:
         streams.append(_estimate_entries(replace(estimate, t=estimate.t + EPOCH)))
         told += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
+    if gnss.velocity_n is not None and (
+        gnss.velocity_covariance_n is None or not np.isfinite(gnss.velocity_covariance_n).any()
+    ):
+        told += "; velocities have no standard deviation and are left out"
     count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)
     entries = heapq.merge(*streams, key=itemgetter(0, 1))
     with BagWriter(out, overwrite=overwrite) as bag:
@@ -102,6 +112,18 @@ def convert_logs(
         f"{out}: {imu.t[-1] - imu.t[0]:.1f} s; {len(imu.t)} samples of {imu.path.name} at "
         f"{rate:.4g} Hz, {len(gnss.t)} fixes of {gnss.path.name}{told}"
     )
+
+
+def _check_times(log: ImuLog | GnssLog, fewest: int) -> None:
+    """Raise `InputError` for a log that is too short, or whose times fit no message's stamp."""
+    if len(log.t) < fewest:
+        kind = "samples of the IMU" if isinstance(log, ImuLog) else "fixes"
+        raise InputError(f"{log.path}: holds {len(log.t)} {kind}")
+    if np.abs(log.t).max() >= LATEST:
+        raise InputError(
+            f"{log.path}: its times reach {np.abs(log.t).max():.6g} s, but stamps end in 2038: "
+            "check unit and format of the time"
+        )
 
 
 def _imu_entries(imu: ImuLog) -> Iterator[Entry]:

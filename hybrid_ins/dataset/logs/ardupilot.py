@@ -9,6 +9,7 @@ message set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +43,8 @@ IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
     "SCALED_IMU": (1e-3 * GRAVITY, 1e-3),
 }
 UNKNOWN = 65_535  # of speed and course in GPS_RAW_INT
+
+_log = logging.getLogger(__name__)
 
 
 def recognise(head: bytes) -> bool:
@@ -190,16 +193,17 @@ def _messages(path: Path, *types: str) -> Iterator[Any]:
         from pymavlink.DFReader import DFReader_binary
     except ImportError:
         raise InputError(f"{path}: ArduPilot logs need pymavlink: pip install pymavlink") from None
-    log = None
+    log, count = None, 0
     try:
         log = DFReader_binary(str(path)) if _is_dataflash(path) else None
-        log = log or mavutil.mavlink_connection(str(path))
+        log = log or mavutil.mavlogfile(str(path))
         while (message := log.recv_match(type=list(types))) is not None:
+            count += 1
             yield message
-    except InputError:
-        raise
     except Exception as error:  # the library raises what the damage leads to
-        raise InputError(f"{path}: no readable log of ArduPilot: {error}") from None
+        if not count:
+            raise InputError(f"{path}: no readable log of ArduPilot: {error}") from None
+        _log.warning("%s: damaged: what follows the first %d messages is left out", path, count)
     finally:
         if log is not None:
             log.close()

@@ -92,7 +92,7 @@ def _failure(imu: ImuLog, gnss: GnssLog, why: str) -> InputError:
 
 def imu_forward_force(imu: ImuLog) -> Array:
     """Return the horizontal specific force on the axis of its largest variation, on the grid."""
-    smooth = np.column_stack([_mean(imu.t, f) for f in imu.specific_force.T])
+    smooth = np.column_stack([mean_over(imu.t, f) for f in imu.specific_force.T])
     up = smooth.mean(axis=0) / np.linalg.norm(smooth.mean(axis=0))
     level = smooth - smooth.mean(axis=0)
     level -= np.outer(level @ up, up)
@@ -106,10 +106,10 @@ def gnss_speed_change(gnss: GnssLog) -> Array:
     at, velocity = _horizontal_velocity(gnss)
     t = np.arange(gnss.t[0], gnss.t[-1], GRID)
     speed = np.interp(t, at, np.hypot(velocity[:, 0], velocity[:, 1]))
-    return np.asarray(np.gradient(_mean(t, speed), GRID))
+    return np.asarray(np.gradient(mean_over(t, speed), GRID))
 
 
-def _mean(t: Array, values: Array) -> Array:
+def mean_over(t: Array, values: Array) -> Array:
     """Return the mean of values (N,) over `FORCE_TIME` around each time."""
     width = max(1, round(FORCE_TIME / float(np.median(np.diff(t)))))
     weights = np.convolve(np.ones(len(values)), np.ones(width), "same")
@@ -120,10 +120,15 @@ def _horizontal_velocity(gnss: GnssLog) -> tuple[Array, Array]:
     """Return times and velocities NED [m/s], of the positions where the receiver gave none."""
     velocity = gnss.velocity_n
     if velocity is None or not np.isfinite(velocity[:, :2]).any():
-        metres = (gnss.lla - gnss.lla[0]) * curvature_scale(gnss.lla[0])
-        velocity = np.gradient(metres, gnss.t, axis=0)
+        return gnss.t, np.gradient(positions(gnss), gnss.t, axis=0)
     known = np.isfinite(velocity[:, :2]).all(axis=1)
     return gnss.t[known], velocity[known]
+
+
+def positions(gnss: GnssLog) -> Array:
+    """Return positions relative to the first one [m], NED; a height may be missing."""
+    lla = np.nan_to_num(gnss.lla)
+    return np.asarray((lla - lla[0]) * curvature_scale(lla[0]))
 
 
 def imu_turn_rate(imu: ImuLog) -> tuple[Array, Array]:
@@ -140,13 +145,21 @@ def imu_turn_rate(imu: ImuLog) -> tuple[Array, Array]:
 
 def gnss_turn_rate(gnss: GnssLog) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return times [s], turn rate of the course [rad/s], up positive, and where it moves."""
+    t, speed, turn = speed_and_turn(gnss)
+    return t, turn, speed > LEAST_SPEED
+
+
+def speed_and_turn(gnss: GnssLog) -> tuple[Array, Array, Array]:
+    """Return times [s], speed over ground [m/s] and turn rate of the course [rad/s], up positive.
+
+    The turn rate is zero where the receiver hardly moves.
+    """
     at, velocity = _horizontal_velocity(gnss)
     t = np.arange(gnss.t[0], gnss.t[-1], GRID)
-    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    speed = np.interp(t, at, np.hypot(velocity[:, 0], velocity[:, 1]))
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
-    moving = np.asarray(np.interp(t, at, speed) > LEAST_SPEED)
     rate = -np.gradient(np.interp(t, at, course), GRID)
-    return t, np.where(moving, rate, 0.0), moving
+    return t, speed, np.where(speed > LEAST_SPEED, rate, 0.0)
 
 
 def _correlations(a: Array, b: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:

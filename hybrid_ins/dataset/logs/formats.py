@@ -12,6 +12,7 @@ from hybrid_ins.ros.trajectory import Array
 
 FORMATS: tuple[ModuleType, ...] = (ulog, ardupilot, rtklib, ubx, nmea, gnss_text, imu_text)
 """Each has ``recognise(head)``, and ``read_imu(path)`` or ``read_gnss(path)`` or both."""
+BAGS = b"\x89MCAP", b"SQLite format 3", b"#ROSBAG"
 HEAD = 1 << 16  # bytes
 
 
@@ -31,16 +32,24 @@ def read_logs(paths: list[Path], origin: Array | None = None) -> tuple[ImuLog, G
     InputError
         A file has no known format, or they do not hold one of each.
     """
+    modules = [format_of(path) for path in paths]
+    holds = [(hasattr(module, "read_imu"), hasattr(module, "read_gnss")) for module in modules]
+    if len(paths) == 2:  # what one of them is for, an autopilot's log is not asked
+        holds = [
+            (not other[0], not other[1]) if own == (True, True) and other != own else own
+            for own, other in zip(holds, holds[::-1], strict=True)
+        ]
     imu: list[ImuLog] = []
     gnss: list[GnssLog] = []
-    for path in paths:
-        module = format_of(path)
-        if hasattr(module, "read_imu"):
-            imu.append(module.read_imu(path))
-        if module is gnss_text:
-            gnss.append(gnss_text.read_gnss(path, origin))
-        elif hasattr(module, "read_gnss"):
-            gnss.append(module.read_gnss(path))
+    for path, module, (has_imu, has_gnss) in zip(paths, modules, holds, strict=True):
+        try:
+            if has_imu:
+                imu.append(module.read_imu(path))
+            if has_gnss:
+                given = (path, origin) if module is gnss_text else (path,)
+                gnss.append(module.read_gnss(*given))
+        except (AttributeError, KeyError) as error:  # another version of a binary format
+            raise InputError(f"{path}: a message lacks a field: {error}") from None
     if len(imu) != 1 or len(gnss) != 1:
         raise InputError(
             f"{', '.join(map(str, paths))}: {len(imu)} IMU logs and {len(gnss)} GNSS logs; give "
@@ -64,14 +73,21 @@ def format_of(path: Path) -> ModuleType:
     InputError
         There is no such file, or none recognises it.
     """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the files, or a folder of CSV files alone")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
         head = head_of(path, HEAD)
     except (OSError, EOFError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
+    if head.startswith(BAGS):
+        raise InputError(f"{path}: is a bag already: ins_replay and ins_calibrate read it as it is")
     for module in FORMATS:
         if module.recognise(head):
             return module
     names = ", ".join(module.__name__.rpartition(".")[2] for module in FORMATS)
-    raise InputError(f"{path}: none of the known formats ({names})")
+    raise InputError(
+        f"{path}: none of the known formats ({names}); a table of fixes needs a line of names with "
+        "time, latitude and longitude: docs/logs.md"
+    )

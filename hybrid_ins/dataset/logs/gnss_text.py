@@ -2,23 +2,24 @@
 Tables of fixes in text, with a line of names: latitude and longitude, Earth-fixed, or local.
 
 Columns are found by their names, in any order and in the usual spellings (``NAMES``); a unit may
-follow in brackets or after an underscore. Time is one column (seconds, milliseconds, microseconds
-or nanoseconds, or ISO 8601), a date and a time, or a GPS week and its seconds; it is UTC unless
-the name says GPS. Standard deviations, covariances, status and velocity are used where they are.
+follow in brackets or after an underscore (``SCALES``). Time is one column (seconds, milliseconds,
+microseconds or nanoseconds, or ISO 8601), a date and a time, or a GPS week and its seconds; it is
+UTC unless the name says GPS. Standard deviations, covariances, status and velocity are used where
+they are.
 """
 
 from __future__ import annotations
 
-import csv
+import logging
 import re
 from collections.abc import Callable
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.dataset.logs import text
 from hybrid_ins.dataset.logs.series import (
     FIX,
     GBAS_FIX,
@@ -44,6 +45,8 @@ NAMES = {  # quantity: what its column may be called, unit and punctuation taken
     "lat": "lat|latitude",
     "lon": "lon|lng|long|longitude",
     "height": "h|height|hgt|alt|altitude|hell|ellipsoidalheight|heightellipsoid|altellipsoid",
+    "msl": "hmsl|mslh|altmsl|mslalt|heightmsl|altitudemsl|msl|ele|elevation|orthometricheight",
+    "geoid": "geoid|geoidsep|geoidseparation|geoidheight|undulation|sep",
     "x": "x|ecefx|xecef|posx",
     "y": "y|ecefy|yecef|posy",
     "z": "z|ecefz|zecef|posz",
@@ -90,10 +93,22 @@ CODES = {  # numbers of a status, by whose they are
     "gga": {0: NO_FIX, 1: FIX, 2: SBAS_FIX, 3: FIX, 4: GBAS_FIX, 5: GBAS_FIX, 9: SBAS_FIX},
     "fixtype": {0: NO_FIX, 1: NO_FIX, 2: FIX, 3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX},
 }
-UNIT = r"[\[(].*?[\])]|_(deg|rad|m|mm|s|ms|us|ns|mps|m_s|utc|degrees|meters|metres|seconds)$"
-DATES = ("%Y/%m/%d", "%Y-%m-%d", "%d.%m.%Y", "%Y%m%d", "%d/%m/%Y")
+UNIT = (
+    r"[\[(].*?[\])]|_(deg|rad|m|cm|mm|s|ms|us|ns|mps|m_s|cm_s|mm_s|kmh|km_h|kph|kn|knots|utc|degrees|"
+    r"meters|metres|seconds)$"
+)
+SCALES = {  # of a unit in a column's name, to metres or m/s
+    r"[\[(_ ]mm(_s|/s|ps)?[\])]?$": 1e-3,
+    r"[\[(_ ]cm(_s|/s|ps)?[\])]?$": 1e-2,
+    r"[\[(_ ](km_?/?h|kph)[\])]?$": 1.0 / 3.6,
+    r"[\[(_ ](kn|kt|kts|knots)[\])]?$": 1852.0 / 3600.0,
+}
+LETTER = r"([-+]?[\d.]+) ?°? ?([NSEW])"  # of a latitude or longitude
 EARTH = (6.3e6, 6.4e6)  # m, distances of Earth-fixed positions from the centre
 DEGREES_1E7 = 1e4  # a latitude beyond it counts in 1e-7 degrees
+
+
+_log = logging.getLogger(__name__)
 
 
 def recognise(head: bytes) -> bool:
@@ -153,14 +168,6 @@ def read_gnss(path: Path, origin: Array | None = None) -> GnssLog:
     )
 
 
-def _words(line: str) -> list[str]:
-    """Return the words of a line, without quotes."""
-    for separator in ",;\t":
-        if separator in line:
-            return [word.strip() for word in next(csv.reader([line], delimiter=separator))]
-    return line.split()
-
-
 def _quantities(names: list[str]) -> dict[str, int]:
     """Return the column of each quantity."""
     plain = [re.sub(r"[^a-z_]", "", re.sub(UNIT, "", name.lower())) for name in names]
@@ -177,12 +184,16 @@ def _quantities(names: list[str]) -> dict[str, int]:
 def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
     """Return the names and the rows of a table, or None: preamble and cut lines are left out."""
     for number, line in enumerate(lines[:200]):
-        names = _words(line.lstrip("#% "))
+        line = line.lstrip("#% ")
+        separator = text.separator_of(line)
+        names = text.split(line, separator)
         at = _quantities(names)
         is_timed = "t" in at or {"week", "tow"} <= at.keys() or {"date", "clock"} <= at.keys()
         places = ({"lat", "lon"}, {"x", "y", "z"}, {"east", "north", "up"})
         if is_timed and any(place <= at.keys() for place in places):
-            rows = [_words(row) for row in lines[number + 1 :] if row[:1] not in "#%"]
+            rows = [
+                text.split(row, separator) for row in lines[number + 1 :] if row[:1] not in "#%"
+            ]
             rows = [row for row in rows if len(row) == len(names)]
             if not rows or ("lat" not in at and "x" in at and not _is_on_earth(rows[0], at)):
                 return None
@@ -191,7 +202,7 @@ def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
 
 
 def _is_on_earth(row: list[str], at: dict[str, int]) -> bool:
-    distance = np.linalg.norm([_number(row[at[axis]]) for axis in "xyz"])
+    distance = np.linalg.norm([text.number(row[at[axis]]) for axis in "xyz"])
     return bool(EARTH[0] < distance < EARTH[1])
 
 
@@ -207,9 +218,9 @@ class _Columns:
         """Return a column as numbers; NaN where there is none, and everywhere without it."""
         if what not in self.at:
             return np.full(len(self._text[0]), np.nan)
-        return np.array([_number(word) for word in self.text(what)])
+        return np.array([text.number(word) for word in self.words(what)])
 
-    def text(self, what: str) -> tuple[str, ...]:
+    def words(self, what: str) -> tuple[str, ...]:
         """Return a column's words."""
         return self._text[self.at[what]]
 
@@ -220,15 +231,36 @@ class _Columns:
     def angle(self, what: str) -> Array:
         """Return latitude or longitude [rad]: degrees, 1e-7 degrees, or as the name says."""
         values = self[what]
+        if np.isnan(values).all():  # 32.1 N
+            found = [re.fullmatch(LETTER, word.upper()) for word in self.words(what)]
+            values = np.array(
+                [
+                    text.number(m[1]) * (-1.0 if m[2] in "SW" else 1.0) if m else np.nan
+                    for m in found
+                ]
+            )
         if "rad" in self.name(what):
             return values
         large = np.nanmax(np.abs(self["lat"]), initial=0.0) > DEGREES_1E7
         return np.radians(values * (1e-7 if large else 1.0))
 
+    def metric(self, what: str) -> Array:
+        """Return a column in metres or m/s, converted from the unit that its name ends in."""
+        if what not in self.at:
+            return self[what]
+        unit = next((u for end, u in SCALES.items() if re.search(end, self.name(what))), 1.0)
+        return self[what] * unit
+
     def height(self) -> Array:
-        """Return the height [m]; NaN where there is none."""
-        is_mm = "height" in self.at and "mm" in self.name("height")
-        return self["height"] * (1e-3 if is_mm else 1.0)
+        """Return the height above the ellipsoid [m]; NaN where there is none."""
+        if "height" in self.at or "msl" not in self.at:
+            return self.metric("height")
+        if "geoid" in self.at:
+            return self.metric("msl") + self.metric("geoid")
+        _log.warning(
+            "%s: heights above sea level are taken for those above the ellipsoid", self.path
+        )
+        return self.metric("msl")
 
     def time(self) -> tuple[Array, bool]:
         """Return the times [s], and whether they are UTC; else the clock is one of its own."""
@@ -237,12 +269,11 @@ class _Columns:
             tow = tow * (1e-3 if np.nanmax(tow) > WEEK else 1.0)
             return utc_from_gps(self["week"] * WEEK + tow), True
         if "clock" in self.at:
-            words = zip(self.text("date"), self.text("clock"), strict=True)
-            t = np.array([_date(day) + _time_of_day(clock) for day, clock in words])
+            t = text.dates(self.words("date")) + text.clocks(self.words("clock"))
             return self._utc(t, self.name("date") + self.name("clock")), True
         t = self["t"]
         if np.isnan(t).mean() > 0.5:
-            t = np.array([_iso(word) for word in self.text("t")])
+            t = text.stamps(self.words("t"))
             return self._utc(t, self.name("t")), True
         steps = np.diff(t[np.isfinite(t)])
         step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
@@ -276,8 +307,8 @@ class _Columns:
 
     def _coded(self, what: str, meaning: Callable[[int], int]) -> NDArray[np.int8]:
         codes = []
-        for word in self.text(what):
-            number = _number(word)
+        for word in self.words(what):
+            number = text.number(word)
             if np.isfinite(number):
                 codes.append(meaning(int(number)))
             else:
@@ -287,7 +318,7 @@ class _Columns:
 
     def covariance_of(self, names: tuple[str, str, str]) -> Array:
         """Return covariances (M, 3, 3) of three columns of standard deviations."""
-        return diagonal(np.column_stack([self[name] for name in names]))
+        return diagonal(np.column_stack([self.metric(name) for name in names]))
 
     def covariance(self) -> Array:
         """Return (M, 3, 3), NED, by covariances, deviations, or a horizontal and a vertical one."""
@@ -302,50 +333,21 @@ class _Columns:
             return P
         if "sdn" in self.at:
             return self.covariance_of(("sdn", "sde", "sdu"))
-        horizontal = self["hacc"] / 2**0.5
-        vertical = self["vacc"] if "vacc" in self.at else 1.5 * horizontal
+        horizontal = self.metric("hacc") / 2**0.5
+        vertical = self.metric("vacc") if "vacc" in self.at else 1.5 * horizontal
         return diagonal(np.column_stack((horizontal, horizontal, vertical)))
 
     def velocity(self) -> tuple[Array | None, Array | None]:
         """Return velocities (M, 3), NED, and their covariances, where there are any."""
-        down = -self["vu"] if "vu" in self.at else self["vd"]
+        down = -self.metric("vu") if "vu" in self.at else self.metric("vd")
         if {"vn", "ve"} <= self.at.keys():
-            velocity = np.column_stack((self["vn"], self["ve"], down))
+            velocity = np.column_stack((self.metric("vn"), self.metric("ve"), down))
         elif {"speed", "course"} <= self.at.keys():
             course = np.radians(self["course"])
-            speed = self["speed"]
+            speed = self.metric("speed")
             velocity = np.column_stack((speed * np.cos(course), speed * np.sin(course), down))
         else:
             return None, None
         if "sdvn" in self.at:
             return velocity, self.covariance_of(("sdvn", "sdve", "sdvu"))
-        return velocity, diagonal(np.column_stack([self["sacc"] / 3**0.5] * 3))
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return np.nan
-
-
-def _date(word: str) -> float:
-    for form in DATES:
-        try:
-            return datetime.strptime(word, form).replace(tzinfo=timezone.utc).timestamp()
-        except ValueError:
-            continue
-    return np.nan
-
-
-def _time_of_day(word: str) -> float:
-    parts = [_number(part) for part in word.rstrip("Z").split(":")]
-    if len(parts) == 3:
-        return 3600.0 * parts[0] + 60.0 * parts[1] + parts[2]
-    [number] = parts if len(parts) == 1 else [np.nan]  # hhmmss.ss
-    return 3600.0 * (number // 1e4) + 60.0 * (number // 100 % 100) + number % 100.0
-
-
-def _iso(word: str) -> float:
-    day, _, clock = word.strip().replace("T", " ").partition(" ")
-    return _date(day) + _time_of_day(re.sub(r"(Z|\+00:?00)$", "", clock.strip()))
+        return velocity, diagonal(np.column_stack([self.metric("sacc") / 3**0.5] * 3))

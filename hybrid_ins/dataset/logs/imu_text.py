@@ -3,7 +3,8 @@ Tables of IMU readings in text: time, three accelerations, three angular rates i
 
 Columns and units are found by name where there is a header, else by what the numbers can be: the
 time increases, gravity shows the accelerations and their unit, and rates of a moving IMU are in
-rad/s below ``LARGEST_RAD`` and in deg/s above.
+rad/s below ``LARGEST_RAD`` and in deg/s above. The time may also be ISO 8601, a date and a time of
+day, or a GPS week and its seconds, which the header names.
 """
 
 from __future__ import annotations
@@ -13,17 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import ImuLog, text_of
+from hybrid_ins.dataset.logs import text
+from hybrid_ins.dataset.logs.series import WEEK, ImuLog, text_of, utc_from_gps
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import Array
 
 GRAVITY = 9.80665  # m/s²
 UNITS_OF_GRAVITY = {"m/s²": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY}
 TOLERANCE = 0.3  # of gravity, for the median of the specific force
+STEADINESS = 0.02  # share of gravity, within which the first of several candidates is taken
 LARGEST_RAD = 4.0  # rad/s, of the median of the faster half of the readings
 DATED = 1e9  # s: a clock beyond it counts from 1970
 NAMES = {
     "t": r"^(t|time|timestamp|stamp|sec|seconds|uptime|t_?(s|ms|us|ns))\b",
+    "week": r"^(gps_?)?(week|wn|wk)\b",
+    "tow": r"^(i?tow|sow|gps_?(tow|sow|seconds))",
     "a": r"^(a|acc|accel|acceleration|f|linear_acceleration)[ _.]?({0})\b",
     "w": r"^(g|gyr|gyro|w|omega|rate|angular_velocity)[ _.]?({0})\b",
 }
@@ -32,9 +37,8 @@ NAMES = {
 def recognise(head: bytes) -> bool:
     """Return whether a file is a table of seven or more numbers a line."""
     lines = [line for line in head.split(b"\n")[:-1] if line.strip() and line[:1] not in b"#%"]
-    return sum(len(_numbers(line.decode("utf-8", "replace"))) >= 7 for line in lines) > 0.5 * len(
-        lines
-    )
+    rows = [_values(_words(line.decode("utf-8", "replace"))) for line in lines]
+    return sum(np.isfinite(row).sum() >= 7 for row in rows) > 0.5 * len(lines)
 
 
 def read_imu(path: Path) -> ImuLog:
@@ -46,16 +50,20 @@ def read_imu(path: Path) -> ImuLog:
     InputError
         It has no seven columns that can be time, accelerations and angular rates.
     """
-    lines = text_of(path).splitlines()
-    rows = [_numbers(line) for line in lines]
-    widths = [len(row) for row in rows if len(row) >= 7]
-    if len(widths) < 10:
+    lines = [_words(line) for line in text_of(path).splitlines()]
+    rows = [_values(words) for words in lines]
+    shapes = [tuple(np.isfinite(row).tolist()) for row in rows]
+    full = [shape for shape in shapes if sum(shape) >= 7]
+    if len(full) < 10:
         raise InputError(f"{path}: fewer than ten rows of seven or more numbers")
-    width = max(set(widths), key=widths.count)
-    table = np.array([row for row in rows if len(row) == width])
-    names = _header(lines, rows, width)
-    time, force, rate = _columns(path, table, names)
-    t, seconds = _seconds(path, table[:, time])
+    shape = max(set(full), key=full.count)
+    chosen = [k for k, one in enumerate(shapes) if one == shape]
+    names = _header(lines[: chosen[0]], len(shape))
+    table = np.array([rows[k] for k in chosen])
+    calendar, used = _calendar(names, lines[chosen[0]], [lines[k] for k in chosen], table)
+    free = [k for k, is_number in enumerate(shape) if is_number and k not in used]
+    time, force, rate = _columns(path, table, names, free, calendar is not None)
+    t, seconds = (calendar, 1.0) if calendar is not None else _seconds(path, table[:, time])
     later = np.append(True, np.diff(np.maximum.accumulate(t)) > 0.0)
     factor = _unit_of_gravity(path, table[:, force])
     rates = table[:, rate]
@@ -68,6 +76,27 @@ def read_imu(path: Path) -> ImuLog:
     )
 
 
+def _calendar(
+    names: list[str], first: list[str], lines: list[list[str]], table: Array
+) -> tuple[Array | None, list[int]]:
+    """Return times [s since 1970] of a calendar, if the table has such, and their columns."""
+    found = {what: _named(names, NAMES[what]) for what in ("week", "tow")}
+    if min(found.values()) >= 0:
+        tow = table[:, found["tow"]]
+        tow = tow * (1e-3 if np.max(tow) > WEEK else 1.0)
+        return utc_from_gps(table[:, found["week"]] * WEEK + tow), list(found.values())
+    of_day = [k for k, word in enumerate(first) if text.CLOCK.fullmatch(word)]
+    if of_day:
+        clock = of_day[0]
+        days = [k for k, word in enumerate(first[:clock]) if np.isfinite(text.dates([word])[0])]
+        if days:
+            t = text.dates([row[days[0]] for row in lines]) + table[:, clock]
+            return t, [days[0], clock]
+        return table[:, clock], [clock]
+    iso = [k for k, word in enumerate(first) if np.isfinite(text.stamp(word))]
+    return (table[:, iso[0]], iso) if iso else (None, [])
+
+
 def _is_in_degrees(rates: Array, names: str) -> bool:
     """Return whether rates are in deg/s: by the names of their columns, else by their size."""
     if re.search(r"deg|dps|°", names):
@@ -76,54 +105,76 @@ def _is_in_degrees(rates: Array, names: str) -> bool:
     return "rad" not in names and bool(faster > LARGEST_RAD or np.max(np.abs(rates)) > 40.0)
 
 
-def _numbers(line: str) -> list[float]:
-    words = re.split(r"[,;\s]+", line.strip())
+def _words(line: str) -> list[str]:
+    """Return the words of a line; a space separates them, too, where nothing else does."""
+    words = text.split(line, text.separator_of(line))
+    return words if len(words) != 1 else line.split()
+
+
+def _values(words: list[str]) -> list[float]:
+    """Return the numbers of a line; times of day and ISO 8601 count, other words are NaN."""
     try:
-        return [float(word) for word in words if word]
+        return [float(word) for word in words]
     except ValueError:
-        return []
+        return [_value(word) for word in words]
 
 
-def _header(lines: list[str], rows: list[list[float]], width: int) -> list[str]:
-    """Return the names of the columns, if a line before the first row has them."""
-    first = next(k for k, row in enumerate(rows) if len(row) == width)
-    for line in reversed(lines[:first]):
-        words = [w.strip('" ').lower() for w in re.split(r"[,;\t]|\s+", line.strip("#% "))]
-        words = [word for word in words if word]
-        if len(words) == width and not any(re.fullmatch(r"[-+.\de]+", word) for word in words):
+def _value(word: str) -> float:
+    if text.CLOCK.fullmatch(word):
+        return float(text.clocks([word])[0])
+    value = text.number(word)
+    return value if np.isfinite(value) else text.stamp(word)
+
+
+def _header(lines: list[list[str]], width: int) -> list[str]:
+    """Return the names of the columns, if one of the lines before the first row has them."""
+    for line in reversed(lines):
+        words = [word.strip('"#% ').lower() for word in line]
+        if len(words) == width and all(words) and not np.isfinite(_values(words)).any():
             return words
     return []
 
 
-def _columns(path: Path, table: Array, names: list[str]) -> tuple[int, list[int], list[int]]:
-    """Return the columns of the time, of the accelerations and of the rates."""
-    if names:
-        found = {}
-        for what, pattern in NAMES.items():
-            for axis in ("x", "y", "z") if what != "t" else ("",):
-                at = [k for k, name in enumerate(names) if re.match(pattern.format(axis), name)]
-                found[what + axis] = at[0] if at else -1
-        if min(found.values()) >= 0:
-            return (
-                found["t"],
-                [found["ax"], found["ay"], found["az"]],
-                [found["wx"], found["wy"], found["wz"]],
-            )
-    rising = [k for k in range(table.shape[1]) if np.mean(np.diff(table[:, k]) >= 0.0) > 0.99]
+def _named(names: list[str], pattern: str) -> int:
+    """Return the first column with such a name; -1 where there is none."""
+    return next((k for k, name in enumerate(names) if re.match(pattern, name)), -1)
+
+
+def _columns(
+    path: Path, table: Array, names: list[str], free: list[int], is_timed: bool
+) -> tuple[int, list[int], list[int]]:
+    """Return the columns of the time (-1 where that is known), the accelerations and the rates."""
+    force, rate = ([_named(names, NAMES[what].format(axis)) for axis in "xyz"] for what in "aw")
+    time = -1 if is_timed else _named(names, NAMES["t"])
+    if min(*force, *rate, 0 if is_timed else time) >= 0:
+        return time, force, rate
+    rising = [k for k in free if np.mean(np.diff(table[:, k]) >= 0.0) > 0.99]
     rising = [k for k in rising if table[-1, k] > table[0, k]]
-    if not rising:
-        raise InputError(f"{path}: no column increases as a time does; add a line of names")
-    time = rising[0]
-    others = [k for k in range(table.shape[1]) if k != time]
-    triples = [others[k : k + 3] for k in range(len(others) - 2)]
-    for triple in triples:
-        if _gravity(table[:, triple]) is not None:
-            rest = [k for k in others if k not in triple][:3]
-            if len(rest) == 3:
-                return time, triple, rest
-    raise InputError(
-        f"{path}: no three columns hold gravity in m/s², g or mg; name the columns in a header"
-    )
+    if not is_timed and time < 0:
+        if not rising:
+            raise InputError(f"{path}: no column increases as a time does; add a line of names")
+        clocks = [k for k in rising if not (np.diff(table[:, k]) == 1.0).all()]
+        time = [*clocks, *rising][0]  # rather than a count of the rows
+    others = [k for k in free if k != time and k not in rising]
+    step = 1 if len(others) % 3 else 3  # of whole vectors no two are mixed
+    triples = [others[k : k + 3] for k in range(0, max(len(others) - 2, 0), step)]
+    triples = [three for three in triples if _gravity(table[:, three]) is not None]
+    if not triples or len(others) < 6:
+        raise InputError(
+            f"{path}: no three columns hold gravity in m/s², g or mg; name the columns in a header"
+        )
+    unsteady = [_unsteadiness(table[:, three]) for three in triples]
+    triple = triples[int(np.argmax(np.array(unsteady) < min(unsteady) + STEADINESS))]
+    return time, triple, [k for k in others if k not in triple][:3]
+
+
+def _unsteadiness(force: Array) -> float:
+    """Return by how much the size of readings varies and is not that of gravity, as a share."""
+    sizes = np.linalg.norm(force, axis=1)
+    middle = float(np.median(sizes))
+    factor = _gravity(force)
+    assert factor is not None
+    return float(np.median(np.abs(sizes - middle))) / middle + abs(middle * factor / GRAVITY - 1.0)
 
 
 def _gravity(force: Array) -> float | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, diagonal
+from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, diagonal, undamaged
 from hybrid_ins.errors import InputError
 
 STATUS = {1: FIX, 2: SBAS_FIX, 3: FIX, 4: GBAS_FIX, 5: GBAS_FIX}
@@ -25,7 +25,10 @@ KNOT = 1852.0 / 3600.0  # m/s
 
 def recognise(head: bytes) -> bool:
     """Return whether a file holds NMEA sentences near its beginning, among others perhaps."""
-    return re.search(rb"\$[A-Z]{2}GGA,[^\r\n]*\*[0-9A-F]{2}", head) is not None
+    return (
+        re.search(rb"\$[A-Z]{2}(GGA|RMC|GST|GLL|VTG|GSA|GSV),[^\r\n]*\*[0-9A-F]{2}", head)
+        is not None
+    )
 
 
 def read_gnss(path: Path) -> GnssLog:
@@ -46,8 +49,8 @@ def read_gnss(path: Path) -> GnssLog:
     epochs: dict[tuple[int, time], dict[str, Any]] = {}
     key = (0, time())  # days since the first sentence, time of day
     with path.open("rb") as stream:
-        for _, message in NMEAReader(stream, quitonerror=ERR_IGNORE):
-            if message is None or message.msgID not in ("GGA", "RMC", "GST"):
+        for message in undamaged(NMEAReader(stream, quitonerror=ERR_IGNORE)):
+            if message.msgID not in ("GGA", "RMC", "GST"):
                 continue
             if isinstance(message.time, time):
                 past_midnight = message.time < key[1] and key[1].hour == 23
@@ -57,7 +60,7 @@ def read_gnss(path: Path) -> GnssLog:
     dates = [(key[0], m["RMC"].date) for key, m in epochs.items() if "RMC" in m]
     dates = [(days, day) for days, day in dates if isinstance(day, date)]
     if not found:
-        raise InputError(f"{path}: no GGA sentence with a fix")
+        raise InputError(f"{path}: no GGA sentence with a fix; enable GGA in the receiver")
     if not dates:
         raise InputError(f"{path}: no RMC sentence has the date; enable RMC in the receiver")
     midnight = datetime.combine(dates[0][1], time(), timezone.utc) - timedelta(days=dates[0][0])

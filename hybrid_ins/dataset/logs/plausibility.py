@@ -1,4 +1,4 @@
-"""Wrong units and axes of an IMU log, as gravity and the receiver's course show them."""
+"""Wrong units, axes and clocks of two logs, as gravity and the receiver's motion show them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.clock_match import GRID, LEAST_OVERLAP, gnss_turn_rate, imu_turn_rate
+from hybrid_ins.dataset.logs.clock_match import (
+    GRID,
+    LEAST_OVERLAP,
+    LEAST_SPEED,
+    clock_offset,
+    gnss_turn_rate,
+    imu_turn_rate,
+    mean_over,
+    positions,
+    speed_and_turn,
+)
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
+from hybrid_ins.errors import InputError
 
 UPRIGHT = 0.7  # cosine of the mean specific force with an axis that is vertical
+STEADY = 5.0  # m/s², of the mean specific force: gravity in a vehicle that mostly stays upright
 LEAST_TURNS = math.radians(5.0)  # rad/s, RMS of the course rate that shows a factor
 LEAST_CORRELATION = 0.5
 USUAL = 0.7, 1.4  # of the gyroscope's turn rate by that of the course
 DEGREES = 0.7 * math.degrees(1.0), 1.4 * math.degrees(1.0)  # the same, if units were mixed up
+
+TURNED = math.radians(40.0)  # of the IMU's x axis from the direction of travel
+LEAST_FORCE = 0.3  # m/s², RMS of the horizontal acceleration that shows it
+LEAST_LIKENESS = 0.7  # correlation of the accelerations
+LARGEST_OFFSET = 1.5  # s, that `ins_calibrate` searches
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +47,14 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
         Of one clock.
     """
     mean = np.mean(imu.specific_force, axis=0)
+    if np.linalg.norm(mean) < STEADY:
+        _log.warning(
+            "%s: the specific force is %.1f m/s² on average: gravity is missing; accelerations "
+            "that were freed of it cannot be used",
+            imu.path,
+            np.linalg.norm(mean),
+        )
+        return imu
     up = float(mean[2] / np.linalg.norm(mean))
     if up < -UPRIGHT:
         _log.warning(
@@ -55,8 +80,9 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
         return replace(imu, angular_rate=np.degrees(imu.angular_rate))
     if factor < 0.0:
         _log.warning(
-            "%s: the gyroscope turns against the course: the axes are left-handed, or the signs of "
-            "the accelerations or of the rates are inverted",
+            "%s: the gyroscope turns against the course: the axes are left-handed, the signs of "
+            "the accelerations or of the rates are inverted, or latitude and longitude are "
+            "exchanged",
             imu.path,
         )
     elif not USUAL[0] < factor < USUAL[1]:
@@ -66,7 +92,78 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
             imu.path,
             factor,
         )
+    yaw = mount_yaw(imu, gnss)
+    if yaw is not None and abs(yaw) > TURNED:
+        _log.warning(
+            "%s: by the accelerations x points %.0f° to the %s of the direction of travel: if the "
+            "vehicle moves along its nose give the node imu.mount_rpy: [0.0, 0.0, %.2f]",
+            imu.path,
+            abs(math.degrees(yaw)),
+            "left" if yaw > 0.0 else "right",
+            yaw,
+        )
     return imu
+
+
+def mount_yaw(imu: ImuLog, gnss: GnssLog) -> float | None:
+    """
+    Return the angle of the IMU's x axis left of the direction of travel [rad], axes z up.
+
+    None where the horizontal accelerations are not those of the receiver's motion: too small, or of
+    a vehicle that leans into its turns.
+    """
+    if min(imu.t[-1] - imu.t[0], gnss.t[-1] - gnss.t[0]) < LEAST_OVERLAP:
+        return None
+    t, speed, turn = speed_and_turn(gnss)
+    inside = (t > imu.t[0]) & (t < imu.t[-1])
+    if inside.sum() * GRID < LEAST_OVERLAP:
+        return None
+    ahead = mean_over(t, np.gradient(speed, GRID)) + 1j * mean_over(t, speed * turn)
+    force = [mean_over(imu.t, f) for f in imu.specific_force[:, :2].T]
+    x, y = (np.interp(t, imu.t, f)[inside] for f in force)
+    a = ahead[inside] - ahead[inside].mean()
+    f = x - x.mean() + 1j * (y - y.mean())
+    match = complex(np.mean(f * np.conj(a)))
+    size = math.sqrt(float(np.mean(np.abs(a) ** 2)))
+    scatter = math.sqrt(float(np.mean(np.abs(f) ** 2)))
+    if size < LEAST_FORCE or abs(match) < LEAST_LIKENESS * size * scatter:
+        return None
+    return -math.atan2(match.imag, match.real)
+
+
+def check_velocity(gnss: GnssLog) -> None:
+    """Warn where the receiver's speed is not that of its positions: another unit."""
+    if gnss.velocity_n is None or len(gnss.t) < 3:
+        return
+    step = np.gradient(positions(gnss), gnss.t, axis=0)[:, :2]
+    moved = np.hypot(*np.diff(positions(gnss)[:, :2], axis=0).T)
+    speed, by_positions = np.hypot(*gnss.velocity_n[:, :2].T), np.hypot(*step.T)
+    known = np.isfinite(speed) & (by_positions > LEAST_SPEED)
+    if known.sum() < 10 or moved.sum() < 20.0:
+        return
+    factor = float(np.median(speed[known] / by_positions[known]))
+    if not USUAL[0] < factor < USUAL[1]:
+        _log.warning(
+            "%s: the velocity is %.3g times that of the positions: check its unit",
+            gnss.path,
+            factor,
+        )
+
+
+def check_clocks(imu: ImuLog, gnss: GnssLog) -> None:
+    """Warn where the motion in two logs that are dated fits at another time than that stated."""
+    try:
+        found = clock_offset(imu, gnss)
+    except InputError:  # the motion says nothing
+        return
+    if abs(found.offset) > LARGEST_OFFSET and found.correlation > LEAST_LIKENESS:
+        _log.warning(
+            "%s: %s in both fit with --time-offset %.1f: is one of the clocks GPS time, which is "
+            "18 s ahead of UTC?",
+            imu.path,
+            found.by,
+            found.offset,
+        )
 
 
 def turn_factor(imu: ImuLog, gnss: GnssLog) -> float | None:

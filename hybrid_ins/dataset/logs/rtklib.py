@@ -8,6 +8,7 @@ RTKLIB manual 2.4.2, appendix B.1 (positioning solution file).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
@@ -30,12 +31,16 @@ from hybrid_ins.errors import InputError
 STATUS = {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX}
 NED_AXES, ECEF_AXES = (("n", "e", "u"), (1.0, 1.0, -1.0)), (("x", "y", "z"), (1.0, 1.0, 1.0))
 
+SCALES = b"GPST", b"UTC", b"JST"
+PLACES = b"latitude", b"x-ecef", b"e-baseline"
+JST = 9 * 3600  # s ahead of UTC
+
 
 def recognise(head: bytes) -> bool:
     """Return whether a file begins as a solution does."""
     lines = [line for line in head.split(b"\n") if line.startswith(b"%")]
-    return any(b"GPST" in line or b"UTC" in line for line in lines[-3:]) and any(
-        b"latitude" in line or b"x-ecef" in line for line in lines
+    return any(scale in line for line in lines[-3:] for scale in SCALES) and any(
+        place in line for line in lines for place in PLACES
     )
 
 
@@ -49,17 +54,24 @@ def read_gnss(path: Path) -> GnssLog:
         The header names no columns, or no row can be read.
     """
     names: list[str] = []
+    is_sexagesimal = False
     rows: list[tuple[float, list[float]]] = []
     for line in text_of(path).splitlines():
         if line.startswith("%"):
-            if "latitude" in line or "x-ecef" in line:
-                names = [word.split("(")[0] for word in line.strip("% ").split()]
+            if any(place.decode() in line for place in PLACES):
+                names = [word.split("(")[0] for word in _words(line.strip("% "))]
+                is_sexagesimal = "(d'" in line
             continue
-        words = line.replace(",", " ").split()
+        words = _words(line)
         try:
             rows.append((_time(words[0], words[1]), [float(word) for word in words[2:]]))
         except (ValueError, IndexError):
             continue  # a cut line
+    if is_sexagesimal or "e-baseline" in names:
+        raise InputError(
+            f"{path}: holds baselines, or degrees with minutes: let RTKLIB write latitude and "
+            "longitude in degrees (out-solformat=llh, out-outdegform=deg)"
+        )
     width = len(names) - 1
     table = [(t, values) for t, values in rows if len(values) == width and width >= 10]
     if not table:
@@ -67,7 +79,8 @@ def read_gnss(path: Path) -> GnssLog:
     columns = dict(zip(names[1:], np.array([values for _, values in table]).T, strict=True))
     t = np.array([t for t, _ in table])
     status = np.array([STATUS.get(int(q), FIX) for q in columns["Q"]], np.int8)
-    t = t + GPS_EPOCH if names[0] == "UTC" else utc_from_gps(t)
+    t = utc_from_gps(t) if names[0] == "GPST" else t + GPS_EPOCH
+    t = t - JST if names[0] == "JST" else t
     if "x-ecef" in columns:
         vectors = []
         if "vx" in columns:
@@ -107,6 +120,11 @@ def _covariance(
         if value is not None:
             P[:, i, j] = P[:, j, i] = signs[i] * signs[j] * value * np.abs(value)
     return P
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line, whatever separates the fields."""
+    return re.sub(r"[,;]", " ", line).split()
 
 
 def _time(first: str, second: str) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,14 +61,33 @@ class EstimateLog:
     quat_xyzw: Array  # (K, 4) of C_nb, FRD to NED
 
 
+def undamaged(messages: Iterator[tuple[Any, Any]]) -> Iterator[Any]:
+    """Yield what a library parses; where that fails on damaged bytes it goes on behind them."""
+    while True:
+        try:
+            _, message = next(messages)
+        except StopIteration:
+            return
+        except Exception:  # the library raises what the damage leads to
+            continue
+        if message is not None:
+            yield message
+
+
 def head_of(path: Path, size: int) -> bytes:
-    """Return the first bytes of a file, decompressed where it is compressed by gzip."""
+    """Return the first bytes of a file, decompressed (gzip), and UTF-16 text as UTF-8."""
     with path.open("rb") as stream:
-        if stream.read(2) != GZIP:
-            stream.seek(0)
-            return stream.read(size)
-    with gzip.open(path) as stream:
-        return stream.read(size)
+        head = stream.read(2)
+        stream.seek(0)
+        if head != GZIP:
+            return _utf8(stream.read(size))
+    with gzip.open(path) as compressed:
+        return _utf8(compressed.read(size))
+
+
+def _utf8(head: bytes) -> bytes:
+    is_utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return head.decode("utf-16", "replace").encode() if is_utf16 else head
 
 
 def text_of(path: Path) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, diagonal
+from hybrid_ins.dataset.logs.series import FIX, GBAS_FIX, SBAS_FIX, GnssLog, diagonal, undamaged
 from hybrid_ins.errors import InputError
 
 
@@ -39,9 +39,8 @@ def read_gnss(path: Path) -> GnssLog:
     fixes: dict[int, Any] = {}
     covariances: dict[int, Any] = {}
     with path.open("rb") as stream:
-        for _, message in UBXReader(stream, protfilter=UBX_PROTOCOL, quitonerror=ERR_IGNORE):
-            if message is None:
-                continue
+        reader = UBXReader(stream, protfilter=UBX_PROTOCOL, quitonerror=ERR_IGNORE)
+        for message in undamaged(reader):
             if message.identity == "NAV-PVT" and message.fixType in (2, 3, 4):
                 if message.validDate and message.validTime:
                     fixes[message.iTOW] = message
@@ -80,7 +79,8 @@ def _time(message: Any) -> float:
 def _status(message: Any) -> int:
     if message.carrSoln:
         return GBAS_FIX
-    return SBAS_FIX if message.difSoln else FIX
+    is_corrected = any(getattr(message, name, 0) for name in ("diffSoln", "difSoln"))
+    return SBAS_FIX if is_corrected else FIX
 
 
 def _matrix(message: Any, of: str) -> np.ndarray:

@@ -73,6 +73,8 @@ def read_gnss(path: Path) -> GnssLog:
     """
     data = _topic(path, GNSS_TOPICS)
     good = np.isin(data["fix_type"], list(STATUS))
+    if not good.any():
+        raise InputError(f"{path}: holds no three-dimensional fix")
     data = {name: values[good] for name, values in data.items()}
     if "latitude_deg" in data:
         degrees, height = ("latitude_deg", "longitude_deg"), data["altitude_ellipsoid_m"]

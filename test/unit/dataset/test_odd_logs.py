@@ -1,0 +1,287 @@
+"""Logs as strangers bring them: other times, units, separators, axes; cut and damaged files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.scenes import scene
+
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.cli import convert
+from hybrid_ins.dataset.convert_logs import convert_logs
+from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, rtklib, ubx
+from hybrid_ins.dataset.logs.plausibility import (
+    check_clocks,
+    check_imu,
+    check_velocity,
+    mount_yaw,
+)
+from hybrid_ins.dataset.logs.series import FIX, GPS_EPOCH, GnssLog, ImuLog, diagonal
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.simulation import motions
+
+NOON = 1_700_049_600.0  # 2023-11-15T12:00:00Z
+PLACE, THERE = "lat,lon,height", "32.1,34.8,50.0"
+
+
+def table(path: Path, header: str, *rows: str) -> GnssLog:
+    path.write_text(header + "\n" + "\n".join(rows) + "\n")
+    assert formats.format_of(path) is gnss_text
+    return gnss_text.read_gnss(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "first", "second"),
+    [
+        ("time", "2023-11-15T14:00:00+02:00", "2023-11-15T14:00:01+02:00"),
+        ("time", "2023-11-15 06:30:00-0530", "2023-11-15 06:30:01-0530"),
+        ("date,time", "11/15/2023,12:00:00", "11/15/2023,12:00:01"),
+        ("date,time", "15/11/2023,12:00:00", "15/11/2023,12:00:01"),
+        ("date,time", "151123,120000.0", "151123,120001.0"),
+    ],
+)
+def test_dates_and_zones(tmp_path: Path, header: str, first: str, second: str) -> None:
+    rows = [f"{words},{THERE}" for words in (first, second)]
+    assert table(tmp_path / "f", f"{header},{PLACE}", *rows).t.tolist() == [NOON, NOON + 1.0]
+
+
+def test_units_in_the_names_of_columns(tmp_path: Path) -> None:
+    names = "time,lat,lon,height [mm],hAcc_mm,vAcc [mm],speed_kmh,course,sAcc (mm/s)"
+    row = "32.1,34.8,50000,20,30,36.0,90.0,500"
+    log = table(tmp_path / "f", names, f"{NOON},{row}", f"{NOON + 1.0},{row}")
+    assert log.lla[0, 2] == pytest.approx(50.0)
+    assert np.sqrt(log.covariance_n[0, 2, 2]) == pytest.approx(0.03)
+    assert log.covariance_n[0, 0, 0] == pytest.approx(0.0002)
+    assert log.velocity_n is not None and log.velocity_covariance_n is not None
+    assert log.velocity_n[0, :2] == pytest.approx([0.0, 10.0], abs=1e-9)
+    assert log.velocity_covariance_n[0, 0, 0] == pytest.approx(0.25 / 3.0)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "height"),
+    [
+        ("time;lat;lon;height", f"{NOON:.0f};32,1;34,8;50,0", 50.0),
+        ("time,lat,lon,height", f"{NOON},32.1N,34.8 E,50.0", 50.0),
+        ("time,lat,lon,hMSL,geoid_sep", f"{NOON},32.1,34.8,30.0,20.0", 50.0),
+        ("time,lat,lon,hMSL", f"{NOON},32.1,34.8,30.0", 30.0),
+        ("time,lat,lon", f"{NOON},32.1,34.8", np.nan),
+    ],
+)
+def test_positions(tmp_path: Path, header: str, row: str, height: float) -> None:
+    log = table(tmp_path / "f", header, row, row.replace("9600", "9601", 1))
+    assert np.degrees(log.lla[0, :2]) == pytest.approx([32.1, 34.8])
+    assert log.lla[0, 2] == pytest.approx(height, nan_ok=True)
+
+
+POS = (
+    "% program : RTKLIB\n%  {} latitude({}) longitude({}) height(m) Q ns sdn(m) sde(m) sdu(m) {}\n"
+)
+
+
+def test_solutions_in_japanese_time_and_in_minutes(tmp_path: Path) -> None:
+    path = tmp_path / "s.pos"
+    rest = "sdne(m) sdeu(m) sdun(m) age(s) ratio"
+    row = "2023/11/15,21:00:00.000,32.1,34.8,50.0,1,12,0.1,0.2,0.3,0,0,0,0.0,9.9\n"
+    path.write_text(POS.format("JST", "deg", "deg", rest).replace(" ", ",") + row)
+    assert rtklib.read_gnss(path).t.tolist() == [NOON]
+    path.write_text(POS.format("GPST", "d'\"", "d'\"", rest) + row)
+    with pytest.raises(InputError, match="out-outdegform=deg"):
+        rtklib.read_gnss(path)
+
+
+@cache
+def drive(duration: float = 60.0) -> tuple[ImuLog, GnssLog]:
+    """Return logs of a drive with turns and changes of speed, of one clock."""
+    times = np.arange(0.4, duration - 1.0, 0.2)
+    seen = scene(motions.car_drive(duration, seed=3), seed=3, fix_times=times)
+    imu = ImuLog(Path("imu"), NOON + seen.t, seen.force @ FLIP, seen.rate @ FLIP, True)
+    std = np.full((len(times), 3), 0.1)
+    status = np.zeros(len(times), np.int8)
+    return imu, GnssLog(Path("gnss"), NOON + times, seen.fix_lla, diagonal(std), status)
+
+
+def iso(t: float) -> str:
+    return f"{np.datetime64(round(t * 1e6), 'us')}"
+
+
+def row_of(imu: ImuLog, k: int, rate_first: bool = False) -> str:
+    parts = [imu.specific_force[k], imu.angular_rate[k]]
+    return ",".join(f"{x:.6f}" for part in parts[:: -1 if rate_first else 1] for x in part)
+
+
+NAMES = "ax,ay,az,gx,gy,gz"
+FORMS: dict[str, tuple[str, Callable[[ImuLog, int], str]]] = {
+    "ISO 8601": ("time," + NAMES, lambda imu, k: f"{iso(imu.t[k])}Z,{row_of(imu, k)}"),
+    "date and time": (
+        "date,time," + NAMES,
+        lambda imu, k: f"{iso(imu.t[k]).replace('T', ',')},{row_of(imu, k)}",
+    ),
+    "week and seconds": (
+        "week,tow," + NAMES,
+        lambda imu, k: f"2288,{imu.t[k] - NOON + 302_418.0:.4f},{row_of(imu, k)}",
+    ),
+    "rates first, no names": ("", lambda imu, k: f"{imu.t[k]:.3f},{row_of(imu, k, True)}"),
+    "count of the rows": ("", lambda imu, k: f"{k},{imu.t[k]:.3f},{row_of(imu, k)}"),
+    "a word": ("t,name," + NAMES, lambda imu, k: f"{imu.t[k]:.3f},imu0,{row_of(imu, k)}"),
+    "decimal commas": (
+        "",
+        lambda imu, k: f"{imu.t[k]:.3f},{row_of(imu, k)}".replace(",", ";").replace(".", ","),
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_tables_of_an_imu(tmp_path: Path, form: str, encoding: str) -> None:
+    imu, _ = drive(5.0)
+    header, row = FORMS[form]
+    path = tmp_path / "imu.csv"
+    lines = ([header] if header else []) + [row(imu, k) for k in range(len(imu.t))]
+    path.write_text("\n".join(lines) + "\n", encoding=encoding)
+
+    assert formats.format_of(path) is imu_text
+    log = imu_text.read_imu(path)
+
+    assert log.is_dated
+    assert log.t == pytest.approx(imu.t, abs=2e-3)
+    assert log.specific_force == pytest.approx(imu.specific_force, abs=1e-6)
+    assert log.angular_rate == pytest.approx(imu.angular_rate, abs=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [-90.0, 0.0, 90.0, 180.0])
+def test_a_turned_imu_is_seen(degrees: float, caplog: pytest.LogCaptureFixture) -> None:
+    # GIVEN an IMU whose x axis points to the left of the direction of travel by an angle
+    imu, gnss = drive()
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    C = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = replace(
+        imu, specific_force=imu.specific_force @ C.T, angular_rate=imu.angular_rate @ C.T
+    )
+    # WHEN its accelerations are compared with the receiver's motion, THEN they show it
+    yaw = mount_yaw(turned, gnss)
+    assert yaw is not None
+    assert abs(np.angle(np.exp(1j * (yaw - np.radians(degrees))))) < np.radians(3.0)
+    check_imu(turned, gnss)
+    assert ("direction of travel" in caplog.text) == (degrees != 0.0)
+
+
+def test_a_flight_shows_no_direction_of_travel() -> None:
+    times = np.arange(0.4, 59.0, 0.2)
+    seen = scene(motions.quadrotor_flight(60.0, seed=3), seed=3, fix_times=times)
+    imu = ImuLog(Path("imu"), NOON + seen.t, seen.force @ FLIP, seen.rate @ FLIP, True)
+    std = diagonal(np.full((len(times), 3), 0.1))
+    gnss = GnssLog(Path("gnss"), NOON + times, seen.fix_lla, std, np.zeros(len(times), np.int8))
+    assert mount_yaw(imu, gnss) is None
+
+
+def test_missing_gravity_is_seen(caplog: pytest.LogCaptureFixture) -> None:
+    imu, gnss = drive()
+    check_imu(replace(imu, specific_force=imu.specific_force - [0.0, 0.0, 9.8]), gnss)
+    assert "gravity is missing" in caplog.text
+
+
+@pytest.mark.parametrize(("ahead", "is_seen"), [(0.0, False), (18.0, True)])
+def test_gps_time_in_one_of_the_logs_is_seen(
+    ahead: float, is_seen: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    imu, gnss = drive(90.0)
+    check_clocks(replace(imu, t=imu.t + ahead), gnss)
+    assert ("GPS time" in caplog.text) == is_seen
+
+
+@pytest.mark.parametrize(("factor", "is_seen"), [(1.0, False), (3.6, True), (100.0, True)])
+def test_a_velocity_in_another_unit_is_seen(
+    factor: float, is_seen: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, gnss = drive()
+    metres = (gnss.lla - gnss.lla[0]) * [6.36e6, 6.37e6 * np.cos(gnss.lla[0, 0]), -1.0]
+    check_velocity(replace(gnss, velocity_n=factor * np.gradient(metres, gnss.t, axis=0)))
+    assert ("check its unit" in caplog.text) == is_seen
+
+
+def imu_file(path: Path, imu: ImuLog) -> Path:
+    np.savetxt(path, np.column_stack((imu.t, imu.specific_force, imu.angular_rate)), delimiter=",")
+    return path
+
+
+def fix_file(path: Path, gnss: GnssLog, names: str = "time,lat,lon,height") -> Path:
+    rows = np.column_stack((gnss.t, np.degrees(gnss.lla[:, :2]), gnss.lla[:, 2]))
+    np.savetxt(path, rows, "%.9f", delimiter=",", header=names, comments="")
+    return path
+
+
+def test_fixes_without_height_become_a_bag(tmp_path: Path) -> None:
+    imu, gnss = drive(10.0)
+    flat = fix_file(tmp_path / "flat.csv", gnss, "time,lat,lon,depth")
+    convert_logs([imu_file(tmp_path / "imu.csv", imu), flat], tmp_path / "out.mcap")
+    with BagReader(tmp_path / "out.mcap") as bag:
+        fix = next(message for _, _, message in bag.messages("/gnss/fix"))
+    assert np.isnan(fix.altitude)
+
+
+def test_a_receivers_file_beside_an_autopilots_log(tmp_path: Path) -> None:
+    # GIVEN a telemetry log with IMU and fixes, and a solution of the receiver's own
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    link = mavlink.MAVLink(None)
+    imu = [
+        mavlink.MAVLink_raw_imu_message(1_000_000 + 10_000 * k, 0, 0, -1000, 0, 0, 0, 0, 0, 0)
+        for k in range(200)
+    ]
+    place = (321_000_000, 348_000_000, 70_000)
+    fixes = [mavlink.MAVLink_gps_raw_int_message(1_010_000, 6, *place, 80, 90, 200, 9000, 12)]
+    stamp = round(NOON * 1e6).to_bytes(8, "big")
+    log = tmp_path / "flight.tlog"
+    content = b"".join(stamp + message.pack(link) for message in [*imu, *fixes])
+    log.write_bytes(content)
+    _, gnss = drive(10.0)
+    solution = fix_file(tmp_path / "fixes.csv", gnss)
+    # WHEN both are read, THEN the fixes are those of the solution
+    found_imu, found = formats.read_logs([log, solution])
+    assert (found_imu.path, found.path) == (log, solution)
+    # AND a log that is cut is read up to there
+    log.write_bytes(content[:-5])
+    assert len(ardupilot.read_imu(log).t) in (199, 200)
+
+
+def test_a_receivers_stream_that_begins_amid_a_message(tmp_path: Path) -> None:
+    pyubx2 = pytest.importorskip("pyubx2")
+    values = {"year": 2023, "month": 11, "day": 15, "hour": 12, "validDate": 1, "validTime": 1}
+    messages = [
+        pyubx2.UBXMessage(
+            "NAV", "NAV-PVT", pyubx2.GET, iTOW=1000 * k, fixType=3, lat=32.1, lon=34.8, **values
+        ).serialize()
+        for k in range(4)
+    ]
+    path = tmp_path / "r.ubx"
+    cut_sentence = b"$GNGGA,120000.00,\xfe\xff\r\n"
+    path.write_bytes(messages[0][37:] + messages[1] + cut_sentence + messages[2] + messages[3])
+    assert formats.format_of(path) is ubx
+    log = ubx.read_gnss(path)
+    assert len(log.t) >= 2
+    assert set(log.status.tolist()) == {FIX}
+
+
+def test_options_between_the_files_and_options_that_do_not_apply(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imu, gnss = drive(10.0)
+    files = [imu_file(tmp_path / "imu.csv", imu), fix_file(tmp_path / "fixes.csv", gnss)]
+    logs, out = [str(path) for path in files], str(tmp_path / "out.mcap")
+    assert convert.main([*logs, "--time-offset", "0.5", out]) == 0
+    assert convert.main([*logs, out, "--overwrite", "--gnss-rate", "1"]) == 2
+    assert "--gnss-rate is for a folder of CSV files" in capsys.readouterr().err
+    assert convert.main([logs[0], out, str(tmp_path / "other.mcap")]) == 2
+    assert "is a bag already" in capsys.readouterr().err
+
+
+def test_a_date_that_no_stamp_holds_is_refused(tmp_path: Path) -> None:
+    imu, gnss = drive(10.0)
+    late = fix_file(tmp_path / "f.csv", replace(gnss, t=gnss.t + 1e9 + GPS_EPOCH))
+    with pytest.raises(InputError, match="stamps end in 2038"):
+        convert_logs([imu_file(tmp_path / "imu.csv", imu), late], tmp_path / "out.mcap")
