@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from hybrid_ins.cli.options import positive
 from hybrid_ins.kernels import is_compiled
 from hybrid_ins.resources import share_path
 from tools.processes import Processes, isolated_ros, program
@@ -76,7 +77,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         "--out", type=Path, default=Path("demo"), metavar="DIR", help="results [%(default)s/]"
     )
     parser.add_argument(
-        "--rate", type=float, default=1.0, metavar="R", help="times real time [%(default)g]"
+        "--rate", type=positive, default=1.0, metavar="R", help="times real time [%(default)g]"
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of all simulated noise [%(default)s]"

@@ -31,7 +31,7 @@ from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.state import COVARIANCE, EPS, QUAT, NavState, covariance, pack
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, EPS, QUAT, NavState, covariance, pack
 
 Array = NDArray[np.float64]
 FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
@@ -129,13 +129,15 @@ class MultipleModelBank:
         if measurement.sensor == GNSS and measurement.t_ns <= self._first_ns:
             return False
         self._waiting[measurement.kind, measurement.t_ns] = measurement
-        for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True):
-            t_ns = measurement.t_ns + (offset_ns if measurement.sensor == GNSS else 0)
-            hypothesis.submit(
-                replace(  # type: ignore[type-var]  # a record, see `measurements`
-                    measurement, t_ns=t_ns
-                )
+        shifted = {
+            offset_ns: replace(  # type: ignore[type-var]  # a record, see `measurements`
+                measurement,
+                t_ns=measurement.t_ns + (offset_ns if measurement.sensor == GNSS else 0),
             )
+            for offset_ns in set(self._offsets_ns)
+        }
+        for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True):
+            hypothesis.submit(shifted[offset_ns])
         return True
 
     def advance(self, ring: ImuRing, now_ns: int) -> list[Verdict]:
@@ -188,13 +190,10 @@ class MultipleModelBank:
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
-        C_best = matrix_from_quat(self.best.nav[QUAT])
-        means, variances = [], []
-        for hypothesis in self.filters:
-            C = matrix_from_quat(hypothesis.nav[QUAT]) @ C_best.T
-            means.append(math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
-            variances.append(covariance(hypothesis.nav)[EPS, EPS][2, 2])
-        mean, std = self._mixture(np.array(means), np.array(variances))
+        navs = np.stack([hypothesis.nav for hypothesis in self.filters])
+        C = matrix_from_quat(navs[:, QUAT]) @ matrix_from_quat(self.best.nav[QUAT]).T
+        means = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
+        mean, std = self._mixture(means, navs[:, COVARIANCE][:, DIAGONAL[EPS][2]])
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
 
     def _mixture(self, means: Array, variances: Array) -> tuple[float, float]:
