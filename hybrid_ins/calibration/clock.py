@@ -54,6 +54,10 @@ def observe_clock(
             verdict, note = "weak", "little change of speed and direction"
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
         rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
+    if fitted.drift.value:
+        drift, std = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
+        note = "gnss.time_offset.estimate follows it; the offset is that of the middle"
+        rows.append(("clock drift", drift, std, "identified", note))
     offsets = [fitted.offset(k) for k in range(count)]
     text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
     if ambiguous:
@@ -65,7 +69,7 @@ def observe_clock(
 
 def _std(fitted: Fit, offsets: list[float], verdicts: list[str]) -> float:
     """Return the σ [s] of the offset of another recording of the same robot; 0: not known."""
-    if any(verdict != "identified" for verdict in verdicts):
+    if fitted.drift.value or any(verdict != "identified" for verdict in verdicts):
         return 0.0
     sigmas = [fitted.sigma(offset_name(k, fitted.names)) for k in range(len(offsets))]
     spread = float(np.ptp(offsets)) if len(offsets) > 1 else 0.0

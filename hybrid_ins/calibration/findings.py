@@ -173,13 +173,13 @@ def calibrate(
         found.add(*row)
     found.values["gnss.time_offset.std"] = std
     found.notes["gnss.time_offset.value"] = note
-    mounted = after
-    if nose_first:
-        mounted = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
-    C_new_old = add_mount(found, fitted, mounted, nose_first)
+    if fitted.drift.value:
+        found.values["gnss.time_offset.estimate"] = True
+    smoothed = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
+    C_new_old = add_mount(found, fitted, smoothed, nose_first)
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     imu_position = np.array(found.values["imu.position"])
-    motion = fitted.recordings, after, [fitted.offset(k) for k in range(len(recordings))]
+    motion = fitted.recordings, smoothed, [fitted.offset(k) for k in range(len(recordings))]
     for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position):
         found.values.update(changed)
         found.add(*row, *changed)

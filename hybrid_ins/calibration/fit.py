@@ -14,10 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.drift import Drift, remove_drift
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
@@ -48,11 +50,12 @@ class Fit:
     prior: tuple[Prior, ...]
     frozen: frozenset[str]  # held at the mean of the prior: not identifiable
     yaws: tuple[float, ...]  # rad from north, of each recording at its start
-    recordings: tuple[Recording, ...]  # with the measurements that were used
+    recordings: tuple[Recording, ...]  # with the measurements that were used, and no drift
     grid: Array  # (G,) s, offsets of the coarse search
     profile: Array  # (recordings, G) log-likelihood
     nominal_x: Array  # (n,) the nominal parameters
     converged: bool
+    drift: Drift = Drift(0.0, math.inf)  # noqa: RUF009  of the clock, removed from the recordings
 
     def value(self, name: str) -> float:
         """Return one parameter."""
@@ -147,6 +150,10 @@ def fit(
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
         x, converged = maximise(fine, np.where(keep, nominal_x, x))
         std = np.where(keep, std, uncertainty(fine, x))
+    x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
+    if drift.value:
+        converged = refitted
+        std = np.where(keep, std, uncertainty(fine, x))
     return Fit(
         fine.names,
         x,
@@ -159,6 +166,7 @@ def fit(
         profile,
         nominal_x,
         converged,
+        drift,
     )
 
 

@@ -97,6 +97,10 @@ class Likelihood:
         self.on_pass: Callable[[], None] = lambda: None
         self._last: tuple[object, list[Array]] | None = None  # a point, and `_values` there
 
+    def use(self, recordings: Sequence[Recording]) -> None:
+        """Replace the recordings by others of the same motions."""
+        self.recordings, self._last = list(recordings), None
+
     def value(self, x: Array, name: str) -> float:
         """Return a parameter's value in ``x``."""
         return float(x[self._at[name]])

@@ -1,9 +1,10 @@
 """
 The smoothed states of a recording with calibrated parameters.
 
-What is read off the states, as the direction of travel in the vehicle is, is known better with
-the measurements after them, too. What is found by the likelihood of the innovations is not: its
-gradient is that of the smoothed residuals already (Fisher's identity, [1]_).
+What is read off the states (the mount by a reference's attitude or the direction of travel, nose
+and axle, wheels) is known better with the measurements after them, too. What is found by the
+likelihood of the innovations is not: its gradient is that of the smoothed residuals already
+(Fisher's identity, [1]_).
 
 References
 ----------

@@ -49,6 +49,7 @@ CONDITIONS: dict[str, tuple[float, str, float | None]] = {
 NOTHING = {"gnss.time_offset.value": 0.0, "gnss.time_offset.estimate": True}
 LEVER_ARM = "imu.position", "gnss.antenna_position"
 FIRST_OUTAGE = 12.0  # s
+HALF_PERIOD_NS = 50_000_000  # of the reference, whose epochs are compared
 
 
 def fly_once(
@@ -150,8 +151,11 @@ def draw_separation(path: Path, flown: Flown) -> None:
     before, after = flown.result.errors, flown.smoothed.errors
     assert before is not None and after is not None
     figure, axes = _axes(4, sharex=True)
-    common, a, b = np.intersect1d(before.stamp_ns, after.stamp_ns, return_indices=True)
-    t = (common - common[0]) * 1e-9
+    # Each is in the reference's time by its own clock offset; the instants of the IMU are the same.
+    b = np.searchsorted(after.stamp_ns, before.stamp_ns - HALF_PERIOD_NS)
+    a = np.flatnonzero(b < len(after.stamp_ns))
+    a = a[np.abs(after.stamp_ns[b[a]] - before.stamp_ns[a]) < HALF_PERIOD_NS]
+    b, t = b[a], (before.stamp_ns[a] - before.stamp_ns[a][0]) * 1e-9
     apart = before.position_enu[a] - after.position_enu[b]
     P, P_s = before.estimate.position_cov, after.estimate.position_cov
     assert P is not None and P_s is not None

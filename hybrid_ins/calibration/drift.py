@@ -1,0 +1,118 @@
+"""
+The drift of the receiver's clock against the IMU's, over recordings with fitted parameters.
+
+Fixes lie at t + offset + drift (t - middle). The likelihood's slope by the drift, beside those by
+the other parameters, gives the step to its maximum and how well it is known, [1]_. The recordings
+are put on a clock without that drift and fitted again, until nothing moves.
+
+References
+----------
+.. [1] E. Berndt, B. Hall, R. Hall, J. Hausman, "Estimation and inference in nonlinear structural
+       models", Annals of Economic and Social Measurement 3, 1974.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.calibration.likelihood import Likelihood
+from hybrid_ins.calibration.recording import Recording
+
+Array = NDArray[np.float64]
+
+PRIOR = 1e-3  # standard deviation; crystals agree to 1e-4, logger software to less
+STEP = 0.004  # s, of finite differences, at the ends of a recording
+BLOCK = 3.0  # s, over which scores are assumed to be dependent
+SIGNIFICANT = 3.0  # standard deviations
+NOTICEABLE = 0.005  # s, of the offset at the ends of the longest recording
+SETTLED = 0.1  # standard deviations
+MOST_PASSES = 8
+
+
+class Drift(NamedTuple):
+    """Rate of change of the clock offset, and its standard deviation [s/s]."""
+
+    value: float
+    std: float
+
+
+def without_drift(recording: Recording, drift: float) -> Recording:
+    """Return a recording whose GNSS times run without a drift; its middle stays where it is."""
+    middle = float(np.mean(recording.aid_t))
+    aid_t = recording.aid_t + drift * (recording.aid_t - middle)
+    attitude = recording.attitude
+    if attitude is not None:
+        attitude = attitude[0] + drift * (attitude[0] - middle), attitude[1]
+    return replace(recording, aid_t=aid_t, attitude=attitude)
+
+
+def remove_drift(
+    likelihood: Likelihood, x: Array, refit: Callable[[Array], tuple[Array, bool]]
+) -> tuple[Array, bool, Drift]:
+    """
+    Put the recordings on a clock without drift, if they show one.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Its recordings are replaced where a drift is found.
+    x : ndarray, shape (n,)
+        The fitted parameters.
+    refit : callable
+        Given parameters, returns those of the largest posterior and whether it was reached.
+
+    Returns
+    -------
+    x, converged, drift
+        The parameters that go with the drift; 0 where it is not significant.
+    """
+    given = likelihood.recordings
+    longest = max(float(np.ptp(recording.aid_t)) for recording in given)
+    total, converged = 0.0, True
+    for _ in range(MOST_PASSES):
+        step = _newton_step(likelihood, x, longest, total)
+        moved = total + step.value
+        shown = abs(moved) > max(SIGNIFICANT * step.std, 2.0 * NOTICEABLE / longest)
+        if not total and not shown:
+            break
+        total = moved
+        likelihood.use([without_drift(recording, total) for recording in given])
+        x, converged = refit(x)
+        if abs(step.value) < SETTLED * step.std:
+            break
+    else:
+        converged = False
+    return x, converged, Drift(total, step.std)
+
+
+def _newton_step(likelihood: Likelihood, x: Array, longest: float, drift: float) -> Drift:
+    """Return the step to the most probable drift, and the standard deviation of that."""
+    h = STEP / (0.5 * longest)
+    values, slopes = likelihood.scores(x)
+    free = likelihood.free()
+    given, rows, sums = likelihood.recordings, [], []
+    likelihood.use([without_drift(recording, h) for recording in given])
+    high = [likelihood.run(k, x).log_likelihood for k in range(len(given))]
+    likelihood.use(given)
+    for recording, low, up, slope in zip(given, values, high, slopes, strict=True):
+        score = np.column_stack((slope[:, free], (up - low) / h))
+        label = ((recording.aid_t - recording.aid_t[0]) // BLOCK).astype(int)
+        by_block = np.zeros((label[-1] + 1, score.shape[1]))
+        np.add.at(by_block, label, score)
+        rows.append(score)
+        sums.append(by_block - by_block.mean(axis=0))
+    precision = np.append([likelihood.prior[i].std ** -2.0 for i in free], PRIOR**-2.0)
+    scores, blocks = np.vstack(rows), np.vstack(sums)
+    gradient = np.append(
+        likelihood.gradient(slopes, x)[free], scores[:, -1].sum() - drift / PRIOR**2
+    )
+    inverse = np.linalg.inv(scores.T @ scores + np.diag(precision))
+    variance = inverse[-1, -1]
+    if len(blocks) > 2 * len(precision):
+        variance = max(variance, float((inverse @ blocks.T @ blocks @ inverse)[-1, -1]))
+    return Drift(float(inverse[-1] @ gradient), float(np.sqrt(variance)))
