@@ -5,6 +5,9 @@ Where the readings fit the motion with other axes or units, and do not with thos
 wrong, see `hybrid_ins.core.imu_axes_fit`. Where they fit as given, the mount may be wrong:
 specific force points up on average, and a vehicle that keeps one angle to its course moves along
 its nose.
+
+Readings that seem to fit over short intervals are compared over longer ones, too, and over a longer
+window: the fixes' noise hides less there, and the gyroscope's bias explains less.
 """
 
 from __future__ import annotations
@@ -37,6 +40,7 @@ from hybrid_ins.core.imu_axes_fit import (
 Array = NDArray[np.float64]
 
 WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
+LONG_WINDOW = 60.0  # s, where nothing is found in those
 LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
 FEWEST = 8  # changes of velocity
 FITS, FITS_OTHER = 0.01, 0.3  # shares of the changes' squares left over as given, by other axes
@@ -45,7 +49,7 @@ BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more
 AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
-TURN = 0.5  # rad, about an axis or of the course, that is a kind of motion
+TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
 UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
 LEAST_SPEED = 1.5  # m/s, of a course
@@ -127,7 +131,7 @@ class ImuAxesCheck:
         grid = STEP * np.arange(first, int(t[-1] / STEP + 1e-9) + 1)
         columns = [np.interp(grid, t, sums[:, k]) for k in range(6)]
         rows = np.column_stack((grid, *columns))
-        most = round((WINDOW + 2.0) / STEP)
+        most = round((LONG_WINDOW + 2.0) / STEP)
         self._grid = np.concatenate((self._grid, rows))[-most:]
 
     def add_fix(self, t_ns: int, lla: Array) -> None:
@@ -180,35 +184,41 @@ class ImuAxesCheck:
         True: nothing is. False: no hypothesis fits, or the fixes' noise hides the motion.
         """
         one = np.eye(3)
+        as_given, fits = Fit(1.0, one), HYPOTHESES
+        passed: list[tuple[Motion, Fit]] = []
+        fitting: list[tuple[Motion, Fit]] = []
+        tried = 0
         for motion in motions:
+            most = 1 if motion.t[-1] - motion.t[0] > WINDOW + SHORTEST else 2
+            if sum(len(m.t) == len(motion.t) for m, _ in passed) == most:
+                continue
             change = float(np.sum(motion.change_n[:, :2] ** 2))
-            as_given = fit(motion, Fit(1.0, one))
+            as_given = fit(motion, as_given)
             yield
-            if as_given.correlation > NOISE or as_given.left < FITS_OTHER * change:
-                break
-        else:
+            if as_given.correlation < NOISE and as_given.left > FITS_OTHER * change:
+                continue
+            passed.append((motion, as_given))
+            if as_given.left < FITS * change or as_given.correlation < NOISE:
+                fitting.append(passed[-1])
+                continue
+            if not np.any(np.ptp(motion.turn, axis=0)):
+                return AxesFault(AS_GIVEN, self._mount, no_turns=True)
+            untried, tried = passed[tried:], len(passed)
+            fits = yield from _fit_all(fits, untried[:1] + untried[1:][-1:])
+            found = self._explain(motion, change, as_given, fits, len(passed) == 1)
+            if found is not None:
+                return found
+            if not any(one.correlation < NOISE for one in fits):
+                break  # errors that are more than noise only grow with the interval
+        if not fitting:
             return self._by_gravity()
-        if as_given.left < FITS * change or as_given.correlation < NOISE:
-            fault = self._mount_fault(motion, one, one, as_given)
-            if fault is not None and not fault.by_course:
-                reversed_force = fit(motion, Fit(-1.0, one))
-                if reversed_force.left < MUCH_BETTER * as_given.left:
-                    return self._by_gravity() or True
-            return fault or not self._may_be_as_found(motion, as_given)
-        if not np.any(np.ptp(motion.turn, axis=0)):
-            return AxesFault(AS_GIVEN, self._mount, no_turns=True)
-        fits: list[Fit] = []
-        for hypothesis in HYPOTHESES:
-            fits.append(fit(motion, hypothesis))
-            yield
-        fits = [f for f in fits if f.left < as_given.left / MUCH_BETTER or not _is_slow(f)]
-        best = min(fits, key=lambda one: one.left)
-        times = BETTER if best.correlation < NOISE else MUCH_BETTER
-        if best.left > min(FITS_OTHER * change, as_given.left / times):
-            return self._by_gravity()
-        most = max(AS_GOOD * best.left, best.left + FITS * change)
-        fitting = [one for one in fits if one.left < most]
-        return self._explain(motion, fitting) or self._by_gravity()
+        motion, as_given = fitting[-1]
+        fault = self._mount_fault(motion, one, one, as_given)
+        if fault is not None and not fault.by_course:
+            reversed_force = fit(motion, Fit(-1.0, one))
+            if reversed_force.left < MUCH_BETTER * as_given.left:
+                return self._by_gravity() or True
+        return fault or not self._may_be_as_found(*fitting[0])
 
     def _may_be_as_found(self, motion: Motion, as_given: Fit) -> bool:
         """Return whether a motion that fits as given does not contradict an earlier check."""
@@ -227,18 +237,25 @@ class ImuAxesCheck:
         grid = self._grid
         if len(grid) < SHORTEST / STEP:
             return False
-        mount = _mount_upright(self._mount, grid[-1, 4:] - grid[0, 4:])
+        begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
+        mount = _mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
 
     def _motions(self) -> list[Motion]:
         """Return the last seconds, by those intervals over which there is enough motion."""
-        grid, fixes = self._grid, self._fixes
+        if len(self._grid) <= (WINDOW + SHORTEST) / STEP:
+            return self._motions_of(WINDOW, 0)
+        return [*self._motions_of(WINDOW, 0), *self._motions_of(LONG_WINDOW, 1)]
+
+    def _motions_of(self, window: float, shortest: int) -> list[Motion]:
+        """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""
+        grid, fixes = self._grid[-round((window + 2.0) / STEP) :], self._fixes
         if len(grid) < SHORTEST / STEP or len(fixes) < 3:
             return []
         fix_t = np.array([(t_ns - self._start_ns) * 1e-9 for t_ns, _ in fixes])
         lla = np.array([place for _, place in fixes])
         reach = CLOCK_OFFSETS[-1]
-        begin = max(grid[0, 0] + reach, grid[-1, 0] - WINDOW)
+        begin = max(grid[0, 0] + reach, grid[-1, 0] - window)
         inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
         fix_t, lla = fix_t[inside], lla[inside]
         if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
@@ -246,7 +263,7 @@ class ImuAxesCheck:
         position_n = np.nan_to_num((lla - lla[0]) * curvature_scale(lla[0]))
         steps = np.diff(grid[:, 1:], axis=0)
         motions = []
-        for interval, least in zip(INTERVALS, LEAST_CHANGE, strict=True):
+        for interval, least in list(zip(INTERVALS, LEAST_CHANGE, strict=True))[shortest:]:
             triples = triples_of(fix_t, interval)
             motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
             changes = np.sum(motion.change_n[:, :2] ** 2)
@@ -254,8 +271,27 @@ class ImuAxesCheck:
                 motions.append(motion)
         return motions
 
-    def _explain(self, motion: Motion, fitting: list[Fit]) -> AxesFault | None:
-        """Return the most ordinary explanation of hypotheses that fit, by gravity and course."""
+    def _explain(
+        self, motion: Motion, change: float, as_given: Fit, fits: list[Fit], is_first: bool
+    ) -> AxesFault | None:
+        """
+        Return the fault if hypotheses fit much better than the readings as given.
+
+        Where a motion was compared before, only the fixes' noise may be left over by the best.
+        Of those that fit, the most ordinary explanation by gravity and course is chosen.
+        """
+        fits = [f for f in fits if f.left < as_given.left / MUCH_BETTER or not _is_slow(f)]
+        if not fits:
+            return None
+        best = min(fits, key=lambda one: one.left)
+        is_noise = best.correlation < NOISE
+        if not (is_noise or is_first):
+            return None
+        times = BETTER if is_noise else MUCH_BETTER
+        if best.left > min(FITS_OTHER * change, as_given.left / times):
+            return None
+        most = max(AS_GOOD * best.left, best.left + FITS * change)
+        fitting = [one for one in fits if one.left < most]
         with_mount: list[AxesFault] = []
         plain: list[tuple[Array, Array]] = []
         for accelerometer, gyroscope in EXPLANATIONS:
@@ -285,6 +321,20 @@ class ImuAxesCheck:
         by_course = along is not None
         explanation = ((accelerometer, gyroscope),)
         return AxesFault(explanation, chosen, turned=True, by_course=by_course)
+
+
+def _fit_all(
+    hypotheses: list[Fit], motions: list[tuple[Motion, Fit]]
+) -> Generator[None, None, list[Fit]]:
+    """Return fits of the last motion, by hypotheses that fit those before as if as given."""
+    fits: list[Fit] = []
+    for motion, as_given in motions:
+        fits = []
+        for hypothesis in hypotheses:
+            fits.append(fit(motion, hypothesis))
+            yield
+        hypotheses = [f for f in fits if f.left < AS_GOOD * as_given.left]
+    return fits
 
 
 def _is_slow(hypothesis: Fit) -> bool:

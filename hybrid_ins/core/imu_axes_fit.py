@@ -40,7 +40,7 @@ BIAS_STD, LARGEST_BIAS = 0.02, 0.05  # rad/s, of a gyroscope
 LEVER_ARM_STD, LONGEST_LEVER_ARM = 0.5, 3.0  # m, from the IMU to the antenna along each axis
 CHANGE_STD = 0.3  # m/s, of a change of velocity by fixes
 NUDGE = 1e-3  # rad/s, for derivatives by the bias
-ITERATIONS, SMALLER = 5, 0.99  # at most; as long as so many times as much is left over
+ITERATIONS, SMALLER = 8, 0.99  # at most; as long as so many times as much is left over
 # Bias, lever arm and clock offset between those of the grid.
 NUISANCE_STD = np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1))
 LARGEST = np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1))
@@ -155,7 +155,8 @@ def fit(motion: Motion, start: Fit) -> Fit:
     """Return how well a hypothesis fits, from the bias and the lever arm of its start on."""
     turn, change_n = motion.turn @ start.gyroscope.T, motion.change_n
     impulse = start.sign * motion.impulse
-    best, nuisance = start, np.concatenate((start.bias, start.lever_arm, [0.0]))
+    best = replace(start, left=np.inf)
+    nuisance = nuisance_of_best = np.concatenate((start.bias, start.lever_arm, [0.0]))
     for _ in range(ITERATIONS):
         bias, lever_arm, offsets = nuisance[:3], nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
         biases = bias + NUDGE * np.eye(4, 3, -1)
@@ -166,18 +167,20 @@ def fit(motion: Motion, start: Fit) -> Fit:
         misfit = change_n - np.einsum("tij,tkj->tki", C, changes)
         left = np.sum(misfit[..., :2] ** 2, axis=(1, 2))
         k = int(np.argmin(left))
+        if left[k] > best.left:  # the step was too long
+            nuisance = 0.5 * (nuisance + nuisance_of_best)
+            continue
         if left[k] > SMALLER * best.left:
             break
-        if left[k] < best.left:
-            correlation = float(np.sum(misfit[k, 1:, :2] * misfit[k, :-1, :2]) / left[k])
-            best = replace(
-                best,
-                left=float(left[k]),
-                correlation=correlation,
-                C_ni=C[k],
-                bias=bias,
-                lever_arm=lever_arm,
-            )
+        nuisance_of_best = nuisance
+        best = replace(
+            best,
+            left=float(left[k]),
+            correlation=float(np.sum(misfit[k, 1:, :2] * misfit[k, :-1, :2]) / left[k]),
+            C_ni=C[k],
+            bias=bias,
+            lever_arm=lever_arm,
+        )
         around = offsets[k] + CLOCK_STEP * np.arange(-1.0, 2.0)
         before, at, after = _changes(motion, paths[0], around)
         nudged = _changes(motion, paths[1:], around[1:2])[:, 0]
