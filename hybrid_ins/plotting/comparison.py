@@ -128,12 +128,13 @@ def _label(name: str, result: Result) -> str:
 
 
 def _draw_tracks(axes: Axes, views: Sequence[RunView]) -> None:
-    for view, colour in zip(views, COLOURS, strict=False):
-        axes.plot(*thin_path(view.estimate.position_enu), color=colour, lw=1.3, zorder=4)
+    widths = np.linspace(1.3, 3.2, len(views))[::-1]  # the runs below those above show beside them
+    for view, colour, width in zip(views, COLOURS, widths, strict=False):
+        axes.plot(*thin_path(view.estimate.position_enu), color=colour, lw=width, zorder=4)
     positions = [view.estimate.position_enu for view in views]
     if views[0].truth is not None:
         truth = views[0].truth.position_enu
-        axes.plot(*thin_path(truth), color=BLACK, lw=2.4, alpha=0.5, zorder=3, label="truth")
+        axes.plot(*thin_path(truth), color=BLACK, lw=4.5, alpha=0.5, zorder=3, label="truth")
         positions.append(truth)
     axes.plot(*views[0].start_position()[:2], "o", ms=8, mfc="white", mec=BLACK, label="start")
     finish_map(axes, positions)

@@ -70,9 +70,7 @@ def overview(run: Run, result: Result) -> Figure:
         view = RunView(run, result)
         draw_map(track, view)
         draw_height(timed[0], view)
-        draw_error(
-            timed[1], view, "velocity", (0, 1, 2), "body velocity error", "m/s", ("x", "y", "z")
-        )
+        draw_error(timed[1], view, "velocity", (0, 1, 2), "velocity error", "m/s", ("x", "y", "z"))
         for axis, name in enumerate(("east", "north", "up")):
             draw_error(timed[2 + axis], view, "position", [axis], f"{name} error", "m")
         draw_error(timed[5], view, "attitude", [2], "heading error", "deg")

@@ -55,7 +55,7 @@ def test_one_page_shows_everything(whole: Run, tmp_path: Path) -> None:
     shown = texts(figure)
     for text in (
         "a_flight", "PRMSE 0.51 m", "east [m]", "rejected fix", "east error", "north error",
-        "up error", "heading error", "tilt error", "body velocity error", "m/s", "deg", "NIS",
+        "up error", "heading error", "tilt error", "velocity error", "m/s", "deg", "NIS",
         "threshold", "rejected: gate (6)", "rejected: no covariance (1)", "accelerometer bias",
         "gyroscope bias", "accelerometer q", "learned", "time [s]; shaded: no accepted fix",
     ):  # fmt: skip
