@@ -38,6 +38,7 @@ from hybrid_ins.simulation.motions import (
 )
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample
 from tools.parallel import run_parallel
+from tools.robustness.held_numbers import growing, held_numbers
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ IMU_STD = np.repeat([0.05, 0.003], 3)  # m/s², rad/s, per sample
 BIAS = np.repeat([0.03, 0.002], 3)
 FIX_STD = np.array([3.0, 3.0, 6.0])  # m, NED: an ordinary receiver
 CHUNK = 300.0  # s, of samples simulated at once
+AUDIT = 3600.0  # s, between two audits of every number that the estimator holds: whole chunks
 EVERY = 10  # fixes
 T0_NS = 10**9
 GRID = 0.1  # s, between the knots of a drive
@@ -113,6 +115,9 @@ class Day:
     sensitivity: Array  # (K,) of the state to the clock offset, largest element
     state_offset: Array  # (K,) of a noise hypothesis, largest over its standard deviation
     eigenvalue: Array  # (K,) of a noise hypothesis' correlation matrix, smallest
+    audit_t: Array  # (A,) s, every ``AUDIT`` seconds
+    held: dict[str, Array]  # (A,) largest magnitude that the estimator holds, by place
+    not_finite: tuple[str, ...]  # places with a number that is not finite at the end
     summary: str  # what was fused and what not
     failure: str  # why it ended early
 
@@ -121,15 +126,33 @@ class Day:
         """Largest error of the clock offset over its standard deviation."""
         return float(np.max(np.abs(self.clock_error) / self.clock_sigma))
 
+    def what_is_held(self) -> str:
+        """Return how many numbers' places there are, what is not finite, and what grows."""
+        grown = growing(self.audit_t, self.held)
+        parts = [f"{place} {a:.3g} to {b:.3g}" for place, (a, b) in sorted(grown.items())]
+        return f"{len(self.held)}, {', '.join(self.not_finite)}, {', '.join(parts) or 'none'}"
 
-def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[str, object]) -> Day:
-    """Run the node's estimator over a day; ``offset`` [s] is missing from the stamps of fixes."""
+
+def live(
+    kind: str,
+    duration: float,
+    seed: int,
+    offset: float,
+    values: Mapping[str, object],
+    rate: float = RATE,
+    period: float = 1.0,
+) -> Day:
+    """
+    Run the node's estimator over a day; ``offset`` [s] is missing from the stamps of fixes.
+
+    An IMU of another ``rate`` [Hz] has noise of the same density; ``period`` [s] is that of fixes.
+    """
     rng = np.random.default_rng(seed)
     motion = MOTIONS[kind](duration + 1.0, seed)
     sign = rng.choice([-1.0, 1.0], 6)
     errors = ImuErrors(
-        accelerometer_std=IMU_STD[:3],
-        gyroscope_std=IMU_STD[3:],
+        accelerometer_std=IMU_STD[:3] * np.sqrt(rate / RATE),
+        gyroscope_std=IMU_STD[3:] * np.sqrt(rate / RATE),
         accelerometer_bias=(BIAS * sign)[:3],
         gyroscope_bias=(BIAS * sign)[3:],
     )
@@ -143,23 +166,24 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
     fix.position_covariance = np.diag(FIX_STD[[1, 0, 2]] ** 2).ravel()
     fix.position_covariance_type = 2
     rows: list[tuple[float, ...]] = []
+    audits: list[tuple[float, dict[str, tuple[float, float, bool]]]] = []
     failure = ""
     for begin in np.arange(0.0, duration, CHUNK):
         chunk = min(CHUNK, duration - begin)
-        t = begin + np.arange(round(chunk * RATE)) / RATE
+        t = begin + np.arange(round(chunk * rate)) / rate
         imu = corrupt(sample(motion, t), errors, rng)
         errors = replace(
             errors,
             accelerometer_bias=imu.accelerometer_bias[-1],
             gyroscope_bias=imu.gyroscope_bias[-1],
         )
-        stamps, force, rate = _stamps(t), imu.specific_force @ FLIP, imu.angular_rate @ FLIP
-        gnss = fixes(sample(motion, begin + 0.5 + np.arange(int(chunk))), rng, FIX_STD)
+        stamps, force, turn = _stamps(t), imu.specific_force @ FLIP, imu.angular_rate @ FLIP
+        gnss = fixes(sample(motion, begin + np.arange(0.5, chunk, period)), rng, FIX_STD)
         start = 0
         try:
             for k in range(len(gnss.t)):
                 stop = int(np.searchsorted(stamps, _stamps(gnss.t[k]), side="right"))
-                handle_imu_block(estimator, stamps[start:stop], force[start:stop], rate[start:stop])
+                handle_imu_block(estimator, stamps[start:stop], force[start:stop], turn[start:stop])
                 start = stop
                 stamp = int(_stamps(gnss.t[k] - offset))
                 conversions.set_stamp(fix.header.stamp, stamp)
@@ -175,9 +199,27 @@ def live(kind: str, duration: float, seed: int, offset: float, values: Mapping[s
         except (ValueError, ZeroDivisionError) as error:
             failure = f"{error} at {gnss.t[k]:.0f} s"
             break
-        handle_imu_block(estimator, stamps[start:], force[start:], rate[start:])
+        handle_imu_block(estimator, stamps[start:], force[start:], turn[start:])
+        if begin % AUDIT == 0.0:
+            audits.append((begin + chunk, held_numbers(estimator)))
     columns = np.array(rows).T
-    return Day(*columns[:4], columns[4:7].T, *columns[7:], estimator.status.summary(), failure)
+    places = sorted(set().union(*(found for _, found in audits)))
+    held = {
+        place: np.array(
+            [max(map(abs, found.get(place, (0.0, 0.0, True))[:2])) for _, found in audits]
+        )
+        for place in places
+    }
+    return Day(
+        *columns[:4],
+        columns[4:7].T,
+        *columns[7:],
+        np.array([t for t, _ in audits]),
+        held,
+        tuple(place for place, ends in audits[-1][1].items() if not ends[2]),
+        estimator.status.summary(),
+        failure,
+    )
 
 
 def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
@@ -216,20 +258,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=list(MOTIONS))
     parser.add_argument("--estimate", action="store_true", help="correct the clock offset")
     parser.add_argument("--param", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"))
+    parser.add_argument("--imu-rate", type=float, default=RATE, help="[Hz]")
+    parser.add_argument("--fix-period", type=float, default=1.0, help="[s]")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     args = parser.parse_args(argv)
     kernel_cache.enable()
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}
     todo = [
-        (kind, args.hours * 3600.0, seed, args.offset, values)
+        (kind, args.hours * 3600.0, seed, args.offset, values, args.imu_rate, args.fix_period)
         for kind in args.motion
         for seed in range(args.seeds)
     ]
     print(
         "motion, seed: hours; clock offset: largest error/sigma, error, sigma at the end and least "
         "[ms]; largest sensitivity; mean position NEES; factors: median, largest; hypotheses: "
-        "largest offset/sigma, least eigenvalue; fixes; failure"
+        "largest offset/sigma, least eigenvalue; places of numbers held, not finite, growing "
+        "(from the second to the last quarter of the time); fixes; failure"
     )
     failed = False
     for (kind, _, seed, *_), day in zip(todo, run_parallel(live, todo, args.jobs), strict=True):
@@ -241,6 +286,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"{day.sensitivity.max():.2g}; {day.position_nees[3:].mean():.2f}; "
             f"{np.median(day.factors, axis=0).round(2)}, {day.factors.max(axis=0).round(1)}; "
             f"{day.state_offset.max():.2g}, {day.eigenvalue.min():.2g}; "
+            f"{day.what_is_held()}; "
             f"{day.summary}; {day.failure or 'none'}",
             flush=True,
         )
