@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.runs import fly, moved
+from support.runs import Q, fly, moved
 
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
@@ -22,6 +22,24 @@ def test_a_right_model_is_left_alone(seed: int) -> None:
     medians = np.median(factors[100:], axis=0)
     assert np.all(medians > 0.6) and np.all(medians < 1.05)
     assert np.all(factors[100:] < 1.5)
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("axes", [slice(0, 3), slice(3, 6), slice(0, 6)])
+def test_a_level_is_an_upper_bound(seed: int, axes: slice) -> None:
+    """
+    GIVEN levels of accelerometer, gyroscope or both that are read 1000 times too high
+    THEN the filter uses less than 50 times the truth, and the level that is right as it is.
+    """
+    q = Q.copy()
+    q[axes] *= 1000.0
+
+    _, factors = fly(draw(SCENE, seed), q=q)
+
+    used = np.median(factors[100:, :2], axis=0) * q[[0, 3]] / Q[[0, 3]]
+    raised = q[[0, 3]] > Q[[0, 3]]
+    assert np.all(used[raised] < 50.0)
+    assert np.all(np.abs(np.log(used[~raised])) < np.log(2.0))
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])

@@ -25,7 +25,7 @@ from tools.paper.runs import Run
 Q = np.repeat([4e-4, 4e-6], 3)
 
 
-def begin(run: Run, **settings: Any) -> InsFilter:
+def begin(run: Run, *, q: np.ndarray = Q, **settings: Any) -> InsFilter:
     stamps = run.samples["t_ns"]
     ring = ImuRing()
     ring.extend(run.samples[:1])
@@ -33,16 +33,20 @@ def begin(run: Run, **settings: Any) -> InsFilter:
         run.start,
         int(stamps[0]),
         np.concatenate((run.samples["f"][0], run.samples["w"][0])),
-        FilterNoise(ConstantNoise(Q), ProcessNoise(run.bias_walk, 0.01), NoiseMultipleModelBank()),
+        FilterNoise(ConstantNoise(q), ProcessNoise(run.bias_walk, 0.01), NoiseMultipleModelBank()),
         Gate({3: 25.0, 6: 35.0}, 3.0),
         ring,
         FilterSettings(max_delay=1.0, **settings),
     )
 
 
-def fly(run: Run, *, late: float = 0.0) -> tuple[InsFilter, np.ndarray]:
-    """Run the filter, each fix given ``late`` [s] after its stamp; returns the factors (M, 3)."""
-    ins, at, factors = begin(run), 0, []
+def fly(run: Run, *, late: float = 0.0, q: np.ndarray = Q) -> tuple[InsFilter, np.ndarray]:
+    """
+    Run the filter with levels ``q``, and return the factors (M, 3).
+
+    Each fix is given ``late`` [s] after its stamp.
+    """
+    ins, at, factors = begin(run, q=q), 0, []
     stamps = run.samples["t_ns"]
     for fix in run.fixes:
         stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))

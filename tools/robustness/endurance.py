@@ -26,6 +26,7 @@ from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.state import DP, LLA, PLACES, SENSITIVITY, covariance
 from hybrid_ins.ros import conversions
+from hybrid_ins.ros import estimator as ros_estimator
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.imu_block import handle_imu_block
@@ -260,9 +261,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--param", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"))
     parser.add_argument("--imu-rate", type=float, default=RATE, help="[Hz]")
     parser.add_argument("--fix-period", type=float, default=1.0, help="[s]")
+    parser.add_argument("--report-period", type=float, default=0.1, help="of the node [s]")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     args = parser.parse_args(argv)
     kernel_cache.enable()
+    ros_estimator.REPORT_NS = round(args.report_period * 1e9)
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}
     todo = [
@@ -271,8 +274,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         for seed in range(args.seeds)
     ]
     print(
-        "motion, seed: hours; clock offset: largest error/sigma, error, sigma at the end and least "
-        "[ms]; largest sensitivity; mean position NEES; factors: median, largest; hypotheses: "
+        "motion, seed: hours; clock offset: largest error/sigma, error, sigma at the end, least, "
+        "largest [ms]; largest sensitivity; mean position NEES; factors: smallest, median, "
+        "largest; hypotheses: "
         "largest offset/sigma, least eigenvalue; places of numbers held, not finite, growing "
         "(from the second to the last quarter of the time); fixes; failure"
     )
@@ -282,9 +286,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(
             f"{kind}, {seed}: {day.t[-1] / 3600:.2f}; "
             f"{day.clock_excess:.2g}, {1e3 * day.clock_error[-1]:.1f}, "
-            f"{1e3 * day.clock_sigma[-1]:.1f}, {1e3 * day.clock_sigma.min():.2g}; "
+            f"{1e3 * day.clock_sigma[-1]:.1f}, {1e3 * day.clock_sigma.min():.2g}, "
+            f"{1e3 * day.clock_sigma.max():.3g}; "
             f"{day.sensitivity.max():.2g}; {day.position_nees[3:].mean():.2f}; "
-            f"{np.median(day.factors, axis=0).round(2)}, {day.factors.max(axis=0).round(1)}; "
+            f"{day.factors.min(axis=0).round(3)}, {np.median(day.factors, axis=0).round(2)}, "
+            f"{day.factors.max(axis=0).round(1)}; "
             f"{day.state_offset.max():.2g}, {day.eigenvalue.min():.2g}; "
             f"{day.what_is_held()}; "
             f"{day.summary}; {day.failure or 'none'}",

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-GROWTH = 3.0  # of the last quarter of the time over the second one: that grows
+GROWTH = 1.5  # of the last quarter of the time over the second one; twice is linear in time
+STAMP = 0.9e9  # per second: what grows so is a time in nanoseconds
 _OPAQUE = (str, bytes, type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType)
 
 
 def held_numbers(holder: object) -> dict[str, tuple[float, float, bool]]:
     """
-    Return smallest and largest number, and whether all are finite, by where they are held.
+    Return smallest and largest finite number, and whether all are, by where they are held.
 
     A place is a class and its attribute, such as ``ClockOffsetObserver.values``; how many elements
     a list, a dictionary or a queue has counts as a number of ``len(place)``.
@@ -31,7 +32,7 @@ def held_numbers(holder: object) -> dict[str, tuple[float, float, bool]]:
     for place, values in _walk(holder, type(holder).__name__, set()):
         if values.size:
             finite = values[np.isfinite(values)]
-            ends = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+            ends = float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
             found.setdefault(place, []).append((*ends, finite.size == values.size))
     return {
         place: (min(p[0] for p in parts), max(p[1] for p in parts), all(p[2] for p in parts))
@@ -43,7 +44,8 @@ def growing(t: Array, history: Mapping[str, Array]) -> dict[str, tuple[float, fl
     """
     Return the largest magnitude in the second and in the last quarter of time, of what grows.
 
-    ``history`` holds magnitudes (K,) at times ``t``, (K,), for each place; 0 where there was none.
+    ``history`` holds magnitudes (K,) at times ``t`` [s], (K,), for each place; 0 where there was
+    none. Stamps in nanoseconds are left out.
     """
     span = t[-1] - t[0]
     early = (t - t[0] > 0.25 * span) & (t - t[0] <= 0.5 * span)
@@ -51,7 +53,9 @@ def growing(t: Array, history: Mapping[str, Array]) -> dict[str, tuple[float, fl
     if not np.any(early):
         return {}
     pairs = {place: (float(m[early].max()), float(m[late].max())) for place, m in history.items()}
-    return {place: pair for place, pair in pairs.items() if pair[1] > GROWTH * pair[0]}
+    return {
+        place: pair for place, pair in pairs.items() if GROWTH * pair[0] < pair[1] < STAMP * t[-1]
+    }
 
 
 def _walk(value: Any, place: str, seen: set[int]) -> Iterator[tuple[str, Array]]:
