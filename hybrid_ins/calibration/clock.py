@@ -1,20 +1,24 @@
-"""What the fit of recordings says about the clock offset of their fixes."""
+"""What the fit of recordings says about the clock of their fixes, and how late they arrive."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.fit import KEPT, Fit
 from hybrid_ins.calibration.likelihood import offset_name
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.parameters import PARAMETERS
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str, str, str]  # label, value, sigma, verdict, note
 
 IDENTIFIED_OFFSET, NO_OFFSET = 0.015, 0.08  # s: largest σ, and σ from which nothing is known
 SEARCHED_ANYWAY = 0.05  # s: a wider spread between recordings says no more than the search's cell
+MOST_FIXES, DELAY_MARGIN = 0.995, 1.25  # arrive within a time; its multiple is allowed for
 
 
 def observe_clock(
@@ -84,3 +88,35 @@ def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
         return None
     other = int(np.argmax(np.where(away, profile, -np.inf)))
     return float(grid[other]) if profile[other] > np.max(profile) - 5.0 else None
+
+
+def observe_delay(
+    recordings: Sequence[Recording], offsets: Sequence[float], given: float
+) -> tuple[Row, float] | None:
+    """
+    Return a row for the user and a larger ``gnss.max_delay`` [s], that lets the fixes in; or None.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    offsets : sequence of float
+        Clock offset of each [s].
+    given : float
+        The present ``gnss.max_delay`` [s].
+    """
+    late = [
+        float(np.quantile(recording.delay, MOST_FIXES)) - max(0.0, offset)
+        for recording, offset in zip(recordings, offsets, strict=True)
+        if len(recording.delay)
+    ]
+    if not late:
+        return None
+    worst, largest = max(*late, 0.0), float(PARAMETERS["gnss.max_delay"].high or math.inf)
+    needed = math.ceil(10.0 * DELAY_MARGIN * worst) / 10.0
+    verdict, note = "identified", f"{100.0 * MOST_FIXES:g} % arrive within that after their stamp"
+    if worst > largest:
+        verdict, note = "weak", f"more than gnss.max_delay can be ({largest:g} s): rejected"
+    if needed <= given:
+        return None
+    value = min(needed, largest)
+    return ("delay of the fixes", f"{worst:.2f} s", "", verdict, note), value

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET, NO_OFFSET, observe_clock
+from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET, NO_OFFSET, observe_clock, observe_delay
 from hybrid_ins.calibration.derived import (
     ORDINARY,
     courses,
@@ -175,11 +175,16 @@ def calibrate(
     found.notes["gnss.time_offset.value"] = note
     if fitted.drift.value:
         found.values["gnss.time_offset.estimate"] = True
+    offsets = [fitted.offset(k) for k in range(len(recordings))]
+    delay = observe_delay(recordings, offsets, values["gnss.max_delay"])
+    if delay is not None:
+        row, found.values["gnss.max_delay"] = delay
+        found.add(*row, "gnss.max_delay")
     smoothed = [smoothed_pass(fitted, nominal, k, one) for k, one in enumerate(after)]
     C_new_old = add_mount(found, fitted, smoothed, nose_first)
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     imu_position = np.array(found.values["imu.position"])
-    motion = fitted.recordings, smoothed, [fitted.offset(k) for k in range(len(recordings))]
+    motion = fitted.recordings, smoothed, offsets
     for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position):
         found.values.update(changed)
         found.add(*row, *changed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,8 @@ class Recording:
     aid_R: Array  # (M, 3, 3)
     attitude: tuple[Array, Array] | None = None  # truth: (K,) s GNSS clock, (K, 4) C_nb
     body_velocity: tuple[BodyVelocity, ...] = ()  # of wheels; stamps since the first sample
+    delay: Array = field(default_factory=lambda: np.empty(0))  # (L,) s, IMU's stamp at the arrival
+    # of a fix, less its own
 
     @property
     def period(self) -> float:
@@ -103,6 +105,7 @@ def read_recording(
         wheels = _wheels(bag, values)
         aid: list[tuple[int, int, Array, Array]] = []
         ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
+        delay_ns: list[int] = []  # of fixes behind the IMU
         attitude = None
         if use_truth:
             aid, attitude = _truth(bag)
@@ -113,6 +116,8 @@ def read_recording(
                 fix = gnss.position(gps_fix.position_of(message, messages.new_message))
                 if not isinstance(fix, Refused):
                     ahead_ns.append(fix.t_ns - log_ns)
+                    before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
+                    delay_ns.append(int(imu.stamp_ns[max(before - 1, 0)]) - fix.t_ns)
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
             if bag.topics.get(velocity_topic) == messages.VELOCITY:
                 for _, _, message in bag.messages(velocity_topic):
@@ -172,6 +177,7 @@ def read_recording(
             for one in wheels
             if 0 <= (one.t_ns - origin) * 1e-9 <= min(t[-1], longest)
         ),
+        np.array(delay_ns) * 1e-9,
     )
 
 
