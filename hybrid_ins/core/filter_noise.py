@@ -35,6 +35,11 @@ class FilterNoise:
         Converts them to densities.
     factors : NoiseMultipleModelBank, optional
         Estimates factors on those variances and on the covariance of fixes; none: all are 1.
+
+    Attributes
+    ----------
+    unclaimed_std : float
+        Standard deviation [m] of a slow error of fixes, see `position_scatter.Split`.
     """
 
     def __init__(
@@ -46,11 +51,12 @@ class FilterNoise:
         self.model = model
         self.process = process
         self.factors = factors
+        self.unclaimed_std = 0.0
         self._restarted = False
 
     def __copy__(self) -> FilterNoise:
         twin = FilterNoise(copy.copy(self.model), self.process, copy.copy(self.factors))
-        twin._restarted = self._restarted
+        twin.unclaimed_std, twin._restarted = self.unclaimed_std, self._restarted
         return twin
 
     @property
@@ -62,6 +68,11 @@ class FilterNoise:
     def fix_factor(self) -> float:
         """Factor on the covariance that fixes claim."""
         return 1.0 if self.factors is None else self.factors.fix_factor
+
+    @property
+    def slow_std(self) -> float:
+        """Standard deviation [m] of a slow error of fixes that the innovations show; 0: none."""
+        return 0.0 if self.factors is None else self.factors.slow_std
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""

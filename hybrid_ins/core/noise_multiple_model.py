@@ -11,6 +11,10 @@ each gives to the whole sequence, [1]_.
 The factors may also be below 1, by a decade and a half: vibration that the regressor measures
 above the frequencies of motion need not extend down to those that integrate into position.
 
+A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
+from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
+hypotheses have one of decimetres to metres, as a random walk of position.
+
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
 keeps the offset of its own estimate from the running one. A correction that the running filter
@@ -35,10 +39,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import advance, mean_system
+from hybrid_ins.core.position_scatter import SLOW_AXES, SLOW_TIME
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
     COVARIANCE,
+    DIAGONAL,
+    DP,
     DV,
     N_ERROR,
     PACKED_COLUMNS,
@@ -58,14 +65,26 @@ FACTOR_COST = 2.0  # nats of evidence that a factor above 1 needs
 DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
 REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
 DEAD_BAND = 0.1  # decades that count as none
+SLOW_STDS = np.array([0.3, 1.0, 3.0])  # m, of a slow error of the fixes
+SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
+SLOW_RATIO = 20.0  # smallest, to the claimed σ: mount and clock cause what looks like less
+SLOW_COST = 5.0  # nats of evidence that a slow error needs
+SLOW_UNIT = 0.03  # m: of a smaller one the logarithm is near 0
 MEMORY = 20.0  # s over which the likelihood is remembered
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
-_A, _G, _R = (
-    grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")
+_GRID = np.stack(
+    [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
+_BESIDE_SLOW = np.zeros((3, SLOW_STDS.size * SLOW_DECADES.size))
+_BESIDE_SLOW[0] = np.tile(SLOW_DECADES, SLOW_STDS.size)
+_DECADES = np.hstack((_GRID, _BESIDE_SLOW))
+_FACTORS = 10.0**_DECADES
+_SLOW_STD = np.append(np.zeros(_GRID.shape[1]), np.repeat(SLOW_STDS, SLOW_DECADES.size))
+_SLOW_LEVEL = np.log10(1.0 + _SLOW_STD / SLOW_UNIT)
+_SLOW_WALK = np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME)  # m²/s, NED
 _LOG_PRIOR = -sum(
     (
         np.where(
@@ -73,14 +92,12 @@ _LOG_PRIOR = -sum(
             REDUCTION_COST - REDUCTION_DECADE_COST * grid,
             FACTOR_COST * (grid > 0.0) + cost * grid,
         )
-        for grid, cost in zip((_A, _G, _R), DECADE_COST, strict=True)
+        for grid, cost in zip(_DECADES, DECADE_COST, strict=True)
     ),
-    np.zeros(_A.size),
+    SLOW_COST * (_SLOW_STD > 0.0),
 )
-_DECADES = np.stack((_A, _G, _R))
-_FACTORS = 10.0**_DECADES
 _IDENTITY = np.eye(N_ERROR)
-_FACTORS_OF_IMU = np.stack((_FACTORS[0], _FACTORS[1], np.ones(_A.size)))
+_FACTORS_OF_IMU = np.stack((_FACTORS[0], _FACTORS[1], np.ones(len(_LOG_PRIOR))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +120,9 @@ class NoiseMultipleModelBank(ShallowCopy):
         On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
     fix_factor : float
         On the covariance that fixes claim, 1 to 10³: receivers claim too small ones, too.
+    slow_std : float
+        Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
+        none.
 
     See Also
     --------
@@ -113,12 +133,14 @@ class NoiseMultipleModelBank(ShallowCopy):
     def __init__(self) -> None:
         self.imu_factors = (1.0, 1.0)
         self.fix_factor = 1.0
+        self.slow_std = 0.0
         self._log_likelihood = np.zeros(len(_LOG_PRIOR))  # of each hypothesis, fading
         self._P: Array | None = None  # (120, hypotheses), packed
         self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))  # own minus running estimate
         self._t_ns = 0
         self._velocity_n = np.zeros(3)  # after the last correction
         self._C_nb = np.eye(3)
+        self._claimed_std = math.inf  # m, of the last position, horizontally
         self._lowest = np.ones(3)  # factors since the running state was last corrected
 
     def restart(self, *, keep_weights: bool) -> None:
@@ -127,6 +149,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         if not keep_weights:
             self._log_likelihood = np.zeros(len(_LOG_PRIOR))
             self.imu_factors, self.fix_factor, self._lowest = (1.0, 1.0), 1.0, np.ones(3)
+            self.slow_std = 0.0
 
     def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """
@@ -157,6 +180,8 @@ class NoiseMultipleModelBank(ShallowCopy):
         total += self._advance(correction, psd, T, _FACTORS, self.fix_factor)
         self._log_likelihood = total - total.max()
         log_weights = self._log_likelihood + _LOG_PRIOR
+        is_small = (_SLOW_STD > 0.0) & (SLOW_RATIO * self._claimed_std > _SLOW_STD)
+        log_weights[is_small] = -math.inf
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
         return self._use_mixture(weights)
@@ -179,11 +204,16 @@ class NoiseMultipleModelBank(ShallowCopy):
         F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
         z, H, dx = correction.z, correction.H, correction.dx
         R = correction.S - H @ covariance(nav) @ H.T
+        if H[0, 0] != 0.0:  # a position
+            self._claimed_std = math.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
         G = None
         if correction.fused:
             z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
+        assert self._P is not None
+        P = self._P.copy()
+        P[DIAGONAL[DP]] += _SLOW_WALK * T
         self._P, self._state_offset, log_likelihood = advance(
-            self._P,
+            P,
             self._state_offset,
             F,
             T,
@@ -215,6 +245,8 @@ class NoiseMultipleModelBank(ShallowCopy):
     def _use_mixture(self, weights: Array) -> StateCorrection | None:
         """Set the factors to the mixture's mean; where they have risen, correct the state."""
         a, g, r = map(_factor, (_DECADES @ weights).tolist())
+        level = float(_SLOW_LEVEL @ weights)
+        self.slow_std = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
         self.imu_factors, self.fix_factor = (a, g), r
         factors = np.array([a, g, r])
         risen = np.max(factors / self._lowest)

@@ -16,6 +16,10 @@ to the covariance of the position that is reported, not to that of the filter. F
 changes, as a random walk of position; where the claimed variance falls by more than a factor,
 the receiver has found a better solution, and the old slow error is left in the state.
 
+A receiver may also claim centimetres and err slowly by a metre. No claim bounds that error, but the
+IMU does: between fixes the positions change by more than the vehicle moved. Its variance is then
+the one that the innovations show (`noise_multiple_model`).
+
 References
 ----------
 .. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
@@ -49,6 +53,7 @@ SMALLEST = 0.03  # share of the claimed variance
 SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 SLOW_TIME = 100.0  # s, correlation time of the slow error
+SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
 BETTER_SOLUTION = 0.25  # of the slow error's variance
 
 
@@ -58,6 +63,7 @@ class Split(NamedTuple):
     share: float  # of it that is white
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
+    unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
 
 
 class PositionScatter(ShallowCopy):
@@ -100,11 +106,27 @@ class PositionScatter(ShallowCopy):
         horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
         return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
 
-    def split(self, claimed: Array, t_ns: int) -> Split:
-        """Return the split of a claimed covariance (m, m) with a stamp [ns]."""
+    def split(self, claimed: Array, t_ns: int, slow_std: float) -> Split:
+        """
+        Return the split of a position's covariance.
+
+        Parameters
+        ----------
+        claimed : ndarray, shape (m, m)
+            As the fix claims it [m²], NED; it may lack the height.
+        t_ns : int
+            Stamp of the fix [ns].
+        slow_std : float
+            Standard deviation of the slow error that the innovations show, horizontally [m].
+        """
         share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
-        return Split(share, max(1.0 - share, 0.0) * claimed.diagonal(), interval)
+        variance = claimed.diagonal()
+        slow = max(1.0 - share, 0.0) * variance
+        if slow_std > 0.0:
+            slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
+        unclaimed = slow_std**2 > variance[:2].mean()
+        return Split(share, slow, interval, slow_std if unclaimed else 0.0)
 
     def learn(self, found: float | None, m: int, t_ns: int) -> None:
         """

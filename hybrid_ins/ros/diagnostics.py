@@ -169,6 +169,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "source": source,
             "mode": mode,
             **factors,
+            **({"slow_error_of_fixes": running.noise.unclaimed_std} if running else {}),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
         },
@@ -188,6 +189,11 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
         found["fixes scatter by more than they claim"] = (
             "fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+        )
+    if running.noise.unclaimed_std > 0.0:
+        found["fixes drift by more than they claim"] = (
+            f"fixes drift by about {running.noise.unclaimed_std:.1f} m, more than they claim: the "
+            "published covariance contains it; check the receiver"
         )
     return found
 

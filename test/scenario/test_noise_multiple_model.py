@@ -10,7 +10,8 @@ from support.runs import Q, fly, moved
 
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
-from hybrid_ins.core.state import N_NAV
+from hybrid_ins.core.state import N_NAV, SLOW_VARIANCE
+from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=50.0)
@@ -18,7 +19,8 @@ SCENE = Scenario("flight", rate=100.0, duration=50.0)
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_right_model_is_left_alone(seed: int) -> None:
-    _, factors = fly(draw(SCENE, seed))
+    ins, factors = fly(draw(SCENE, seed))
+    assert ins.noise.unclaimed_std == 0.0
     medians = np.median(factors[100:], axis=0)
     assert np.all(medians > 0.6) and np.all(medians < 1.05)
     assert np.all(factors[100:] < 1.5)
@@ -89,6 +91,18 @@ def test_a_receiver_that_claims_too_much_is_not_mistaken_for_the_imu() -> None:
     # THEN R is raised by about 25, and the process noise is not
     assert 8.0 < np.median(factors[100:, 2]) < 80.0
     assert np.median(factors[100:, :2]) < 1.5
+
+
+def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
+    # GIVEN fixes that claim decimetres, and whose error wanders by metres within minutes
+    run = draw(replace(SCENE, duration=100.0), 2)
+    slow = gauss_markov(2.0, np.exp(-0.2 / 100.0), len(run.fixes), np.random.default_rng(1))
+    # WHEN the filter runs
+    ins, factors = fly(moved(run, slow))
+    # THEN neither the IMU nor white noise is taken for it, and its size is published
+    assert 0.7 < ins.noise.unclaimed_std < 4.0
+    assert np.median(factors[100:, :2]) < 3.0 and np.median(factors[100:, 2]) < 1.5
+    assert np.all(np.sqrt(ins.nav[SLOW_VARIANCE][:2]) == pytest.approx(ins.noise.unclaimed_std))
 
 
 def test_a_lone_outlier_changes_nothing() -> None:

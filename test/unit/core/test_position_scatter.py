@@ -130,3 +130,15 @@ def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
 
     np.testing.assert_allclose(np.diag(covariance(nav))[DP], [0.91, 0.91, 0.01])
     np.testing.assert_allclose(nav[SLOW_VARIANCE], [0.0, 0.0, 2.0])
+
+
+def test_a_slow_error_that_innovations_show_is_added_where_it_is_not_claimed() -> None:
+    scatter, claimed = PositionScatter(), np.diag([0.01, 0.01, 0.04]) ** 2
+    none, some = (scatter.split(claimed, SECOND, std) for std in (0.0, 0.5))
+    assert none.slow_variance == pytest.approx(np.zeros(3)) and none.unclaimed_std == 0.0
+    assert some.slow_variance == pytest.approx([0.25, 0.25, 0.5625]) and some.unclaimed_std == 0.5
+    # A receiver that claims metres has claimed it.
+    given = PositionScatter(0.1)
+    split = given.split(np.diag([4.0, 4.0, 9.0]), SECOND, 0.5)
+    assert split.slow_variance == pytest.approx([3.6, 3.6, 8.1])
+    assert split.unclaimed_std == 0.0
