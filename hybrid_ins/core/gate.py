@@ -34,6 +34,8 @@ TAIL_DOF = 6.0  # degrees of freedom of the t distribution, [2]_
 TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outliers
 ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
 MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
+SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
+UNREMARKABLE = 1.5  # a scale that is forgotten
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,11 @@ class Gate(ShallowCopy):
     times as long. Where the covariance has grown meanwhile until such a measurement is just below
     the threshold, the state is as wrong, and the covariance is inflated as well.
 
+    A jump is out of proportion to the innovations before it: a receiver that claims centimetres and
+    scatters by decimetres does not jump at every fix. The scale, the mean of NIS / m of those that
+    were fused last, is counted from the first above the threshold until it is ordinary again. It
+    does not count where two in a row show one error of the state.
+
     Parameters
     ----------
     thresholds : mapping of int to float
@@ -119,6 +126,7 @@ class Gate(ShallowCopy):
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
         self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
+        self._scales: dict[str, float] = {}  # likewise; 1 where there is none
 
     def threshold(self, components: int) -> float:
         """Return the largest NIS of a measurement that agrees, by its number of components."""
@@ -128,9 +136,10 @@ class Gate(ShallowCopy):
         """
         Return the NIS up to which `judge` accepts a GNSS measurement with its full weight.
 
-        -1 after rejections: more than its NIS decides then.
+        -1 after rejections and large innovations: more than its NIS decides then.
         """
-        if kind in self._rejections or components not in self._thresholds:
+        counted = kind in self._rejections or kind in self._scales
+        if counted or components not in self._thresholds:
             return -1.0
         return min(self._thresholds[components], ORDINARY[components])
 
@@ -149,6 +158,31 @@ class Gate(ShallowCopy):
 
         ``interval`` is the time since the last correction [s].
         """
+        verdict = self._decide(measurement, z, R, S, nis, age, interval)
+        if verdict.accepted and measurement.sensor == GNSS:
+            self._learn_scale(verdict)
+        return verdict
+
+    def _learn_scale(self, verdict: Verdict) -> None:
+        kind, m = verdict.measurement.kind, len(verdict.sigma)
+        if kind not in self._scales and verdict.nis <= verdict.threshold:
+            return
+        scale = self._scales.get(kind, 1.0)
+        scale += (verdict.nis / m - scale) / SCALE_LENGTH
+        others = {k: one for k, one in self._scales.items() if k != kind}
+        is_remarkable = scale > UNREMARKABLE and not verdict.inflated
+        self._scales = {**others, kind: scale} if is_remarkable else others
+
+    def _decide(
+        self,
+        measurement: Measurement,
+        z: Array,
+        R: Array,
+        S: Array,
+        nis: float,
+        age: float,
+        interval: float,
+    ) -> Verdict:
         kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
         plain = Verdict(
             measurement,
@@ -174,7 +208,9 @@ class Gate(ShallowCopy):
         elif not is_gnss or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            jump = _is_jump(kind, z, R, interval) or (last is not None and last.jump)
+            of_state = last is not None and consistent_ns == last.consistent_ns
+            scale = 1.0 if of_state else self._scales.get(kind, 1.0)
+            jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             if is_gnss and not jump:
                 return replace(plain, reason="large innovation")

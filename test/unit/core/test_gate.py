@@ -69,6 +69,18 @@ def test_jump_within_a_run_of_large_innovations_is_rejected(gate: Gate) -> None:
     assert not judge(gate, 1.5, 50.0).accepted
 
 
+def test_noise_beyond_the_claim_is_no_jump_until_it_has_calmed(gate: Gate) -> None:
+    for t, z in ((0.0, 5.0), (0.5, -8.0)):
+        judge(gate, t, z)
+
+    noisy = [judge(gate, 1.0 + 0.5 * k, (-1.0) ** k * 12.0) for k in range(4)]
+    calm = [judge(gate, 3.0 + 0.5 * k, 0.5) for k in range(20)]
+
+    assert all(v.accepted and v.weight < 0.1 for v in noisy)
+    assert all(v.accepted and v.weight == 1.0 for v in calm)
+    assert not judge(gate, 13.0, 12.0).accepted
+
+
 def test_fixes_that_agree_win_after_the_patience(gate: Gate) -> None:
     verdicts = [judge(gate, t, 50.0 + 0.1 * t) for t in np.arange(0.0, 4.0, 0.5)]
 
