@@ -323,8 +323,10 @@ def observe(clock, interval, velocity_n, dx, z, h, S, informs):  # type: ignore[
         clock[P_OFFSET] += interval * (clock[P_CROSS] + cross) + RANDOM_WALK**2 * interval
         clock[P_CROSS] = cross
         clock[P_DRIFT] = min(clock[P_DRIFT] + DRIFT_WALK**2 * interval, DRIFT_STD**2)
-        if clock[P_OFFSET] > MAX_STD**2:  # the correlation with the drift stays
-            clock[P_CROSS] *= MAX_STD / np.sqrt(clock[P_OFFSET])
+        if clock[P_OFFSET] > MAX_STD**2:  # correlation with the drift and mean over sigma stay
+            share = MAX_STD / np.sqrt(clock[P_OFFSET])
+            clock[RESIDUAL] *= share
+            clock[P_CROSS] *= share
             clock[P_OFFSET] = MAX_STD**2
     acceleration = np.empty(3)
     write_mean_acceleration(velocity_n, clock, interval, acceleration)
