@@ -6,10 +6,12 @@ import logging
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any, NoReturn
+from types import FrameType
+from typing import Any
 
 from tqdm import tqdm
 
@@ -19,6 +21,9 @@ from hybrid_ins.errors import InputError
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
+
+CALLED_BY_COMPILED_CODE = "numba.core.serialize"
+AGAIN = 0.01  # s, after which a signal comes again
 
 
 class Terminated(BaseException):
@@ -69,7 +74,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         redirect_stdout(stdout),
         redirect_stderr(stderr),
         _logging_to_stderr(name),
-        _sigterm_raised(),
+        _signals_raised(),
     ):
         try:
             status = body(args) or 0
@@ -146,18 +151,33 @@ def _logging_to_stderr(program_name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _sigterm_raised() -> Iterator[None]:
-    """Within the block, SIGTERM raises `Terminated`."""
+def _signals_raised() -> Iterator[None]:
+    """
+    Within the block, Ctrl-C raises `KeyboardInterrupt`, and SIGTERM `Terminated`.
 
-    def leave(_signal: int, _frame: object) -> NoReturn:
-        raise Terminated
+    Compiled code calls some functions of numba, and turns what is raised there into a SystemError:
+    a signal that arrives there comes again.
+    """
+    timers: list[threading.Timer] = []
+    raised = {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: Terminated}
 
-    try:
-        previous = signal.signal(signal.SIGTERM, leave)
-    except ValueError:  # not in the main thread: whoever runs us keeps the signals
-        yield
-        return
+    def leave(number: int, frame: FrameType | None) -> None:
+        if frame is None or frame.f_globals.get("__name__") != CALLED_BY_COMPILED_CODE:
+            raise raised[signal.Signals(number)]
+        timers.append(threading.Timer(AGAIN, os.kill, (os.getpid(), number)))
+        timers[-1].start()
+
+    previous = {number: signal.getsignal(number) for number in raised}
+    if threading.current_thread() is not threading.main_thread():
+        previous = {}  # whoever runs us keeps the signals
+    elif previous[signal.SIGINT] is not signal.default_int_handler:
+        del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
+    for number in previous:
+        signal.signal(number, leave)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for timer in timers:
+            timer.cancel()
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -237,6 +237,49 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 """
 
 
+INTERRUPTED = """
+import os, signal, sys, time
+from hybrid_ins.cli import program
+
+CALLED = '''
+def called():
+    try:
+        os.kill(os.getpid(), number)
+    except BaseException:
+        raise SystemError("returned a result with an exception set")
+'''
+
+def body(args):
+    number = signal.Signals[sys.argv[1]]
+    inside = {"__name__": "numba.core.serialize", "os": os, "number": number}
+    exec(CALLED, inside)
+    inside["called"]()
+    time.sleep(30.0)
+
+sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
+)
+def test_a_signal_that_compiled_code_would_lose_comes_again(
+    name: str, status: int, said: str
+) -> None:
+    """GIVEN a signal within what compiled code calls THEN it ends the program right after that."""
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, name],
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+    assert done.stderr == f"ins_test: {said}\n"
+    assert done.returncode == status
+
+
 @pytest.mark.parametrize("closed", ["stdout", "stderr", "both", "none"])
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "utf-8"])
 def test_neither_a_closed_pipe_nor_an_encoding_loses_a_result(
