@@ -40,6 +40,13 @@ CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = (
     Transition.TRANSITION_ACTIVATE,
     Transition.TRANSITION_DEACTIVATE,
 )
+NAMES = {
+    CONFIGURE: "configure",
+    CLEANUP: "clean up",
+    ACTIVATE: "activate",
+    DEACTIVATE: "deactivate",
+    Transition.TRANSITION_ACTIVE_SHUTDOWN: "shut down",
+}
 
 
 class Manager(Client):
@@ -53,7 +60,9 @@ class Manager(Client):
         request = ChangeState.Request(transition=Transition(id=transition))
         answer = self.call(ChangeState, f"{name}/change_state", request, 60.0)
         state = self.call(GetState, f"{name}/get_state", GetState.Request()).current_state
-        self.transcript.append(f"{transition} -> {answer.success}, {state.label}")
+        asked = NAMES.get(transition, transition)
+        answered = "success" if answer.success else "no success"
+        self.transcript.append(f"{asked}: {answered}, {state.label}")
         return bool(answer.success)
 
     def state(self, name: str = "/ins_node") -> int:
@@ -75,6 +84,7 @@ def manager() -> Iterator[Manager]:
     asking = Manager()
     yield asking
     asking.close()
+    print("\n" + "\n".join(asking.transcript))
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +165,6 @@ def test_a_manager_brings_the_node_up_and_down(
     assert processes.stop(node) == 0, log.read_text()
     assert "Traceback" not in log.read_text()
     assert "internal error" not in log.read_text()
-    print("\n".join(manager.transcript))
 
 
 def test_a_failing_configure_can_be_repeated(
