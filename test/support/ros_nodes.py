@@ -45,6 +45,16 @@ def start_node(
     return node
 
 
+def start_player(
+    processes: Processes, flight: Path, out: Path, rate: float
+) -> subprocess.Popen[str]:
+    """Start ``ins_play``, which records what comes back."""
+    words = [str(flight), "--record", str(out), "--rate", f"{rate:g}"]
+    return processes.start(
+        [sys.executable, "-m", "hybrid_ins.cli.play", *words], subprocess.PIPE, ENVIRONMENT
+    )
+
+
 def until(condition: Any, patience: float = 15.0) -> None:
     """Wait until a condition holds."""
     end = time.monotonic() + patience

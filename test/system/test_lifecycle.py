@@ -8,14 +8,13 @@ numbers of transitions, and looks at the answer and at the state that follows.
 from __future__ import annotations
 
 import importlib.util
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.ros_nodes import ENVIRONMENT, Client, start_node, until
+from support.ros_nodes import ENVIRONMENT, Client, start_node, start_player, until
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import simulate
@@ -94,13 +93,6 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bag
 
 
-def play(processes: Processes, flight: Path, out: Path) -> subprocess.Popen[str]:
-    words = [str(flight), "--record", str(out), "--rate", "4"]
-    return processes.start(
-        [sys.executable, "-m", "hybrid_ins.cli.play", *words], subprocess.PIPE, ENVIRONMENT
-    )
-
-
 def count(bag: Path, topic: str) -> int:
     with BagReader(bag) as reader:
         return reader.count(topic) if topic in reader.topics else 0
@@ -130,7 +122,7 @@ def test_a_manager_brings_the_node_up_and_down(
     assert "ready: waiting for" in log.read_text()
     manager.spin_until(lambda: "/imu/data" in manager.topics())
     first = tmp_path / "first.mcap"
-    text, _ = play(processes, flight, first).communicate(timeout=60)
+    text, _ = start_player(processes, flight, first, 4.0).communicate(timeout=60)
     assert count(first, "/odometry") > 400, text
 
     assert manager.change(DEACTIVATE)
@@ -142,7 +134,7 @@ def test_a_manager_brings_the_node_up_and_down(
 
     assert manager.change(ACTIVATE)
     second = tmp_path / "second.mcap"
-    text, _ = play(processes, flight, second).communicate(timeout=60)
+    text, _ = start_player(processes, flight, second, 4.0).communicate(timeout=60)
     assert count(second, "/odometry") > 400, text  # the stamps went back: it aligned again
 
     assert manager.change(DEACTIVATE)

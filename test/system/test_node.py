@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, until
+from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, start_player, until
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
@@ -50,20 +50,7 @@ def recorded(folder: Path, flight: Path) -> tuple[Path, str, int]:
         out = folder / f"live_{trial}.mcap"
         with Processes() as processes:
             node = start_node(processes, log)
-            player = processes.start(
-                [
-                    sys.executable,
-                    "-m",
-                    "hybrid_ins.cli.play",
-                    str(flight),
-                    "--record",
-                    str(out),
-                    "--rate",
-                    str(RATE),
-                ],
-                subprocess.PIPE,
-                ENVIRONMENT,
-            )
+            player = start_player(processes, flight, out, RATE)
             text, _ = player.communicate(timeout=90)
             assert player.returncode == 0, text
             status = processes.stop(node)
@@ -204,20 +191,7 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     overrides = [word for value in HEADING for word in ("-p", value)]
     assert replay.main([str(flight), str(offline), *overrides]) == 0
     node = start_node(processes, log)
-    player = processes.start(
-        [
-            sys.executable,
-            "-m",
-            "hybrid_ins.cli.play",
-            str(flight),
-            "--record",
-            str(out),
-            "--rate",
-            str(RATE),
-        ],
-        subprocess.PIPE,
-        ENVIRONMENT,
-    )
+    player = start_player(processes, flight, out, RATE)
     intruder = client.node.create_publisher(Imu, "/imu/data", 10)
     yesterday = Imu()
     yesterday.header.stamp.sec, yesterday.linear_acceleration.z = 1000, 99.0
