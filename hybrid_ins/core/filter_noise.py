@@ -87,9 +87,14 @@ class FilterNoise:
         return self.process.psd(self.levels())
 
     def learn_estimate(self, estimate: NoiseEstimate) -> None:
-        """Learn from a regressor's estimate; factors above 1 that a stand-in needed are dropped."""
+        """
+        Learn from a regressor's estimate.
+
+        Factors above 1 and a slow error of fixes that a stand-in needed are dropped.
+        """
         replaced = self.model.learn(estimate)
-        if replaced and self.factors is not None and max(self.imu_factors) > 1.0:
+        needed = max(self.imu_factors) > 1.0 or self.slow_std > 0.0
+        if replaced and needed and self.factors is not None:
             self.factors.restart(keep_weights=False)
 
     @property

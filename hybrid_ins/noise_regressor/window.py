@@ -15,8 +15,13 @@ from hybrid_ins.core.compilation import kernel
 
 Array = NDArray[np.float64]
 
-LONGEST_GAP = 3.5
-"""Largest step between stamps, in median steps: tolerates jitter, not lost samples."""
+LONGEST_GAP = 10.0
+"""
+Largest step between stamps, in median steps: a window may lack samples here and there, no stretch.
+
+What vibrates between the samples that are left is noise to whatever integrates them, and shows in
+their spectrum as such.
+"""
 LONGEST_REPEAT = 10
 LARGEST_REPEATED_SHARE = 0.4
 LONGEST_AT_LIMIT = 5

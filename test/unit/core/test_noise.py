@@ -260,7 +260,12 @@ def test_a_shallow_copy_is_a_snapshot(noise: NoiseModel) -> None:
     assert snapshot.levels() == pytest.approx(before)
 
 
-def test_factors_on_the_fallback_are_dropped_once_there_is_an_estimate() -> None:
+@pytest.mark.parametrize(
+    ("imu_factors", "slow_std"), [((50.0, 1.0), 0.0), ((1.0, 50.0), 0.0), ((0.8, 1.0), 3.0)]
+)
+def test_what_the_fallback_needed_is_dropped_once_there_is_an_estimate(
+    imu_factors: tuple[float, float], slow_std: float
+) -> None:
     restarts: list[bool] = []
 
     class Factors(NoiseMultipleModelBank):
@@ -276,7 +281,7 @@ def test_factors_on_the_fallback_are_dropped_once_there_is_an_estimate() -> None
     assert not model.on_fallback and not restarts  # no factor was above 1
 
     noise.learn_estimate(NoiseEstimate(3 * 10**9, None))
-    factors.imu_factors = (50.0, 1.0)
+    factors.imu_factors, factors.slow_std = imu_factors, slow_std
     noise.learn_estimate(NoiseEstimate(4 * 10**9, Q))
 
     assert not model.on_fallback and restarts == [False]

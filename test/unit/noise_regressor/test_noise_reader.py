@@ -252,6 +252,33 @@ def test_a_gap_and_a_rate_beyond_the_models_are_refused() -> None:
     assert noise.fault == "sampling rate outside the model's range"
 
 
+def test_vibration_between_the_samples_that_are_left_counts_as_noise() -> None:
+    """
+    A tone of 60 Hz integrates to nothing, unless samples are missing.
+
+    What integrating the rest wrongly adds is the velocity error that the level has to contain.
+    """
+    found = []
+    for seed in range(20):
+        rng, whole, stretch = np.random.default_rng(seed), readings(seed=seed), RATE // 5
+        whole[:, 0] += np.sin(2.0 * np.pi * (60.0 * np.arange(400) / RATE + rng.random()))
+        samples = ring_of(whole).latest(400)
+        left = samples[rng.random(400) > 0.35]
+        lossy = ImuRing()
+        lossy.extend(left)
+        noise = reader()
+
+        q_whole, q = noise.read(ring_of(whole), 1).q, noise.read(lossy, 1).q
+
+        assert q is not None and q_whole is not None and noise.fault == ""
+        wrong = np.interp(samples["t_ns"], left["t_ns"], left["f"][:, 0]) - whole[:, 0]
+        errors = wrong.reshape(-1, stretch).sum(axis=1)
+        found.append((q_whole[0], q[0], np.mean(errors**2) / stretch))
+    q_whole, q, needed = np.median(found, axis=0)
+    assert q == pytest.approx(needed, rel=0.5)
+    assert q_whole < 0.01 * needed
+
+
 @pytest.mark.parametrize("answer", [np.nan, -1e-4, np.inf, [1e-4] * 5 + [np.nan]])
 def test_an_answer_that_is_no_variance_is_refused(answer: Any) -> None:
     noise = reader(answer=answer)
