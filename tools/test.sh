@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Set up, then check the format, lint and types, and run the tests on all processors.
 #
-#   tools/test.sh                  everything that a change of the package can break
-#   tools/test.sh all              also the research results and the training of the regressors
+#   tools/test.sh                  in a few minutes what a change of the package can break
+#   tools/test.sh all              also the slow tests, the research results and the training
 #   tools/test.sh -k alignment     some of the tests: options go to pytest
 #   tools/test.sh -n 0 --pdb       in one process, as a debugger needs it
 set -euo pipefail
@@ -11,10 +11,12 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 extras=(plot logs fleet lint test)
 patience=()
 folders=(test/unit test/scenario test/system)
+chosen=(-m "not slow")
 if [ "${1:-}" = all ]; then
     shift
     extras+=(train)
     folders+=(test/research)
+    chosen=()
     patience=(-o timeout=900)
 fi
 bash tools/setup.sh "${extras[@]}"
@@ -38,7 +40,7 @@ named=()
 for word in "$@"; do
     [ ! -e "${word%%::*}" ] || named+=("$word")
 done
-[ ${#named[@]} = 0 ] || folders=()
+[ ${#named[@]} = 0 ] || folders=() chosen=()
 python -m hybrid_ins.kernels >/dev/null # once, not in every process
-python -m pytest -n "$(nproc)" --dist worksteal "${patience[@]}" "${folders[@]}" "$@" || status=$?
+python -m pytest -n "$(nproc)" --dist worksteal "${chosen[@]}" "${patience[@]}" "${folders[@]}" "$@" || status=$?
 exit $status

@@ -17,6 +17,7 @@ def aiding_values(estimator: Estimator, t_ns: int) -> dict[str, str]:
     return dict(next(s for s in estimator.status.diagnostics(t_ns) if "aiding" in s.name).values)
 
 
+@pytest.mark.slow
 def test_wheels_bridge_an_outage_with_their_scale_found() -> None:
     """
     GIVEN wheels that read 1 % too little, and a barometer that is off by 30 m

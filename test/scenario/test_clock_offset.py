@@ -89,11 +89,12 @@ def test_a_wrong_offset_is_told_and_left_alone_when_not_asked_for() -> None:
     assert through_estimator(draw(SCENE, 5), **given).inputs.counts["gnss: clock offset"] == 0
 
 
+@pytest.mark.slow
 def test_standing_shows_nothing_of_the_clock() -> None:
     assert_standing_shows_nothing_of_the_clock(seed=0)
 
 
-@pytest.mark.parametrize("estimate", [False, True])
+@pytest.mark.parametrize("estimate", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_fixes_behind_by_more_than_the_longest_delay_are_fused(estimate: bool) -> None:
     """Their delay counts from their own stamp, not from the one that an offset gives them."""
     run = stamped_early(draw(replace(SCENE, duration=15.0), 3), -1.2)

@@ -32,6 +32,7 @@ def smooth_drive() -> tuple[endurance.Day, list[float]]:
         return endurance.live("smooth drive", duration, 0, 0.0, {}), speeds
 
 
+@pytest.mark.slow
 def test_smooth_driving_does_not_end_the_node(
     smooth_drive: tuple[endurance.Day, list[float]],
 ) -> None:
@@ -49,6 +50,7 @@ def test_smooth_driving_does_not_end_the_node(
     assert day.sensitivity.max() < 100.0
 
 
+@pytest.mark.slow
 def test_smooth_braking_is_not_standing(
     smooth_drive: tuple[endurance.Day, list[float]],
 ) -> None:
@@ -77,6 +79,7 @@ def test_zero_updates_correct_the_sensitivity_too() -> None:
     assert day.sensitivity.max() < 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "offset"), [("standing", 0.0), ("cruise", 0.2), ("smooth drive", -0.1)]
 )

@@ -195,6 +195,7 @@ def test_a_filter_that_just_started_reckons_from_its_first_fix() -> None:
     assert drive.status("validity").text == "position good, velocity good, heading good"
 
 
+@pytest.mark.slow
 def test_an_outage_after_the_clock_went_back_is_one() -> None:
     drive = Drive(**GIVEN)
     drive.play(0.0, 10.0)

@@ -2,7 +2,7 @@
 
 from support.fuzzer import run
 
-MESSAGES = 8_000
+MESSAGES = 2_000
 
 
 def test_sound_messages_with_odd_ones_between_them() -> None:
@@ -12,12 +12,12 @@ def test_sound_messages_with_odd_ones_between_them() -> None:
 
 
 def test_mostly_odd_messages() -> None:
-    run(2, 0.5, MESSAGES // 2)
+    run(2, 0.5, MESSAGES)
 
 
 def test_nothing_but_odd_messages() -> None:
-    run(3, 1.0, MESSAGES // 10)
+    run(3, 1.0, 800)
 
 
 def test_odd_messages_while_the_heading_is_searched() -> None:
-    run(4, 0.05, MESSAGES // 10, **{"alignment.heading_source": "auto"})
+    run(4, 0.05, 800, **{"alignment.heading_source": "auto"})

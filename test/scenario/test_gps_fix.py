@@ -73,6 +73,7 @@ def places(bag: Path) -> dict[int, np.ndarray[Any, Any]]:
     }
 
 
+@pytest.mark.slow
 def test_a_gps_fix_is_worth_a_navsatfix_and_a_velocity(
     drive: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

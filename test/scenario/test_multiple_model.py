@@ -46,7 +46,14 @@ def found(estimator: Estimator) -> tuple[float, float]:
     return told
 
 
-@pytest.mark.parametrize(("true", "late"), [(-0.5, 0.0), (-0.23, 0.3), (0.0, 0.0), (0.35, 0.0)])
+@pytest.mark.parametrize(
+    ("true", "late"),
+    [
+        (-0.5, 0.0),
+        (-0.23, 0.3),
+        *(pytest.param(t, 0.0, marks=pytest.mark.slow) for t in (0.0, 0.35)),
+    ],
+)
 def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None:
     run = until(stamped_early(draw(SCENE, 4), true), 22.0)
     estimator = estimating(run, late)
@@ -64,18 +71,25 @@ def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None
 
 
 @pytest.mark.parametrize(
-    ("seed", "value", "true"), [(0, 0.0, -0.35), (2, 0.5, 0.1), (5, -0.3, -0.2)]
+    ("seed", "value", "true"),
+    [
+        (0, 0.0, -0.35),
+        pytest.param(2, 0.5, 0.1, marks=pytest.mark.slow),
+        pytest.param(5, -0.3, -0.2, marks=pytest.mark.slow),
+    ],
 )
 def test_heading_and_clock_are_found_together(seed: int, value: float, true: float) -> None:
     assert_heading_and_clock_are_found(seed, value, true)
 
 
+@pytest.mark.slow
 def test_the_search_goes_on_beyond_its_edge() -> None:
     estimator = estimating(until(stamped_early(draw(SCENE, 4), 1.1), 30.0))
 
     assert offset(estimator) == pytest.approx(1.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_filter_that_takes_over_is_where_it_says() -> None:
     """Its position is wrong by what the covariance allows, in the mean of 12 numbers."""
     assert 0.3 < np.mean(nees_after_takeover(range(4))) < 2.2
@@ -92,7 +106,9 @@ def test_each_fix_is_told_of_once() -> None:
     np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
 
 
-@pytest.mark.parametrize(("by", "opened"), [(0.2, 1), (-0.06, 0)])
+@pytest.mark.parametrize(
+    ("by", "opened"), [(0.2, 1), pytest.param(-0.06, 0, marks=pytest.mark.slow)]
+)
 def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) -> None:
     # GIVEN fixes that come by another clock of a sudden
     run = jumping(draw(replace(SCENE, duration=75.0), 5), 35.0, by)

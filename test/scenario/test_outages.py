@@ -97,6 +97,7 @@ def test_the_new_vehicles_move_as_they_say() -> None:
     assert across["car on ice"] > 0.4
 
 
+@pytest.mark.slow
 def test_the_table_says_for_how_long_the_constraint_was_held() -> None:
     rolling, sliding = row(drive("road car")), row(drive("car on ice"))
 

@@ -63,6 +63,7 @@ def test_smoothed_outage_is_a_fraction_of_the_filtered_one(tmp_path: Path) -> No
     assert 0.3 < after.nees_position.per_dof < 3.0
 
 
+@pytest.mark.slow
 def test_verdicts_of_a_smoothed_run_have_the_clock_offset_that_was_found(tmp_path: Path) -> None:
     # GIVEN a flight whose fixes are stamped 0.2 s late, of which the filter is not told
     source = simulated(tmp_path / "flight.mcap", "--time-offset", "0.2", "--gnss-rate", "5")
@@ -79,6 +80,7 @@ def test_verdicts_of_a_smoothed_run_have_the_clock_offset_that_was_found(tmp_pat
     assert judged(smooth, 5.0).prmse < 0.6 * judged(filtered, 5.0).prmse
 
 
+@pytest.mark.slow
 def test_smoothing_is_repeatable(tmp_path: Path) -> None:
     source = simulated(tmp_path / "flight.mcap", "--duration", "20")
     one, _ = replayed(source, tmp_path / "one.mcap", smooth=True)

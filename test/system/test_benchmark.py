@@ -12,6 +12,7 @@ from support.paths import ROOT
 from tools.benchmark.table import Figure, Section, number, plain
 
 
+@pytest.mark.slow
 def test_quick_run_of_kernel_and_replay(tmp_path: Path) -> None:
     """GIVEN --quick THEN every figure is there, and careful NumPy errs as the filter does."""
     data, report = tmp_path / "benchmark.json", tmp_path / "benchmark.md"

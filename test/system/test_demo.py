@@ -23,6 +23,7 @@ def demo(*options: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_recorded_flight_through_the_live_node(flights: Path, tmp_path: Path) -> None:
     flight = flights / "Horizontal" / "path_4"
 

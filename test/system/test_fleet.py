@@ -153,6 +153,7 @@ def test_several_named_bags_and_options_for_one(
     assert "no bags found" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_interrupted_fleet_goes_on_where_it_was(tmp_path: Path) -> None:
     """GIVEN a run ended by Ctrl-C after its first bag WHEN started again THEN that one is kept."""
     folder, out = tmp_path / "flights", tmp_path / "out"
@@ -225,6 +226,7 @@ def cluster() -> Iterator[str]:
         yield running.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_of_two_workers(
     folder: Path, tmp_path: Path, cluster: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

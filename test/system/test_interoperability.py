@@ -124,6 +124,7 @@ def convert(source: Path, target: Path, *options: str) -> None:
     subprocess.run([str(word) for word in command], check=True, timeout=120)
 
 
+@pytest.mark.slow
 def test_bag_of_ros_1_replays_like_the_one_of_ros_2(
     flight: Path, estimate: Path, tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ import stat
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -32,18 +33,23 @@ print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
 
 
-def compiled() -> dict[str, int]:
-    return {
-        str(kernel.py_func.__qualname__) + kernel.py_func.__module__: len(kernel.signatures)
-        for kernel in compilation.KERNELS
-        if kernel.py_func.__module__.startswith("hybrid_ins.core")
-    }
+def compilations() -> Counter[str]:
+    """Return how often each kernel of the core was compiled by this process."""
+    return Counter(
+        {
+            f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}": sum(
+                kernel.stats.cache_misses.values()
+            )
+            for kernel in compilation.KERNELS
+            if kernel.py_func.__module__.startswith("hybrid_ins.core")
+        }
+    )
 
 
 def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     """GIVEN all kernels WHEN a flight with everything in it is smoothed THEN none is added."""
     kernels.prepare(parts=kernels.OFFLINE)
-    before = compiled()
+    before = compilations()
     bag = tmp_path / "flight.mcap"
     assert (
         simulate.main(
@@ -66,8 +72,7 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
         estimator = replay(source, out, parameters.defaults(), smooth=True)
 
     assert estimator.reporter.fixes_fused > 100
-    assert min(before.values()) >= 1
-    assert compiled() == before
+    assert compilations() - before == Counter()
 
 
 def test_no_kernel_needs_a_linear_algebra_library() -> None:
@@ -206,7 +211,13 @@ def test_an_interrupt_that_the_compiler_loses_comes_again() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGTERM, signal.SIGKILL)),
+    ],
+)
 def test_a_compilation_is_announced_once_and_ends_with_who_started_it(
     number: signal.Signals, tmp_path: Path
 ) -> None:

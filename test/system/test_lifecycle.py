@@ -98,6 +98,7 @@ def count(bag: Path, topic: str) -> int:
         return reader.count(topic) if topic in reader.topics else 0
 
 
+@pytest.mark.slow
 def test_a_manager_brings_the_node_up_and_down(
     processes: Processes, tmp_path: Path, manager: Manager, flight: Path
 ) -> None:

@@ -179,6 +179,7 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     assert "Traceback" not in log.read_text()
 
 
+@pytest.mark.slow
 def test_second_publisher_is_told_and_leaves_the_state_alone(
     processes: Processes, folder: Path, flight: Path, client: Client
 ) -> None:

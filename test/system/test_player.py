@@ -115,7 +115,7 @@ def test_everything_arrives_and_everything_that_comes_back_is_recorded(
     assert np.median(latency) < 0.05  # milliseconds, but for a busy machine
 
 
-@pytest.mark.parametrize("rate", [0.5, 4.0])
+@pytest.mark.parametrize("rate", [pytest.param(0.5, marks=pytest.mark.slow), 4.0])
 def test_the_rate_is_held(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path, rate: float
 ) -> None:
@@ -134,6 +134,7 @@ def test_the_rate_is_held(
     assert ticks >= 2 * 40 * max(1.0, 1.0 / rate)
 
 
+@pytest.mark.slow
 def test_topics_are_chosen_and_renamed(processes: Processes, flight: Path, tmp_path: Path) -> None:
     command = [
         sys.executable,
@@ -172,7 +173,9 @@ def test_without_anybody_there_it_says_so_and_plays(
 
 
 @pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["SIGINT", "SIGTERM"]
+    ("number", "status"),
+    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+    ids=["SIGINT", "SIGTERM"],
 )
 def test_ended_by_a_signal_the_recording_is_whole(
     processes: Processes,
@@ -202,6 +205,7 @@ def test_ended_by_a_signal_the_recording_is_whole(
     assert len(numbers) > 50
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_damaged_midway_is_played_without_the_damage(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
 ) -> None:

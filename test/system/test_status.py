@@ -34,6 +34,7 @@ def ask(*words: str) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
+@pytest.mark.slow
 def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> None:
     """
     GIVEN nodes in two namespaces, one of which gets a flight WHEN asked THEN each has its status.

@@ -34,6 +34,7 @@ def play(processes: Processes, bag: Path) -> None:
     assert player.returncode == 0, text
 
 
+@pytest.mark.slow
 def test_a_killed_node_starts_with_the_heading_that_it_had(
     processes: Processes, tmp_path: Path, client: Client
 ) -> None:

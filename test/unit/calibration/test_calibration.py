@@ -177,6 +177,7 @@ def test_fixes_that_arrive_late_are_allowed_for() -> None:
     assert far is not None and far[0][3] == "weak" and far[1] == 5.0
 
 
+@pytest.mark.slow
 def test_a_second_pass_stays_within_the_deviations(found: Calibration) -> None:
     # GIVEN a calibration, WHEN the same recordings are calibrated from its result
     again = calibrate([a_run(0.23, seed=1), a_run(0.23, seed=2)], found.values, search=0.5)

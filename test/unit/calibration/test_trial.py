@@ -51,6 +51,7 @@ def test_withheld_fixes_are_met_with_the_right_parameters_and_missed_with_wrong_
     assert compare([wrong], [right]).worse == ""
 
 
+@pytest.mark.slow
 def test_a_lever_arm_is_a_part_of_what_is_compared(bag: Path) -> None:
     """The true arm is zero: one of 1.5 m is wrong where the vehicle turns, and only there."""
     arm = trial(bag, **{"gnss.antenna_position": ARM})
