@@ -215,10 +215,12 @@ def _compile_output() -> None:
         turn,
         np.ones(12),
         np.ones((3, 1)),
+        np.zeros((3, 1)),
         z,
         H,
         np.eye(3),
         np.zeros(N_ERROR),
+        np.eye(N_ERROR),
         6.0,
     )
     clock = np.ones(clock_offset.N_CLOCK)

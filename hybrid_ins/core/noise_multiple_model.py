@@ -44,12 +44,8 @@ from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
     COVARIANCE,
-    DIAGONAL,
-    DP,
     DV,
     N_ERROR,
-    PACKED_COLUMNS,
-    PACKED_ROWS,
     PLACES,
     QUAT,
     VELOCITY,
@@ -206,41 +202,29 @@ class NoiseMultipleModelBank(ShallowCopy):
         R = correction.S - H @ covariance(nav) @ H.T
         if H[0, 0] != 0.0:  # a position
             self._claimed_std = math.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
-        G = None
+        G = _IDENTITY
         if correction.fused:
             z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
-        assert self._P is not None
-        P = self._P.copy()
-        P[DIAGONAL[DP]] += _SLOW_WALK * T
         self._P, self._state_offset, log_likelihood = advance(
-            P,
+            self._P,
             self._state_offset,
             F,
             T,
             C_mean,
             psd,
             factors,
+            _SLOW_WALK,
             z,
             H,
             R / fix_factor,
             dx,
+            G,
             TAIL_DOF,
         )
-        if G is not None and not np.array_equal(G, _IDENTITY):
-            self._transform(G)
         self._t_ns = correction.t_ns
         self._velocity_n = nav[VELOCITY] + correction.dx[DV]
         self._C_nb = C_nb
         return np.asarray(log_likelihood)
-
-    def _transform(self, G: Array) -> None:
-        """Refer the hypotheses to the error about the corrected state, see `iterated_update`."""
-        assert self._P is not None
-        full = self._P[PLACES]
-        GP = (G @ full.reshape(N_ERROR, -1)).reshape(full.shape)
-        full = np.matmul(G, GP)  # G P G' of each hypothesis: axis 1 of G P, times G
-        self._P = np.ascontiguousarray(full[PACKED_ROWS, PACKED_COLUMNS])
-        self._state_offset = G @ self._state_offset
 
     def _use_mixture(self, weights: Array) -> StateCorrection | None:
         """Set the factors to the mixture's mean; where they have risen, correct the state."""

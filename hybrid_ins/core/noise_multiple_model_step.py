@@ -52,7 +52,9 @@ def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath={"contract"})
-def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  # type: ignore[no-untyped-def]
+def advance(  # type: ignore[no-untyped-def]
+    P_all, offset_all, F, T, C, psd, factors, walk, z, H, R, dx, G, tail_dof
+):
     """
     Predict and update every hypothesis.
 
@@ -65,12 +67,14 @@ def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  #
         System matrix, shape (15, 15), and the time to go [s].
     C, psd : ndarray, shape (3, 3), (12,)
         C_nb, and Qc's diagonal at factor 1.
-    factors : ndarray, shape (3, n)
-        On the accelerometer's noise, the gyroscope's, and R.
+    factors, walk : ndarray, shape (3, n)
+        On the accelerometer's noise, the gyroscope's, and R; density of a random walk of
+        position [m²/s].
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
         The running filter's innovation, measurement matrix, covariance at factor 1.
-    dx : ndarray, shape (15,)
-        By which the running filter was corrected.
+    dx, G : ndarray, shape (15,), (15, 15)
+        By which the running filter was corrected; derivative of the error about the corrected
+        state by the one that H refers to.
     tail_dof : float
         Degrees of freedom of an innovation.
 
@@ -81,34 +85,19 @@ def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  #
     """
     count, m = P_all.shape[1], z.shape[0]
     transition, noise = _transition_and_noise(F, T, C, psd)
-    P, offset = np.zeros_like(P_all), np.zeros_like(offset_all)
-    half = np.empty((N_ERROR, count))
-    for i in range(N_ERROR):  # P <- A P A', a row of A P at a time, three columns of A at a time
-        half[:] = 0.0
-        for k in range(0, N_ERROR, 3):
-            u, v, w = transition[i, k], transition[i, k + 1], transition[i, k + 2]
-            if u == 0.0 and v == 0.0 and w == 0.0:
-                continue
-            for h in range(count):
-                offset[i, h] += (
-                    u * offset_all[k, h] + v * offset_all[k + 1, h] + w * offset_all[k + 2, h]
-                )
-            for j in range(N_ERROR):
-                at, at1, at2 = PLACES[k, j], PLACES[k + 1, j], PLACES[k + 2, j]
-                for h in range(count):
-                    half[j, h] += u * P_all[at, h] + v * P_all[at1, h] + w * P_all[at2, h]
+    before = P_all.copy()
+    for i in range(3):
+        place = PLACES[i, i]
+        for h in range(count):
+            before[place, h] += T * walk[i, h]
+    P, offset = _transformed(transition, before, offset_all)
+    for i in range(N_ERROR):
         for j in range(i + 1):
-            place = PLACES[i, j]
-            for k in range(0, N_ERROR, 3):
-                u, v, w = transition[j, k], transition[j, k + 1], transition[j, k + 2]
-                if u == 0.0 and v == 0.0 and w == 0.0:
-                    continue
+            a, b, c = noise[0, i, j], noise[1, i, j], noise[2, i, j]
+            if a != 0.0 or b != 0.0 or c != 0.0:
+                place = PLACES[i, j]
                 for h in range(count):
-                    P[place, h] += u * half[k, h] + v * half[k + 1, h] + w * half[k + 2, h]
-            for h in range(count):
-                P[place, h] += (
-                    factors[0, h] * noise[0, i, j] + factors[1, h] * noise[1, i, j] + noise[2, i, j]
-                )
+                    P[place, h] += factors[0, h] * a + factors[1, h] * b + c
 
     PHt, own = np.zeros((m, N_ERROR, count)), np.empty((m, count))
     for a in range(m):
@@ -155,7 +144,49 @@ def advance(P_all, offset_all, F, T, C, psd, factors, z, H, R, dx, tail_dof):  #
                 place = PLACES[i, j]
                 for h in range(count):
                     P[place, h] -= PHt[a, i, h] * PHt[a, j, h]
+    if not _is_identity(G):
+        P, offset = _transformed(G, P, offset)
     return P, offset, log_likelihood
+
+
+@register_jitable
+def _is_identity(A):  # type: ignore[no-untyped-def]
+    for i in range(N_ERROR):
+        for j in range(N_ERROR):
+            if A[i, j] != (1.0 if i == j else 0.0):
+                return False
+    return True
+
+
+@register_jitable
+def _transformed(A, P_all, offset_all):  # type: ignore[no-untyped-def]
+    """Return A P A' and A times the offset, of every hypothesis."""
+    count = P_all.shape[1]
+    P, offset = np.zeros_like(P_all), np.zeros_like(offset_all)
+    half = np.empty((N_ERROR, count))
+    for i in range(N_ERROR):  # a row of A P at a time, three columns of A at a time
+        half[:] = 0.0
+        for k in range(0, N_ERROR, 3):
+            u, v, w = A[i, k], A[i, k + 1], A[i, k + 2]
+            if u == 0.0 and v == 0.0 and w == 0.0:
+                continue
+            for h in range(count):
+                offset[i, h] += (
+                    u * offset_all[k, h] + v * offset_all[k + 1, h] + w * offset_all[k + 2, h]
+                )
+            for j in range(N_ERROR):
+                at, at1, at2 = PLACES[k, j], PLACES[k + 1, j], PLACES[k + 2, j]
+                for h in range(count):
+                    half[j, h] += u * P_all[at, h] + v * P_all[at1, h] + w * P_all[at2, h]
+        for j in range(i + 1):
+            place = PLACES[i, j]
+            for k in range(0, N_ERROR, 3):
+                u, v, w = A[j, k], A[j, k + 1], A[j, k + 2]
+                if u == 0.0 and v == 0.0 and w == 0.0:
+                    continue
+                for h in range(count):
+                    P[place, h] += u * half[k, h] + v * half[k + 1, h] + w * half[k + 2, h]
+    return P, offset
 
 
 @register_jitable
@@ -172,7 +203,7 @@ def _transition_and_noise(F, T, C, psd):  # type: ignore[no-untyped-def]
             first, second, third = T * F[i, j], T * T * square[i, j], T * T * T * cube[i, j]
             transition[i, j] = one + first + 0.5 * second + third / 6.0
             half[i, j] = one + 0.5 * first + 0.125 * second
-    density, noise, ahead = np.zeros((3, n, n)), np.empty((3, n, n)), np.empty((n, n))
+    density, noise = np.zeros((3, n, n)), np.empty((3, n, n))
     for i in range(3):
         for j in range(3):
             for k in range(3):
@@ -181,11 +212,12 @@ def _transition_and_noise(F, T, C, psd):  # type: ignore[no-untyped-def]
         density[2, 9 + i, 9 + i] = psd[6 + i]
         density[2, 12 + i, 12 + i] = psd[9 + i]
     for s in range(3):  # Simpson's rule over the interval
-        _sandwich(half, density[s], square, cube, noise[s])
-        _sandwich(transition, density[s], square, cube, ahead)
         for i in range(n):
             for j in range(n):
-                noise[s, i, j] = T / 6.0 * (density[s, i, j] + 4.0 * noise[s, i, j] + ahead[i, j])
+                noise[s, i, j] = T / 6.0 * density[s, i, j]
+        for k in range(3 + 3 * s, 6 + 3 * s if s < 2 else n, 3):
+            _add_sandwich(4.0 * T / 6.0, half, density[s], k, noise[s])
+            _add_sandwich(T / 6.0, transition, density[s], k, noise[s])
     return transition, noise
 
 
@@ -204,13 +236,17 @@ def _whiten(S, z):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def _sandwich(A, P, scratch, mirror, out):  # type: ignore[no-untyped-def]
-    """Write A P A' for a symmetric P into ``out``, shape (15, 15)."""
-    _product(A, P, scratch)
+def _add_sandwich(weight, A, D, first, out):  # type: ignore[no-untyped-def]
+    """Add weight A D A' to ``out`` (15, 15), of the 3 x 3 block of D from ``first`` on."""
     for i in range(N_ERROR):
-        for j in range(N_ERROR):
-            mirror[j, i] = scratch[i, j]
-    _product(A, mirror, out)
+        u, v, w = 0.0, 0.0, 0.0
+        for k in range(first, first + 3):
+            u += weight * A[i, k] * D[k, first]
+            v += weight * A[i, k] * D[k, first + 1]
+            w += weight * A[i, k] * D[k, first + 2]
+        if u != 0.0 or v != 0.0 or w != 0.0:
+            for j in range(N_ERROR):
+                out[i, j] += u * A[j, first] + v * A[j, first + 1] + w * A[j, first + 2]
 
 
 @register_jitable
