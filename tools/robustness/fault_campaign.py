@@ -9,16 +9,13 @@ of the sensors' noise.
 from __future__ import annotations
 
 import argparse
-import datetime
-import itertools
 import logging
 import math
 import os
 import sys
 import tempfile
-import time
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,16 +32,21 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import parameter_file
 from tools.parallel import run_parallel
 from tools.processes import Processes, isolated_ros, program
+from tools.robustness.campaign_results import (
+    FAULTS,
+    LIVE,
+    RECOVERY,
+    WORSE,
+    ResultFile,
+    Row,
+    page,
+    table,
+)
 from tools.robustness.disturbances import Flight
 from tools.robustness.fault_output import Output, Trace, examine
-from tools.robustness.faults import FAULTS as BRIEF
 from tools.robustness.faults import Fault
-from tools.robustness.lasting_faults import LASTING
 
-RECOVERY = 10.0  # s after the fault
-WORSE = 1.2  # times the undisturbed run's error
 DRAWS = 5  # of noise, the same number for every fault
-FAULTS = (*BRIEF, *LASTING)
 COVERED = 0.95  # share of the truth that must have an estimate by then
 QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fixes_at_all")
 LIVE_RATE = 4.0  # times real time
@@ -64,19 +66,6 @@ class Case:
     def draws(self) -> list[Case]:
         """The flight with each draw of noise."""
         return [replace(self, bag=bag, others=()) for bag in (self.bag, *self.others)]
-
-
-@dataclass(frozen=True)
-class Row:
-    """Result of one fault in one flight."""
-
-    fault: str
-    case: str
-    said: str
-    peak: float
-    clean: float
-    error: float
-    failures: tuple[str, ...]
 
 
 def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
@@ -190,6 +179,7 @@ def _over_draws(rows: Sequence[Row], fault: Fault) -> Row:
         error=error,
         peak=max(r.peak for r in rows),
         failures=tuple(dict.fromkeys(failures)),
+        draws=len(rows),
     )
 
 
@@ -207,6 +197,7 @@ def _crashed(fault: Fault, case: Case) -> Row:
         math.nan,
         math.nan,
         (f"crash: {last[-1]}", *last[-5:-1]),
+        len(case.draws),
     )
 
 
@@ -252,7 +243,7 @@ def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
         failures.append(f"exit status: player {player.returncode}, node {status}")
     if "Traceback" in words:
         failures.append("traceback: " + words.strip().splitlines()[-1])
-    return replace(row, case=f"{case.name}, live", failures=tuple(failures))
+    return replace(row, case=case.name + LIVE, failures=tuple(failures))
 
 
 def make_simulated(folder: Path, draws: int) -> Case:
@@ -297,62 +288,6 @@ def make_recorded(folder: Path, flight: Path, imu: int, offset: float | None, dr
     return Case("recorded", bags[0], values, 12.0, tuple(bags[1:]))
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the results as a Markdown table."""
-    texts = {fault.name: fault.text for fault in FAULTS}
-    cases = list(dict.fromkeys(row.case for row in rows))
-    lines = [
-        "| fault | what happens | said | "
-        + " | ".join(f"{case}: peak, after (clean) [m]" for case in cases)
-        + " | |",
-        "|---|---|---|" + "---|" * len(cases) + "---|",
-    ]
-    for name in dict.fromkeys(row.fault for row in rows):
-        mine = {row.case: row for row in rows if row.fault == name}
-        said = next((row.said for row in mine.values() if row.said), "")
-        verdict = "pass" if not any(row.failures for row in mine.values()) else "**FAIL**"
-        cells = [name, texts[name], said, *(_cell(mine.get(case)) for case in cases), verdict]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def _cell(row: Row | None) -> str:
-    if row is None:
-        return ""
-    if math.isnan(row.error):
-        return "no odometry"
-    return f"{row.peak:.2f}, {row.error:.3f} ({row.clean:.3f})"
-
-
-def report(rows: Sequence[Row], planned: int, command: str, seconds: float, draws: int) -> str:
-    """Return the page for the documentation, of the runs so far."""
-    failed = sum(bool(row.failures) for row in rows)
-    ended = "" if len(rows) == planned else f"; {planned} were planned, and it was ended early"
-    failures = [f"- {row.fault} ({row.case}): {text}" for row in rows for text in row.failures]
-    return f"""# Fault campaign
-
-Named faults, each injected into a simulated flight (60 s, a quadrotor with vibration of 0.3 m/s²
-and 0.01 rad/s, 200 Hz, fixes at 5 Hz) and into a recorded one. Both are replayed by the node's
-estimator with the default parameters and no heading given, with {draws} draw(s) of the sensors'
-noise each; with `--live` all are also played into the live node over DDS. Every run must
-
-- end without an exception,
-- publish no NaN, and positive definite covariances only,
-- report what is wrong: a counter or text of `/diagnostics`, or a reason in `gnss/verdict`,
-- from {RECOVERY:g} s after the fault to the flight's end, have an RMS position error of at most
-  {WORSE:g} times that of the undisturbed runs over the same time, as RMS over all draws. A run with
-  wrong axes or clocks from the start only has to name them.
-
-`peak` is the largest position error from the fault's beginning to {RECOVERY:g} s after its end.
-
-    {command}
-
-{len(rows)} runs, {failed} failed, {seconds:.0f} s, on {datetime.date.today()}{ended}.
-
-{table(rows)}
-""" + "".join(f"{line}\n" for line in ("", *failures) if failures)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign."""
     parser = shell.parser(
@@ -385,6 +320,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--live", action="store_true", help="also play all of them into the node over DDS"
     )
     parser.add_argument(
+        "--no-replay", action="store_true", help="only what --live adds, and what FILE has"
+    )
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="of every run; those that it has are kept"
+    )
+    parser.add_argument(
         "--draws", type=int, default=DRAWS, metavar="N", help="of noise, per fault [%(default)s]"
     )
     parser.add_argument(
@@ -399,45 +340,64 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _body(args: argparse.Namespace) -> int:
-    started = time.monotonic()
     names = args.only or (QUICK if args.quick else [fault.name for fault in FAULTS])
     faults = [fault for fault in FAULTS if fault.name in names]
-    rows: list[Row] = []
+    results = ResultFile(args.results, args.draws)
+    rows = results.rows()
+    done = {(row.fault, row.case) for row in rows}
     with tempfile.TemporaryDirectory() as folder:
         cases = [make_simulated(Path(folder), args.draws)]
         if args.flight:
             given = args.flight, args.imu, args.time_offset
             cases.append(make_recorded(Path(folder), *given, args.draws))
-        clean = {
-            case.name: [replayed(draw, None, Path(folder)).trace for draw in case.draws]
+        runs = [
+            (case, fault.name)
+            for fault in faults
             for case in cases
-        }
-        runs = [(case, fault.name, clean[case.name]) for fault in faults for case in cases]
-        results: Iterable[Row] = run_parallel(attempt, runs, args.jobs)
-        planned = len(runs)
-        if args.live:
-            planned += len(faults)
-            live = _live(faults, cases[-1], clean[cases[-1].name][0], Path(folder))
-            results = itertools.chain(results, live)
-        for row in progress.track(results, "faults", planned, "run"):
+            if not args.no_replay and (fault.name, case.name) not in done
+        ]
+        live = [
+            (case, fault)
+            for fault in faults
+            for case in cases
+            if args.live and (case is cases[-1] or fault.unusable)
+            if (fault.name, case.name + LIVE) not in done
+        ]
+        found = _run(cases, runs, live, args.jobs, Path(folder))
+        for row in progress.track(found, "faults", len(runs) + len(live), "run"):
+            results.add(row)
             rows.append(row)
-            if args.report:  # also what an interrupted campaign has found
-                seconds = time.monotonic() - started
-                page = report(rows, planned, args.command, seconds, args.draws)
-                args.report.write_text(page, encoding="utf-8")
+    rows = results.rows() or rows
+    if args.report:
+        args.report.write_text(page(rows, args.command, results.revision), encoding="utf-8")
     print(table(rows))
     for row in rows:
         for failure in row.failures:
             print(f"FAIL {row.fault} ({row.case}): {failure}")
     failed = sum(bool(row.failures) for row in rows)
-    seconds = time.monotonic() - started
-    print(f"{len(rows)} runs of {len(faults)} faults, {failed} failed, {seconds:.0f} s")
+    print(f"{len(rows)} runs of {len(faults)} faults, {failed} failed")
     return int(failed > 0)
 
 
-def _live(faults: Sequence[Fault], case: Case, clean: Trace, folder: Path) -> Iterator[Row]:
-    os.environ.update(isolated_ros())
-    return (attempt_live(case, fault, clean, folder) for fault in faults)
+def _run(
+    cases: Sequence[Case],
+    runs: Sequence[tuple[Case, str]],
+    live: Sequence[tuple[Case, Fault]],
+    jobs: int,
+    folder: Path,
+) -> Iterator[Row]:
+    """Yield the results of replayed and of live runs."""
+    clean: dict[str, list[Trace]] = {}
+    for case in cases:
+        if any(run[0] is case for run in runs):
+            clean[case.name] = [replayed(draw, None, folder).trace for draw in case.draws]
+        elif any(run[0] is case for run in live):
+            clean[case.name] = [replayed(case, None, folder).trace]
+    yield from run_parallel(attempt, [(case, name, clean[case.name]) for case, name in runs], jobs)
+    if live:
+        os.environ.update(isolated_ros())
+    for case, fault in live:
+        yield attempt_live(case, fault, clean[case.name][0], folder)
 
 
 if __name__ == "__main__":
