@@ -94,7 +94,7 @@ def test_an_exception_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(fault_campaign, "replayed", crash)
 
-    row = fault_campaign.attempt(CASE, FAULTS[0].name, [CLEAN])
+    row = fault_campaign.attempt(CASE, FAULTS[0].name, CLEAN)
 
     assert row.failures[0] == "crash: ZeroDivisionError: of the test"
 

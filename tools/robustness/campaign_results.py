@@ -7,8 +7,11 @@ import json
 import math
 import subprocess
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import hybrid_ins
 from hybrid_ins.errors import InputError
@@ -18,12 +21,13 @@ from tools.robustness.lasting_faults import LASTING
 RECOVERY = 10.0  # s after the fault
 WORSE = 1.2  # times the undisturbed run's error
 FAULTS = (*BRIEF, *LASTING)
+TOO_LARGE = "error"  # begins what is wrong with a run that is not good enough
 LIVE = ", live"  # behind the name of a flight that is played into the node
 
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one fault in one flight."""
+    """Result of one fault in one flight, with one draw of noise or over all of them."""
 
     fault: str
     case: str
@@ -32,7 +36,7 @@ class Row:
     clean: float
     error: float
     failures: tuple[str, ...]
-    draws: int = 1  # of noise
+    draw: int = 0  # of the sensors' noise
 
 
 class ResultFile:
@@ -45,32 +49,30 @@ class ResultFile:
     ----------
     path : Path, optional
         None keeps nothing.
-    draws : int
-        Of noise, of each replayed row.
+
+    Attributes
+    ----------
+    revision : str
+        See `revision`.
 
     Raises
     ------
     InputError
-        The file holds rows of other code or with other draws.
+        The file holds rows of other code.
     """
 
-    def __init__(self, path: Path | None, draws: int) -> None:
+    def __init__(self, path: Path | None) -> None:
         self._path = path
         self.revision = revision()
         for line in self._lines():
             if line["revision"] != self.revision:
                 raise InputError(f"{path}: of {line['revision']}, this is {self.revision}")
-            if not line["case"].endswith(LIVE) and line["draws"] != draws:
-                raise InputError(f"{path}: has {line['draws']} draws of noise, not {draws}")
 
     def rows(self) -> list[Row]:
-        """Return all rows, in the order of the faults."""
-        order = {fault.name: k for k, fault in enumerate(FAULTS)}
-        rows = []
-        for line in self._lines():
-            line.pop("revision")
-            rows.append(Row(**{**line, "failures": tuple(line["failures"])}))
-        return sorted(rows, key=lambda row: order[row.fault])
+        """Return all rows."""
+        names = Row.__dataclass_fields__
+        lines = [{name: line[name] for name in names} for line in self._lines()]
+        return [Row(**{**line, "failures": tuple(line["failures"])}) for line in lines]
 
     def add(self, row: Row) -> None:
         """Append a row."""
@@ -78,7 +80,7 @@ class ResultFile:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({**asdict(row), "revision": self.revision}) + "\n")
 
-    def _lines(self) -> list[dict[str, object]]:
+    def _lines(self) -> list[dict[str, Any]]:
         if self._path is None or not self._path.exists():
             return []
         return [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
@@ -93,6 +95,47 @@ def revision() -> str:
     except OSError:
         return ""
     return found.stdout.strip()
+
+
+def over_draws(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """
+    Combine the draws of each fault and flight: the errors of one flight are few independent.
+
+    Returns the rows in the order of the faults, and the number of draws, the same for all that was
+    replayed; live runs have one. The errors are RMS over the draws, and judged as such.
+    """
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.draw):
+        groups.setdefault((row.fault, row.case), []).append(row)
+    draws = min((len(g) for (_, case), g in groups.items() if not case.endswith(LIVE)), default=1)
+    order = {fault.name: k for k, fault in enumerate(FAULTS)}
+    return sorted(
+        (_combined(group[:draws]) for group in groups.values()), key=lambda row: order[row.fault]
+    ), draws
+
+
+def _combined(rows: Sequence[Row]) -> Row:
+    clean, error = (
+        float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in rows])))
+        for name in ("clean", "error")
+    )
+    failures = [text for row in rows for text in row.failures if not text.startswith(TOO_LARGE)]
+    if any(text.startswith(TOO_LARGE) for row in rows for text in row.failures):
+        failures += too_large(error, clean)
+    return replace(
+        rows[0],
+        clean=clean,
+        error=error,
+        peak=max(row.peak for row in rows),
+        failures=tuple(dict.fromkeys(failures)),
+    )
+
+
+def too_large(error: float, clean: float) -> list[str]:
+    """Return what is wrong with an error [m], beside that of the undisturbed flight."""
+    if error <= WORSE * clean:
+        return []
+    return [f"{TOO_LARGE} {error:.3f} m, undisturbed {clean:.3f} m"]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -122,10 +165,9 @@ def _cell(row: Row | None) -> str:
     return f"{row.peak:.2f}, {row.error:.3f} ({row.clean:.3f})"
 
 
-def page(rows: Sequence[Row], command: str, code: str) -> str:
-    """Return the page for the documentation, of the runs so far."""
+def page(rows: Sequence[Row], draws: int, command: str, code: str) -> str:
+    """Return the page for the documentation, of the runs so far; ``code`` is their `revision`."""
     failed = sum(bool(row.failures) for row in rows)
-    draws = max((row.draws for row in rows), default=1)
     failures = [f"- {row.fault} ({row.case}): {text}" for row in rows for text in row.failures]
     return f"""# Fault campaign
 

@@ -19,8 +19,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from hybrid_ins import parameters, progress, replay
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
@@ -36,11 +34,12 @@ from tools.robustness.campaign_results import (
     FAULTS,
     LIVE,
     RECOVERY,
-    WORSE,
     ResultFile,
     Row,
+    over_draws,
     page,
     table,
+    too_large,
 )
 from tools.robustness.disturbances import Flight
 from tools.robustness.fault_output import Output, Trace, examine
@@ -52,20 +51,15 @@ QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fix
 LIVE_RATE = 4.0  # times real time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
-    """A flight to disturb, and the same with other noise."""
+    """A flight to disturb, with one draw of the sensors' noise."""
 
     name: str
     bag: Path
     values: parameters.Values
     start: float  # s, of the faults
-    others: tuple[Path, ...] = ()
-
-    @property
-    def draws(self) -> list[Case]:
-        """The flight with each draw of noise."""
-        return [replace(self, bag=bag, others=()) for bag in (self.bag, *self.others)]
+    draw: int = 0  # of noise
 
 
 def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
@@ -84,8 +78,7 @@ def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
         else:
             failures.append(f"nothing says {sign!r}")
     if fault.unusable:
-        nan = math.nan
-        return Row(fault.name, case.name, "; ".join(found), nan, nan, nan, tuple(failures))
+        return _row(fault, case, "; ".join(found), failures)
     end = case.start + fault.duration
     expected, _ = clean.after(end + RECOVERY)
     error, covered = output.trace.after(end + RECOVERY)
@@ -95,10 +88,21 @@ def judge(fault: Fault, case: Case, output: Output, clean: Trace) -> Row:
     else:
         if covered < COVERED:
             failures.append(f"odometry for {covered:.0%} of the time from {RECOVERY:g} s after")
-        if not error <= WORSE * expected:
-            failures.append(_too_large(error, expected))
+        failures += too_large(error, expected)
     peak = output.trace.largest(case.start, end + RECOVERY)
-    return Row(fault.name, case.name, "; ".join(found), peak, expected, error, tuple(failures))
+    return _row(fault, case, "; ".join(found), failures, peak, expected, error)
+
+
+def _row(
+    fault: Fault,
+    case: Case,
+    said: str,
+    failures: Sequence[str],
+    peak: float = math.nan,
+    clean: float = math.nan,
+    error: float = math.nan,
+) -> Row:
+    return Row(fault.name, case.name, said, peak, clean, error, tuple(failures), case.draw)
 
 
 class _LogLines(logging.Handler):
@@ -150,55 +154,15 @@ def _origin(case: Case) -> int:
         return bag.start_ns
 
 
-def attempt(case: Case, name: str, clean: Sequence[Trace]) -> Row:
-    """Run one fault, with the undisturbed run of each draw; an exception is a result."""
+def attempt(case: Case, name: str, clean: Trace) -> Row:
+    """Run one fault, beside the undisturbed run; an exception is a result."""
     fault = next(fault for fault in FAULTS if fault.name == name)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            rows = [
-                judge(fault, draw, replayed(draw, fault, Path(folder)), undisturbed)
-                for draw, undisturbed in zip(case.draws, clean, strict=True)
-            ]
+            return judge(fault, case, replayed(case, fault, Path(folder)), clean)
         except Exception:  # whatever ends a run is what is looked for
-            return _crashed(fault, case)
-    return _over_draws(rows, fault)
-
-
-def _over_draws(rows: Sequence[Row], fault: Fault) -> Row:
-    """Take the RMS over the draws of noise: the errors of one flight are few independent."""
-    clean, error = (
-        float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in rows])))
-        for name in ("clean", "error")
-    )
-    failures = [f for r in rows for f in r.failures if not f.startswith("error ")]
-    if not (fault.silent or fault.unusable) and not error <= WORSE * clean:
-        failures.append(_too_large(error, clean) + f", RMS of {len(rows)} draws of noise")
-    return replace(
-        rows[0],
-        clean=clean,
-        error=error,
-        peak=max(r.peak for r in rows),
-        failures=tuple(dict.fromkeys(failures)),
-        draws=len(rows),
-    )
-
-
-def _too_large(error: float, clean: float) -> str:
-    return f"error {error:.3f} m, undisturbed {clean:.3f} m"
-
-
-def _crashed(fault: Fault, case: Case) -> Row:
-    last = traceback.format_exc().strip().splitlines()
-    return Row(
-        fault.name,
-        case.name,
-        "",
-        math.nan,
-        math.nan,
-        math.nan,
-        (f"crash: {last[-1]}", *last[-5:-1]),
-        len(case.draws),
-    )
+            last = traceback.format_exc().strip().splitlines()
+            return _row(fault, case, "", (f"crash: {last[-1]}", *last[-5:-1]))
 
 
 def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
@@ -246,7 +210,7 @@ def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
     return replace(row, case=case.name + LIVE, failures=tuple(failures))
 
 
-def make_simulated(folder: Path, draws: int) -> Case:
+def make_simulated(folder: Path, draws: int) -> list[Case]:
     """Simulate a quadrotor flight with several draws of noise."""
     bags = [folder / f"simulated_{seed}.mcap" for seed in range(draws)]
     for seed, bag in enumerate(bags):
@@ -268,10 +232,12 @@ def make_simulated(folder: Path, draws: int) -> Case:
                 "--overwrite",
             ]
         )
-    return Case("simulated", bags[0], parameters.defaults(), 20.0, tuple(bags[1:]))
+    return [Case("simulated", bag, parameters.defaults(), 20.0, k) for k, bag in enumerate(bags)]
 
 
-def make_recorded(folder: Path, flight: Path, imu: int, offset: float | None, draws: int) -> Case:
+def make_recorded(
+    folder: Path, flight: Path, imu: int, offset: float | None, draws: int
+) -> list[Case]:
     """Convert a flight of the dataset, its clock offset given or calibrated."""
     bags = [folder / f"recorded_{seed}.mcap" for seed in range(draws)]
     for seed, bag in enumerate(bags):
@@ -285,7 +251,7 @@ def make_recorded(folder: Path, flight: Path, imu: int, offset: float | None, dr
         offset = calibrate([recording], values).values["gnss.time_offset.value"]
         print(f"clock offset {offset:+.4f} s")
     values["gnss.time_offset.value"] = offset
-    return Case("recorded", bags[0], values, 12.0, tuple(bags[1:]))
+    return [Case("recorded", bag, values, 12.0, k) for k, bag in enumerate(bags)]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -342,62 +308,57 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _body(args: argparse.Namespace) -> int:
     names = args.only or (QUICK if args.quick else [fault.name for fault in FAULTS])
     faults = [fault for fault in FAULTS if fault.name in names]
-    results = ResultFile(args.results, args.draws)
+    results = ResultFile(args.results)
     rows = results.rows()
-    done = {(row.fault, row.case) for row in rows}
+    done = {(row.fault, row.case, row.draw) for row in rows}
     with tempfile.TemporaryDirectory() as folder:
-        cases = [make_simulated(Path(folder), args.draws)]
+        flights = [make_simulated(Path(folder), args.draws)]
         if args.flight:
             given = args.flight, args.imu, args.time_offset
-            cases.append(make_recorded(Path(folder), *given, args.draws))
-        runs = [
-            (case, fault.name)
+            flights.append(make_recorded(Path(folder), *given, args.draws))
+        runs = [  # a campaign that is ended has the first draws of all faults
+            (draws[k], fault)
+            for k in range(args.draws)
             for fault in faults
-            for case in cases
-            if not args.no_replay and (fault.name, case.name) not in done
+            for draws in flights
+            if not args.no_replay and (fault.name, draws[k].name, k) not in done
         ]
         live = [
-            (case, fault)
+            (draws[0], fault)
             for fault in faults
-            for case in cases
-            if args.live and (case is cases[-1] or fault.unusable)
-            if (fault.name, case.name + LIVE) not in done
+            for draws in flights
+            if args.live and (draws is flights[-1] or fault.unusable)
+            if (fault.name, draws[0].name + LIVE, 0) not in done
         ]
-        found = _run(cases, runs, live, args.jobs, Path(folder))
+        found = _run(runs, live, args.jobs, Path(folder))
         for row in progress.track(found, "faults", len(runs) + len(live), "run"):
             results.add(row)
             rows.append(row)
-    rows = results.rows() or rows
+    rows, draws = over_draws(rows)
     if args.report:
-        args.report.write_text(page(rows, args.command, results.revision), encoding="utf-8")
+        text = page(rows, draws, args.command, results.revision)
+        args.report.write_text(text, encoding="utf-8")
     print(table(rows))
     for row in rows:
         for failure in row.failures:
             print(f"FAIL {row.fault} ({row.case}): {failure}")
     failed = sum(bool(row.failures) for row in rows)
-    print(f"{len(rows)} runs of {len(faults)} faults, {failed} failed")
+    print(f"{len(rows)} runs of {len(faults)} faults, {draws} draw(s) of noise, {failed} failed")
     return int(failed > 0)
 
 
 def _run(
-    cases: Sequence[Case],
-    runs: Sequence[tuple[Case, str]],
-    live: Sequence[tuple[Case, Fault]],
-    jobs: int,
-    folder: Path,
+    runs: Sequence[tuple[Case, Fault]], live: Sequence[tuple[Case, Fault]], jobs: int, folder: Path
 ) -> Iterator[Row]:
     """Yield the results of replayed and of live runs."""
-    clean: dict[str, list[Trace]] = {}
-    for case in cases:
-        if any(run[0] is case for run in runs):
-            clean[case.name] = [replayed(draw, None, folder).trace for draw in case.draws]
-        elif any(run[0] is case for run in live):
-            clean[case.name] = [replayed(case, None, folder).trace]
-    yield from run_parallel(attempt, [(case, name, clean[case.name]) for case, name in runs], jobs)
+    cases = dict.fromkeys(case for case, _ in (*runs, *live))
+    clean = {case: replayed(case, None, folder).trace for case in cases}
+    words = [(case, fault.name, clean[case]) for case, fault in runs]
+    yield from run_parallel(attempt, words, jobs)
     if live:
         os.environ.update(isolated_ros())
     for case, fault in live:
-        yield attempt_live(case, fault, clean[case.name][0], folder)
+        yield attempt_live(case, fault, clean[case], folder)
 
 
 if __name__ == "__main__":
