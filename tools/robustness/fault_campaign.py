@@ -16,8 +16,10 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
+from queue import SimpleQueue
 
 from hybrid_ins import parameters, progress, replay
 from hybrid_ins.bags.reader import BagReader
@@ -48,7 +50,7 @@ from tools.robustness.faults import Fault
 DRAWS = 5  # of noise, the same number for every fault
 COVERED = 0.95  # share of the truth that must have an estimate by then
 QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fixes_at_all")
-LIVE_RATE = 4.0  # times real time
+LIVE_RATE = 4.0  # times real time, of a machine that has nothing else to do
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
         estimate,
         bag,
         _origin(case),
-        float(values["gnss.time_offset.value"]),
+        float(str(values["gnss.time_offset.value"])),
         fault.stamp_shift if fault else 0.0,
     )
     return replace(output, said=(*output.said, *log))
@@ -165,8 +167,21 @@ def attempt(case: Case, name: str, clean: Trace) -> Row:
             return _row(fault, case, "", (f"crash: {last[-1]}", *last[-5:-1]))
 
 
-def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
-    """Play one fault into the node over DDS."""
+def attempt_live(
+    case: Case, fault: Fault, clean: Trace, rate: float, domains: SimpleQueue[dict[str, str]]
+) -> Row:
+    """Play one fault into the node over DDS, at a multiple of real time, on a free domain."""
+    domain = domains.get()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return _play(case, fault, clean, rate, Path(folder), domain)
+    finally:
+        domains.put(domain)
+
+
+def _play(
+    case: Case, fault: Fault, clean: Trace, rate: float, folder: Path, domain: dict[str, str]
+) -> Row:
     bag, estimate = folder / "disturbed.mcap", folder / "estimate.mcap"
     log, values_file = folder / "node.log", folder / "values.yaml"
     inject(case, fault, bag)
@@ -174,14 +189,14 @@ def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
     values_file.write_text(parameter_file.to_yaml(values, "Of the fault campaign."))
     with Processes() as processes, log.open("w") as output:
         node = processes.start(
-            [program("ins_node"), "--ros-args", "--params-file", values_file], output
+            [program("ins_node"), "--ros-args", "--params-file", values_file], output, domain
         )
         player = processes.start(
             [
                 program("ins_play"),
                 bag,
                 "--rate",
-                str(LIVE_RATE),
+                str(rate),
                 "--record",
                 estimate,
                 "--wait",
@@ -189,6 +204,7 @@ def attempt_live(case: Case, fault: Fault, clean: Trace, folder: Path) -> Row:
                 "--overwrite",
             ],
             output,
+            domain,
         )
         player.wait(600.0)
         ended_early = node.poll() is not None
@@ -286,6 +302,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--live", action="store_true", help="also play all of them into the node over DDS"
     )
     parser.add_argument(
+        "--rate",
+        type=float,
+        default=LIVE_RATE,
+        metavar="R",
+        help="of that, times real time [%(default)g]",
+    )
+    parser.add_argument(
         "--no-replay", action="store_true", help="only what --live adds, and what FILE has"
     )
     parser.add_argument(
@@ -330,7 +353,7 @@ def _body(args: argparse.Namespace) -> int:
             if args.live and (draws is flights[-1] or fault.unusable)
             if (fault.name, draws[0].name + LIVE, 0) not in done
         ]
-        found = _run(runs, live, args.jobs, Path(folder))
+        found = _run(runs, live, args.rate, args.jobs, Path(folder))
         for row in progress.track(found, "faults", len(runs) + len(live), "run"):
             results.add(row)
             rows.append(row)
@@ -348,17 +371,32 @@ def _body(args: argparse.Namespace) -> int:
 
 
 def _run(
-    runs: Sequence[tuple[Case, Fault]], live: Sequence[tuple[Case, Fault]], jobs: int, folder: Path
+    runs: Sequence[tuple[Case, Fault]],
+    live: Sequence[tuple[Case, Fault]],
+    rate: float,
+    jobs: int,
+    folder: Path,
 ) -> Iterator[Row]:
     """Yield the results of replayed and of live runs."""
     cases = dict.fromkeys(case for case, _ in (*runs, *live))
     clean = {case: replayed(case, None, folder).trace for case in cases}
     words = [(case, fault.name, clean[case]) for case, fault in runs]
     yield from run_parallel(attempt, words, jobs)
-    if live:
-        os.environ.update(isolated_ros())
-    for case, fault in live:
-        yield attempt_live(case, fault, clean[case], folder)
+    yield from _run_live([(case, fault, clean[case], rate) for case, fault in live], jobs)
+
+
+def _run_live(plays: Sequence[tuple[Case, Fault, Trace, float]], jobs: int) -> Iterator[Row]:
+    """Yield the results of live runs as they come, each beside others on domains of their own."""
+    domains: SimpleQueue[dict[str, str]] = SimpleQueue()
+    for _ in range(jobs):
+        domains.put(isolated_ros())
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = [pool.submit(attempt_live, *play, domains) for play in plays]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 if __name__ == "__main__":
