@@ -176,7 +176,6 @@ class _Replay:
         self._bag, self._out = bag, out
         self._verdicts = ObjectFile(out.folder)  # (log time [ns], Report): for the smoother
         self._imu = imu = bag.imu(imu_topic, make_blocks=partial(BlockFile, out.folder))
-        self._stamps_ns = imu.log_ns if values["use_receive_time"] else imu.stamp_ns
         self._frames = deque(imu.frames)
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"), (kernels.SMOOTHING,) if record is not None else ())
@@ -211,10 +210,14 @@ class _Replay:
             handle = estimator.handle_static_transforms
             self._handlers["/tf_static"] = lambda message, _: handle(message)
 
+    @property
+    def _stamps_ns(self) -> NDArray[np.int64]:
+        return self._imu.log_ns if self._values["use_receive_time"] else self._imu.stamp_ns
+
     def filter(self) -> Estimator:
         """Handle every message in the order of the recording."""
-        start, total = 0, len(self._imu.log_ns)
-        with progress.bar("replay", total, "sample", unit_scale=True) as bar:
+        start = 0
+        with progress.bar("replay", len(self._imu.log_ns), "sample", unit_scale=True) as bar:
             for topic, log_ns, data in self._bag.raw(*self._handlers, *self._carried):
                 if topic in self._handlers:
                     stop = int(np.searchsorted(self._imu.log_ns, log_ns, side="right"))
@@ -229,8 +232,9 @@ class _Replay:
                 if topic in self._carried:
                     out_topic = self._carried[topic]
                     self._out.write_raw(out_topic, self._bag.topics[topic], data, log_ns)
-            self._handle_imu(start, total)
-            bar.update(total - start)
+            stop = len(self._imu.log_ns)
+            self._handle_imu(start, stop)
+            bar.update(stop - start)
         for writer in self._odometry:
             writer.flush()
         return self._estimator

@@ -11,15 +11,17 @@ from __future__ import annotations
 import argparse
 import logging
 import math
-import os
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
+from typing import cast
 
 from hybrid_ins import parameters, progress, replay
 from hybrid_ins.bags.reader import BagReader
@@ -30,7 +32,6 @@ from hybrid_ins.cli import convert, simulate
 from hybrid_ins.cli import program as shell
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import parameter_file
-from tools.parallel import run_parallel
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.campaign_results import (
     FAULTS,
@@ -46,7 +47,10 @@ from tools.robustness.campaign_results import (
 from tools.robustness.disturbances import Flight
 from tools.robustness.fault_output import Output, Trace, examine
 from tools.robustness.faults import Fault
+from tools.robustness.shared_start import AllForked, ForkingReader, HeldBack, has_same_start
 
+ESTIMATE, DISTURBED = "estimate.mcap", "disturbed.mcap"
+CHANGES_START = "the fault changes the beginning of the flight"
 DRAWS = 5  # of noise, the same number for every fault
 COVERED = 0.95  # share of the truth that must have an estimate by then
 QUICK = ("imu_nan", "imu_frozen", "clock_back", "fix_zero", "fix_shift", "no_fixes_at_all")
@@ -119,29 +123,90 @@ class _LogLines(logging.Handler):
         self._lines.append(record.getMessage())
 
 
+@contextmanager
+def _lines_logged() -> Iterator[list[str]]:
+    """Within the block, collect what the package logs."""
+    lines: list[str] = []
+    handler, package = _LogLines(lines), logging.getLogger("hybrid_ins")
+    package.addHandler(handler)
+    try:
+        yield lines
+    finally:
+        package.removeHandler(handler)
+
+
 def replayed(case: Case, fault: Fault | None, folder: Path) -> Output:
     """Replay a flight, disturbed or not."""
-    bag, estimate = case.bag, folder / f"{case.name}_estimate.mcap"
+    bag, estimate = case.bag, folder / ESTIMATE
     if fault is not None:
-        bag = folder / f"{case.name}_disturbed.mcap"
+        bag = folder / DISTURBED
         inject(case, fault, bag)
     values = parameters.check_all({**case.values, **(fault.values if fault else {})})
-    log: list[str] = []
-    of_reader = _LogLines(log)
-    logging.getLogger("hybrid_ins").addHandler(of_reader)
-    try:
-        with BagReader(bag) as reader, BagWriter(estimate, overwrite=True) as out:
-            replay.replay(reader, out, values, log=lambda level, text: log.append(text))
-    finally:
-        logging.getLogger("hybrid_ins").removeHandler(of_reader)
+    with (
+        _lines_logged() as lines,
+        BagReader(bag) as reader,
+        BagWriter(estimate, overwrite=True) as out,
+    ):
+        replay.replay(reader, out, values, log=lambda level, text: lines.append(text))
+    return _examined(case, fault, folder, lines)
+
+
+def _examined(case: Case, fault: Fault | None, folder: Path, lines: Sequence[str]) -> Output:
     output = examine(
-        estimate,
-        bag,
+        folder / ESTIMATE,
+        case.bag if fault is None else folder / DISTURBED,
         _origin(case),
-        float(str(values["gnss.time_offset.value"])),
+        float(str(case.values["gnss.time_offset.value"])),
         fault.stamp_shift if fault else 0.0,
     )
-    return replace(output, said=(*output.said, *log))
+    return replace(output, said=(*output.said, *lines))
+
+
+def attempt_all(
+    case: Case, faults: Sequence[Fault], clean: Trace, on_row: Callable[[Row], None]
+) -> None:
+    """Run faults; those that do not change the beginning of the flight share its replay."""
+    from_ns = _origin(case) + round(case.start * 1e9)
+
+    def on_result(index: int, result: Row | str | None) -> None:
+        fault = faults[index]
+        if result == CHANGES_START:
+            on_row(attempt(case, fault.name, clean))
+        elif isinstance(result, Row):
+            on_row(result)
+        else:
+            on_row(_row(fault, case, "", ["crash: the process ended"]))
+
+    with tempfile.TemporaryDirectory() as name, _lines_logged() as lines:
+        folder = Path(name)
+        out = HeldBack(folder)
+
+        def disturb(fault: Fault) -> Path:
+            inject(case, fault, folder / DISTURBED)
+            if fault.values or not has_same_start(case.bag, folder / DISTURBED, from_ns):
+                reader.answer(CHANGES_START)
+            out.open(folder / ESTIMATE)
+            return folder / DISTURBED
+
+        others = [partial(disturb, fault) for fault in faults]
+        with ForkingReader(case.bag, from_ns, others, on_result) as reader:
+            try:
+                log = lambda level, text: lines.append(text)  # noqa: E731
+                replay.replay(reader, cast(BagWriter, out), case.values, log=log)
+            except AllForked:
+                return
+            except Exception:
+                if reader.index is None:
+                    raise
+                reader.answer(_crashed(faults[reader.index], case))
+            assert reader.index is not None  # this is a child
+            fault = faults[reader.index]
+            try:
+                out.close()
+                row = judge(fault, case, _examined(case, fault, folder, lines), clean)
+            except Exception:
+                row = _crashed(fault, case)
+            reader.answer(row)
 
 
 def inject(case: Case, fault: Fault, bag: Path) -> None:
@@ -163,8 +228,12 @@ def attempt(case: Case, name: str, clean: Trace) -> Row:
         try:
             return judge(fault, case, replayed(case, fault, Path(folder)), clean)
         except Exception:  # whatever ends a run is what is looked for
-            last = traceback.format_exc().strip().splitlines()
-            return _row(fault, case, "", (f"crash: {last[-1]}", *last[-5:-1]))
+            return _crashed(fault, case)
+
+
+def _crashed(fault: Fault, case: Case) -> Row:
+    last = traceback.format_exc().strip().splitlines()
+    return _row(fault, case, "", (f"crash: {last[-1]}", *last[-5:-1]))
 
 
 def attempt_live(
@@ -318,7 +387,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--draws", type=int, default=DRAWS, metavar="N", help="of noise, per fault [%(default)s]"
     )
     parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="at a time [%(default)s]"
+        "--jobs", type=int, default=1, metavar="N", help="live runs at a time [%(default)s]"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="Markdown page to write")
     args = parser.parse_args(argv)
@@ -353,10 +422,14 @@ def _body(args: argparse.Namespace) -> int:
             if args.live and (draws is flights[-1] or fault.unusable)
             if (fault.name, draws[0].name + LIVE, 0) not in done
         ]
-        found = _run(runs, live, args.rate, args.jobs, Path(folder))
-        for row in progress.track(found, "faults", len(runs) + len(live), "run"):
-            results.add(row)
-            rows.append(row)
+        with progress.bar("faults", len(runs) + len(live), "run") as bar:
+
+            def keep(row: Row) -> None:
+                results.add(row)
+                rows.append(row)
+                bar.update()
+
+            _run(runs, live, args.rate, args.jobs, Path(folder), keep)
     rows, draws = over_draws(rows)
     if args.report:
         text = page(rows, draws, args.command, results.revision)
@@ -376,13 +449,17 @@ def _run(
     rate: float,
     jobs: int,
     folder: Path,
-) -> Iterator[Row]:
-    """Yield the results of replayed and of live runs."""
+    on_row: Callable[[Row], None],
+) -> None:
+    """Make the replays and the live runs."""
     cases = dict.fromkeys(case for case, _ in (*runs, *live))
     clean = {case: replayed(case, None, folder).trace for case in cases}
-    words = [(case, fault.name, clean[case]) for case, fault in runs]
-    yield from run_parallel(attempt, words, jobs)
-    yield from _run_live([(case, fault, clean[case], rate) for case, fault in live], jobs)
+    for case in cases:
+        faults = [fault for other, fault in runs if other is case]
+        if faults:
+            attempt_all(case, faults, clean[case], on_row)
+    for row in _run_live([(case, fault, clean[case], rate) for case, fault in live], jobs):
+        on_row(row)
 
 
 def _run_live(plays: Sequence[tuple[Case, Fault, Trace, float]], jobs: int) -> Iterator[Row]:
