@@ -16,6 +16,7 @@ FEWEST = 5  # fixes that show anything
 SHARE = 0.5  # of the fixes, from which a reason is the dominant one
 ANOTHER_CLOCK = 2.0  # s, from the IMU: no receiver is so late, and alignment takes no older fix
 LEAP_SECONDS = (17.0, 19.0)  # s: GPS time is 18 s ahead of UTC, since 2017
+LONGEST_QUEUE = 10.0  # s, of IMU messages that wait for a node which does not keep up
 DAY, YEAR = 86_400.0, 31_557_600.0  # s
 
 
@@ -77,7 +78,9 @@ def describe_clocks(ahead: float) -> str:
         text = f"{size / YEAR:.1f} years"
     side = "ahead of" if ahead > 0.0 else "behind"
     cause = "two clocks that were set differently"
-    if LEAP_SECONDS[0] < size < LEAP_SECONDS[1]:
+    if 0.0 < ahead < LONGEST_QUEUE:
+        cause = "two clocks that were set differently, or a computer too slow for the IMU's rate"
+    elif LEAP_SECONDS[0] < size < LEAP_SECONDS[1]:
         cause = "one driver stamps in GPS time, the other in UTC: 18 s"
     elif size > YEAR:
         cause = "one clock counts from its start, or was never set"

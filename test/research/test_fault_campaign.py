@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +12,12 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.cli import simulate
-from tools.robustness import fault_campaign
+from hybrid_ins.errors import InputError
+from tools.robustness import fault_campaign, fault_replays
+from tools.robustness.campaign_results import FAULTS, RECOVERY, ResultFile, Row, over_draws
 from tools.robustness.disturbances import Flight
-from tools.robustness.fault_campaign import FAULTS, Case, judge
 from tools.robustness.fault_output import Output, Trace
+from tools.robustness.fault_replays import Case, attempt, attempt_all, judge, replayed
 from tools.robustness.faults import Fault
 
 T = np.arange(0.0, 40.0, 0.1)
@@ -21,7 +25,7 @@ FAULT = Fault("some", "something happens", lambda flight: None, ("restart|jump",
 CASE = Case("simulated", Path("flight.mcap"), parameters.defaults(), 10.0)
 CLEAN = Trace(T, np.full(len(T), 0.2))
 GOOD = Output(CLEAN, ("restart ×1",), (), 400)
-AFTER = 9.95 + FAULT.duration + fault_campaign.RECOVERY < T
+AFTER = 9.95 + FAULT.duration + RECOVERY < T
 
 
 def trace(after: float) -> Trace:
@@ -92,11 +96,68 @@ def test_an_exception_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: object) -> Output:
         raise ZeroDivisionError("of the test")
 
-    monkeypatch.setattr(fault_campaign, "replayed", crash)
+    monkeypatch.setattr(fault_replays, "replayed", crash)
 
-    row = fault_campaign.attempt(CASE, FAULTS[0].name, CLEAN)
+    row = attempt(CASE, FAULTS[0].name, CLEAN)
 
     assert row.failures[0] == "crash: ZeroDivisionError: of the test"
+
+
+def test_faults_share_the_replay_of_what_comes_before_them(bag: Path, tmp_path: Path) -> None:
+    case = Case("simulated", bag, parameters.defaults(), 6.0)
+    faults = [f for f in FAULTS if f.name in ("imu_nan", "fix_first_wild")]
+    clean = replayed(case, None, tmp_path).trace
+    rows: list[Row] = []
+
+    attempt_all(case, faults, clean, rows.append)
+
+    assert [row.fault for row in rows] == [fault.name for fault in faults]
+    for row in rows:
+        alone = attempt(case, row.fault, clean)
+        assert (row.said, row.failures) == (alone.said, alone.failures)
+        assert row.peak == pytest.approx(alone.peak, rel=1e-6, nan_ok=True)
+
+
+def test_a_process_that_ends_is_a_failure(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case("simulated", bag, parameters.defaults(), 6.0)
+    monkeypatch.setattr(fault_replays, "judge", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    rows: list[Row] = []
+
+    attempt_all(case, FAULTS[:1], CLEAN, rows.append)
+
+    assert [row.failures for row in rows] == [("crash: the process ended",)]
+
+
+def row(draw: int, error: float, fault: str = "imu_nan", case: str = "simulated") -> Row:
+    failures = (f"error {error}",) if error > 0.24 else ()
+    return Row(fault, case, "", 1.0 + draw, 0.2, error, failures, draw)
+
+
+def test_draws_are_judged_together_and_all_faults_by_as_many() -> None:
+    good = [row(0, 0.25), row(1, 0.20), row(2, 9.0)]
+    other = [row(0, 0.2, "fix_zero"), row(1, 0.2, "fix_zero"), row(0, 0.2, case="recorded, live")]
+
+    rows, draws = over_draws([*other, *good])
+
+    assert draws == 2 and [r.fault for r in rows] == ["imu_nan", "imu_nan", "fix_zero"]
+    found = next(r for r in rows if r == replace(r, fault="imu_nan", case="simulated"))
+    assert found.error == pytest.approx(np.sqrt((0.25**2 + 0.20**2) / 2))
+    assert found.peak == 2.0 and not found.failures
+    assert over_draws(good)[0][0].failures == ("error 5.199 m, undisturbed 0.200 m",)
+
+
+def test_results_are_kept_and_only_of_one_revision(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "results.jsonl"
+    ResultFile(file).add(row(1, 0.25))
+
+    assert ResultFile(file).rows() == [row(1, 0.25)]
+    monkeypatch.setattr("tools.robustness.campaign_results.revision", lambda: "other")
+    with pytest.raises(InputError, match="this is other"):
+        ResultFile(file)
 
 
 def test_a_few_faults_are_survived(capfd: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,8 @@ class Spoiled(Drive):
     [
         (18.0, "18.0 s ahead of the IMU's (one driver stamps in GPS time, the other in UTC: 18 s)"),
         (-18.0, "18.0 s behind the IMU's (one driver stamps in GPS time, the other in UTC: 18 s)"),
-        (5.0, "5.0 s ahead of the IMU's (two clocks that were set differently)"),
+        (5.0, "5.0 s ahead of the IMU's (two clocks that were set differently, or a computer"),
+        (30.0, "30.0 s ahead of the IMU's (two clocks that were set differently)"),
         (-7200.0, "0.1 days behind"),
         (-1.7e9 + 60.0, "53.9 years behind the IMU's (one clock counts from its start"),
     ],
