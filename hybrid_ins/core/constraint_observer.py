@@ -40,6 +40,7 @@ BROKEN = -4.0  # nats over ``RECENT`` that disprove it
 TURNED = 2.0 * math.pi  # rad that the vehicle must have turned by: a straight leg fits any nose
 KNOWN = math.radians(1.0)  # σ of the nose: a filter that knows little agrees with anything
 REPEATED = 2.0  # factor on that angle each time that the constraint was disproven
+MOST_TURNED = 8.0 * TURNED  # a day has many disproofs, each of some seconds
 OUTLIER = 16.0  # NIS of an observation that teaches nothing about the nose
 
 
@@ -88,8 +89,8 @@ class ConstraintObserver:
     turned : float
         Angle turned by while it held [rad].
     slip : SlipEstimator
-        The velocity across the nose that the motion shows; the constraint is fused with the nominal
-        one, since the road may change in an outage.
+        The velocity across the nose that the motion shows; the constraint is not fused with that,
+        since the road may change in an outage.
     holds : bool
         The constraint is proven, or assumed, and not disproven.
     """
@@ -140,22 +141,26 @@ class ConstraintObserver:
         if nis < OUTLIER and not fused:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
             R = inflated(state, STATE_TIME, interval)
-            self._learn(z, J, R + self.noise(interval))
+            self._learn(z, J, R + inflated(self._slip, SLIP_TIME, interval))
         self._decide()
 
     @property
     def _slip(self) -> Array:
         return np.diag(self._settings.std**2)
 
-    def noise(self, interval: float) -> Array:
-        """Return the covariance (2, 2) of slip with errors ``interval`` [s] apart as if white."""
-        return inflated(self._slip, SLIP_TIME, interval)
+    def measurement(
+        self, t_ns: int, nav: Array, rate_b: Array, interval: float, slip: Array | None = None
+    ) -> NonHolonomic:
+        """
+        Return the constraint at a stamp [ns], for one every ``interval`` [s].
 
-    def measurement(self, t_ns: int, nav: Array, rate_b: Array, interval: float) -> NonHolonomic:
-        """Return the constraint at a stamp [ns], for one every ``interval`` [s]."""
+        ``slip`` is the covariance (2, 2) of the velocity across the nose [(m/s)²], by default the
+        nominal one. Its errors and those of the nose last: they are made to count as white.
+        """
         _, J, _, _ = self._innovation(nav, rate_b)
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose, R + self.noise(interval))
+        R = R + inflated(self._slip if slip is None else slip, SLIP_TIME, interval)
+        return NonHolonomic(t_ns, rate_b, self.nose, R)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
         """Innovation (2,), its derivative by the nose (2, 3), the state's part of S, the speed."""
@@ -183,7 +188,7 @@ class ConstraintObserver:
         """Set ``holds``."""
         if self.recent < BROKEN:
             if self.holds:
-                self._to_turn *= REPEATED
+                self._to_turn = min(REPEATED * self._to_turn, MOST_TURNED)
             self.holds, self.turned = False, 0.0
             self.evidence = min(self.evidence, 0.0)
         elif self.recent > 0.0:

@@ -1,1 +1,1 @@
-"""Noise levels of the IMU, estimated from its recent samples."""
+"""Levels of noise estimated from recent IMU samples: of the IMU, of the non-holonomic constraint."""

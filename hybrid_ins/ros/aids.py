@@ -7,9 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
@@ -18,10 +15,9 @@ from hybrid_ins.ros.aiding_sources import AidingSources
 from hybrid_ins.ros.diagnostics import aiding_verdict_status
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.reports import Report, Status
+from hybrid_ins.ros.sensor_placement import SensorPlacement
 from hybrid_ins.ros.validity import ValidityMonitor
 from hybrid_ins.ros.vehicle_input import VehicleInput
-
-Array = NDArray[np.float64]
 
 
 class Aids:
@@ -34,8 +30,7 @@ class Aids:
         Checked parameters.
     navigator : Navigator
     inputs : InputLog
-    arm_b : ndarray, shape (3,)
-        See `configure`.
+    placement : SensorPlacement
 
     Attributes
     ----------
@@ -44,7 +39,11 @@ class Aids:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog, arm_b: Array
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        inputs: InputLog,
+        placement: SensorPlacement,
     ) -> None:
         self._navigator = navigator
         self._fixes = FixWatch()
@@ -52,12 +51,12 @@ class Aids:
         self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
         self.sources = AidingSources(values, navigator, self._fixes, inputs)
         self._validity = ValidityMonitor(values, navigator, self._fixes)
-        self.configure(arm_b)
+        self.configure(placement)
 
-    def configure(self, arm_b: Array) -> None:
-        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
-        self.vehicle.configure(arm_b)
-        self.sources.configure(arm_b)
+    def configure(self, placement: SensorPlacement) -> None:
+        """Begin anew with the IMU at its place."""
+        self.vehicle.configure(placement.mount, placement.arm_b)
+        self.sources.configure(placement.arm_b)
 
     def restart(self) -> None:
         """Restart, as the filter did."""

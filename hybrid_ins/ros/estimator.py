@@ -99,7 +99,7 @@ class Estimator:
         self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
         self.noise = NoiseInput(self.navigator, log)
         self.noise.configure(values, self.placement.mount)
-        self.aids = Aids(self.values, self.navigator, self.inputs, self.placement.arm_b)
+        self.aids = Aids(self.values, self.navigator, self.inputs, self.placement)
         parts = self.inputs, self._review, self.reporter, self.clock, self.noise, self.aids
         self.status = EstimatorStatus(self.values, self.navigator, *parts)
         self._restart()
@@ -174,7 +174,7 @@ class Estimator:
         self._fixes.configure()
         self._review.axes.set_mount(self.placement.mount)
         self.noise.configure(self.values, self.placement.mount)
-        self.aids.configure(self.placement.arm_b)
+        self.aids.configure(self.placement)
         if self.navigator.ring.count:
             self.navigator.reset()
             self._restart()

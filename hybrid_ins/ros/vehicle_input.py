@@ -16,6 +16,7 @@ from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.nonholonomic import Nose
+from hybrid_ins.noise_regressor.slip import SlipReader
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.reports import Status
@@ -49,6 +50,8 @@ class VehicleInput:
         None where ``vehicle.kind`` excludes the constraint.
     fused : bool
         The constraint was fused at the last observation.
+    slip : SlipReader
+        What the samples show of the constraint's covariance.
     """
 
     def __init__(
@@ -64,9 +67,20 @@ class VehicleInput:
         self._log = log
         self.observer: ConstraintObserver | None = None
 
-    def configure(self, arm_b: Array) -> None:
-        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
+    def configure(self, mount: Array, arm_b: Array) -> None:
+        """
+        Begin anew.
+
+        Parameters
+        ----------
+        mount : ndarray, shape (3, 3)
+            From the IMU's axes to b.
+        arm_b : ndarray, shape (3,)
+            Place of the IMU relative to the base frame's origin [m], b.
+        """
         values = self._values
+        slip_std = np.array(values["vehicle.slip_std"])
+        self.slip = SlipReader(values["vehicle.slip_model"], slip_std, mount, self._log)
         self.restart()
         if values["vehicle.kind"] not in CONSTRAINED:
             return
@@ -77,10 +91,12 @@ class VehicleInput:
                 Nose(-yaw, pitch, point_b),
                 values["vehicle.nose_std"],
                 values["vehicle.axle_position_std"],
-                np.array(values["vehicle.slip_std"]),
+                slip_std,
                 values["vehicle.kind"] == "ground",
             )
         )
+        if self.observer.holds:
+            self.slip.prepare()
 
     def restart(self) -> None:
         """Restart, as the filter did; the vehicle is the same."""
@@ -110,12 +126,14 @@ class VehicleInput:
             self._log_change()
         self.fused = self._fixes.outage(t_ns) and observer.holds
         if self.fused:
-            self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9))
+            slip = self.slip.read(self._navigator.ring, observer.nose, t_ns)
+            self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9, slip))
 
     def _log_change(self) -> None:
         observer = self.observer
         assert observer is not None
         if observer.holds:
+            self.slip.prepare()
             self._log(
                 "info",
                 f"vehicle: it moves along its nose ({_nose(observer)}): this constrains the "
@@ -134,7 +152,9 @@ class VehicleInput:
         if observer is None:
             return status("vehicle", 0, f"{kind}: no constraint", {"kind": kind})
         if self.fused:
-            text = "outage: the velocity is constrained to the nose"
+            text = f"outage: the velocity is constrained to the nose, slip: {self.slip.source}"
+            if self.slip.fault:
+                text += f"; last window refused: {self.slip.fault}"
         elif observer.holds:
             text = "moves along its nose"
         else:
@@ -142,6 +162,7 @@ class VehicleInput:
         yaw_std, pitch_std, along_std = observer.sigma.tolist()
         along = float(observer.nose.forward @ observer.nose.point_b)
         left_std, up_std = np.sqrt(np.diag(observer.slip.covariance)).tolist()
+        used_left, used_up = np.sqrt(np.diag(self.slip.covariance)).tolist()
         return status(
             "vehicle",
             0,
@@ -159,6 +180,10 @@ class VehicleInput:
                 "axle_std": along_std,
                 "slip_std_left": left_std,
                 "slip_std_up": up_std,
+                "slip_source": self.slip.source,
+                "slip_std_left_used": used_left,
+                "slip_std_up_used": used_up,
+                **{f"refused: {why}": n for why, n in sorted(self.slip.refusals.items())},
             },
         )
 

@@ -24,7 +24,7 @@ FLOORS = {
 }
 """Floors of the house; all others are libraries."""
 NOT_FOR_EVERYONE = {
-    "onnxruntime": {"hybrid_ins.noise_regressor.models"},
+    "onnxruntime": {"hybrid_ins.noise_regressor.onnx_model"},
     "rclpy": OUTER
     | {f"hybrid_ins.ros.{m}" for m in ("geographic_services", "live_estimator", "status_listener")},
     "rosbags": {name for name in MODULES if name.startswith("hybrid_ins.bags.")},

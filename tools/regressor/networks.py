@@ -8,7 +8,7 @@ here, the same bytes on every machine.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -280,7 +280,7 @@ class PlateauNet(nn.Module):
 # --- ONNX ----------------------------------------------------------------------------------------
 
 
-class _Graph:
+class Graph:
     """A growing list of ONNX nodes."""
 
     def __init__(self) -> None:
@@ -304,12 +304,19 @@ class _Graph:
     def linear(self, x: str, layer: nn.Linear) -> str:
         return self.add("Gemm", x, self.tensor(layer.weight), self.tensor(layer.bias), transB=1)
 
-    def model(self, name: str, window: int, metadata: Mapping[str, str]) -> onnx.ModelProto:
+    def model(
+        self,
+        name: str,
+        metadata: Mapping[str, str],
+        window: Sequence[int | str],
+        variance: int | str = "channels",
+    ) -> onnx.ModelProto:
+        """Return the model, given the shapes of its input and its output."""
         graph = helper.make_graph(
             self.nodes,
             name,
-            [helper.make_tensor_value_info("window", TensorProto.FLOAT, ["channels", window])],
-            [helper.make_tensor_value_info("variance", TensorProto.FLOAT, ["channels"])],
+            [helper.make_tensor_value_info("window", TensorProto.FLOAT, list(window))],
+            [helper.make_tensor_value_info("variance", TensorProto.FLOAT, [variance])],
             self.constants,
         )
         model = helper.make_model(
@@ -325,7 +332,7 @@ class _Graph:
 
 def onnx_paper(network: PaperNet, metadata: Mapping[str, str]) -> onnx.ModelProto:
     """Return the trained paper's network as an ONNX model."""
-    graph = _Graph()
+    graph = Graph()
     x = graph.add("Unsqueeze", "window", graph.constant([1], np.int64))
     for convolution, gain, offset in zip(
         network.convolutions, network.gains, network.offsets, strict=True
@@ -349,12 +356,12 @@ def onnx_paper(network: PaperNet, metadata: Mapping[str, str]) -> onnx.ModelProt
     assert isinstance(last, nn.Linear)
     x = graph.linear(x, last)
     graph.add("Squeeze", x, graph.constant([1], np.int64), output="variance")
-    return graph.model("paper_noise_regressor", network.window, metadata)
+    return graph.model("paper_noise_regressor", metadata, ("channels", network.window))
 
 
 def onnx_plateau(network: PlateauNet, metadata: Mapping[str, str]) -> onnx.ModelProto:
     """Return our trained network as an ONNX model: normalisation and analysis included."""
-    graph = _Graph()
+    graph = Graph()
     window = network.window
     one = graph.constant([1], np.int64)
     half = graph.constant(0.5)
@@ -395,4 +402,4 @@ def onnx_plateau(network: PlateauNet, metadata: Mapping[str, str]) -> onnx.Model
     level = graph.add("Exp", graph.add("Add", level, graph.linear(x, network.factor)))
     level = graph.add("Mul", level, graph.add("Mul", scale, scale))
     graph.add("Squeeze", level, one, output="variance")
-    return graph.model("plateau_noise_regressor", window, metadata)
+    return graph.model("plateau_noise_regressor", metadata, ("channels", window))

@@ -25,7 +25,8 @@ from tqdm import tqdm
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
-from hybrid_ins.noise_regressor.models import FORMAT, NoiseRegressor, Regressor, SpectralRegressor
+from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
+from hybrid_ins.noise_regressor.onnx_model import FORMAT
 from tools.regressor import model_card, networks, noise_data, noise_randomised
 
 TRACK_RATE_HZ = 100.0

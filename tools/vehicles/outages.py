@@ -28,14 +28,18 @@ from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, record
 from tools.vehicles.aiding import Aiding, wheels
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import run
+from tools.vehicles.roads import CHANGING, changing_road
 
 SETTLED, BETWEEN, LENGTH = 120.0, 60.0, 60.0  # s before the first outage, between two, of each
 JUDGED = (30.0, 60.0)  # s after an outage begins
 SHORTEST = 30.0  # m: less distance says nothing per distance
 CALIBRATION_SEEDS = (101, 103)
-VARIANTS: dict[str, dict[str, Any]] = {  # the last two with messages of wheels
+VARIANTS: dict[str, dict[str, Any]] = {  # those that begin with wheels: with their messages
     "none": {"vehicle.kind": "other"},
     "auto": {"vehicle.kind": "auto"},
+    "constant 0.1, 0.1": {"vehicle.slip_model": ""},
+    "constant 0.05, 0.05": {"vehicle.slip_model": "", "vehicle.slip_std": [0.05, 0.05]},
+    "constant 0.05, 0.1": {"vehicle.slip_model": "", "vehicle.slip_std": [0.05, 0.1]},
     "ground": {"vehicle.kind": "ground"},
     "wheels": {"vehicle.kind": "auto"},
     "wheels alone": {"vehicle.kind": "other"},
@@ -57,9 +61,17 @@ def every_vehicle() -> dict[str, Vehicle]:
     return {**VEHICLES, **ROAD_VEHICLES}
 
 
-def calibrated(vehicle: Vehicle) -> dict[str, Any]:
-    """Return what ``ins_calibrate`` finds in drives of this vehicle, but for its nose and axle."""
-    drives = [as_recording(record(vehicle, seed)) for seed in CALIBRATION_SEEDS]
+def driven(name: str, seed: int, duration: float | None = None) -> Recording:
+    """Return a drive of a vehicle by its name, or of a car on a road that changes."""
+    if name == CHANGING:
+        return changing_road(seed, duration or every_vehicle()["road car"].duration)
+    vehicle = every_vehicle()[name]
+    return record(replace(vehicle, duration=duration or vehicle.duration), seed)
+
+
+def calibrated(name: str) -> dict[str, Any]:
+    """Return what ``ins_calibrate`` finds in drives of a vehicle, but for its nose and axle."""
+    drives = [as_recording(driven(name, seed)) for seed in CALIBRATION_SEEDS]
     given = parameters.defaults()
     found = calibrate(drives, given).values
     return {**found, **{name: given[name] for name in given if name.startswith("vehicle.")}}
@@ -125,45 +137,48 @@ def ends(
     return found
 
 
-def summary(found: Sequence[End], after: float) -> tuple[float, float, float, float]:
-    """Return median error [m], 90th percentile [m], median % of distance, mean NEES/3."""
+def row(name: str, variant: str, found: Sequence[End], after: float) -> str:
+    """Return the row of a table for the errors a time [s] into outages."""
     here = [end for end in found if end.after == after]
     if not here:
-        return (np.nan,) * 4
+        return f"| {name} | {variant} | {after:.0f} s | 0 | - | - | - | - |"
     error = np.array([end.error for end in here])
+    median, most = np.quantile(error, (0.5, 0.9))
     share = [100.0 * end.error / end.distance for end in here if end.distance > SHORTEST]
+    nees = np.mean([end.nees for end in here])
     return (
-        float(np.median(error)),
-        float(np.quantile(error, 0.9)),
-        float(np.median(share)) if share else np.nan,
-        float(np.mean([end.nees for end in here])),
+        f"| {name} | {variant} | {after:.0f} s | {len(here)} | {median:.1f}, {most:.1f} "
+        f"| {np.sqrt(np.mean(error**2)):.1f} | {np.median(share):.2f} %, "
+        f"{np.exp(np.mean(np.log(share))):.2f} % | {nees:.2f} |"
     )
 
 
-HEADER = "| vehicle | variant | after | outages | median, 90 % [m] | % of distance | NEES/3 |\n"
-HEADER += "|---" * 7 + "|"
+HEADER = (
+    "| vehicle | variant | after | outages | median, 90 % [m] | rms [m] "
+    "| of distance: median, geometric mean | NEES/3 |\n"
+)
+HEADER += "|---" * 8 + "|"
 
 
 def table(
-    name: str, seeds: Sequence[int], variants: Sequence[str], duration: float
+    names: Sequence[str], seeds: Sequence[int], variants: Sequence[str], duration: float
 ) -> Iterator[str]:
-    """Yield the rows of one vehicle."""
-    vehicle = every_vehicle()[name]
-    base = calibrated(vehicle)
-    recordings = [record(replace(vehicle, duration=duration), seed) for seed in seeds]
-    for variant in variants:
-        found: list[End] = []
-        for recording in recordings:
-            aiding = wheels(recording) if variant.startswith("wheels") else []
-            values = {**base, **VARIANTS[variant]}
-            found += ends(from_simulation(recording), values, aiding=aiding)
-        for after in JUDGED:
-            median, most, share, nees = summary(found, after)
-            count = sum(end.after == after for end in found)
-            yield (
-                f"| {name} | {variant} | {after:.0f} s | {count} | {median:.1f}, {most:.1f} "
-                f"| {share:.2f} % | {nees:.2f} |"
-            )
+    """Yield the rows of vehicles, and of all of them where there are several."""
+    every: dict[str, list[End]] = {variant: [] for variant in variants}
+    for name in names:
+        base = calibrated(name)
+        recordings = [driven(name, seed, duration) for seed in seeds]
+        for variant in variants:
+            found: list[End] = []
+            for recording in recordings:
+                aiding = wheels(recording) if variant.startswith("wheels") else []
+                values = {**base, **VARIANTS[variant]}
+                found += ends(from_simulation(recording), values, aiding=aiding)
+            every[variant] += found
+            yield from (row(name, variant, found, after) for after in JUDGED)
+    if len(names) > 1:
+        for variant, found in every.items():
+            yield from (row("all", variant, found, after) for after in JUDGED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -175,9 +190,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, default=600.0, metavar="S")
     args = parser.parse_args(argv)
     print(HEADER)
-    for name in args.names:
-        for row in table(name, args.seeds, args.variants, args.duration):
-            print(row, flush=True)
+    for line in table(args.names, args.seeds, args.variants, args.duration):
+        print(line, flush=True)
     return 0
 
 

@@ -10,7 +10,7 @@ from support.paths import ROOT
 
 from hybrid_ins.core import noise_spectral
 from hybrid_ins.errors import InputError
-from hybrid_ins.noise_regressor import models
+from hybrid_ins.noise_regressor import onnx_model
 from hybrid_ins.noise_regressor.models import Regressor, SpectralRegressor
 from hybrid_ins.noise_regressor.window import (
     WindowFault,
@@ -375,4 +375,4 @@ def test_resolution_is_read_off_the_values(dtype):
 
 
 def test_oversize_limit_leaves_room_for_models():
-    assert PLATEAU.stat().st_size < models.LARGEST_MODEL_BYTES / 4
+    assert PLATEAU.stat().st_size < onnx_model.LARGEST_MODEL_BYTES / 4
