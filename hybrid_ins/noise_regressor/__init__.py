@@ -1,1 +1,1 @@
-"""Levels of noise estimated from recent IMU samples: of the IMU, of the non-holonomic constraint."""
+"""Noise levels from recent IMU samples: of the IMU, and of the non-holonomic constraint."""

@@ -89,7 +89,9 @@ class Regressor:
         self.rate_range = model.rate_range()
         window, centred = model.number("window"), model.text("centred")
         if window != int(window) or window > LONGEST_WINDOW:
-            raise InputError(f"{model.path}: metadata hybrid_ins.window is {model.text('window')!r}")
+            raise InputError(
+                f"{model.path}: metadata hybrid_ins.window is {model.text('window')!r}"
+            )
         if centred not in ("0", "1"):
             raise InputError(
                 f"{model.path}: metadata hybrid_ins.centred is {centred!r}, not 0 or 1"

@@ -122,9 +122,7 @@ class OnnxModel:
             found = answer()
         except Exception as error:  # The runtime's own exceptions share no public base.
             reason = " ".join(str(error).split())
-            raise InputError(
-                f"{self.path}: the model fails on a window ({reason[:200]})"
-            ) from None
+            raise InputError(f"{self.path}: the model fails on a window ({reason[:200]})") from None
         if found.shape != (size,):
             raise InputError(
                 f"{self.path}: the model answers shape {found.shape}, expected ({size},)"

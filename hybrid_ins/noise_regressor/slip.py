@@ -160,9 +160,7 @@ class SlipReader:
         if size < 2 * PARTS or samples["t_ns"][-1] - samples["t_ns"][0] < 0.8 * duration_ns:
             return nothing, "window not full yet"
         numbers = as_numbers(samples)
-        fault = find_fault(
-            samples["t_ns"], own_axes(numbers, self._mount), regressor.rate_range
-        )
+        fault = find_fault(samples["t_ns"], own_axes(numbers, self._mount), regressor.rate_range)
         if fault is not None:
             return nothing, fault.value
         C = np.vstack((nose.forward, nose.axes))

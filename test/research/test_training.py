@@ -15,7 +15,8 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import Regressor
-from tools.regressor import networks
+from hybrid_ins.noise_regressor.slip import SlipRegressor
+from tools.regressor import networks, slip_network, train_slip
 from tools.regressor import train as training
 from tools.regressor.tracks import track_readings
 
@@ -166,3 +167,29 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     torch.save({"run": {"seed": 7}}, tmp_path / "plateau.checkpoint.pt")
     options = ["--model", "plateau", "--quick", "--resume", "--out", str(tmp_path)]
     assert training.main(options) == 2
+
+
+def test_the_graph_for_the_slip_is_the_torch_module(tmp_path):
+    torch.manual_seed(0)
+    readings = torch.randn(8, 6, 100) * torch.tensor([0.3] * 3 + [0.01] * 3)[:, None]
+    readings[:, 2] -= 9.8
+    features = slip_network.features_of(readings)
+    base = torch.tensor([-5.0, -4.0])
+    network = slip_network.SlipNet(features.mean(0), features.std(0), base)
+    train_slip.export(network, tmp_path / "x.onnx", 1)
+    model = SlipRegressor.load(tmp_path / "x.onnx")
+
+    for size in (50, 100, 200):
+        wild = 30.0 * torch.randn(6, size)  # far beyond the training: limited
+        for window in (readings[0, :, :50].repeat(1, size // 50), wild):
+            with torch.no_grad():
+                expected = network(window[None])[0].numpy()
+            assert model.estimate(window.numpy()) == pytest.approx(expected, rel=1e-3)
+
+
+def test_training_for_the_slip_is_deterministic(tmp_path):
+    for name in ("one", "two"):
+        assert train_slip.main(["--quick", "--out", str(tmp_path / name)]) == 0
+    first, second = (tmp_path / name / "slip.onnx" for name in ("one", "two"))
+    assert first.read_bytes() == second.read_bytes()
+    assert "--quick" in (tmp_path / "one" / "slip.md").read_text()

@@ -2,12 +2,17 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from support.outage_drives import calibrated, drive
 
 from hybrid_ins import parameters
+from hybrid_ins.core.constraint_observer import ConstraintObserver
+from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.noise_regressor.slip import SlipReader
 from hybrid_ins.ros.vehicle_input import VehicleInput
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import record
@@ -81,6 +86,42 @@ def test_constraint_ends_when_the_motion_contradicts_it(
     assert np.mean(before) > 0.9
     assert np.mean(after) < 0.2
     assert not any(fused for *_, fused in seen)  # no outage
+
+
+def test_the_constraint_has_the_variances_that_the_samples_show(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """
+    GIVEN a car that has shown the constraint
+    WHEN fixes are missing from 150 to 170 s
+    THEN the network is asked then and only then, its answers are fused, and the status says so.
+    """
+    asked: list[tuple[int, np.ndarray]] = []
+    fused: list[np.ndarray] = []
+    read, measurement = SlipReader.read, ConstraintObserver.measurement
+
+    def reading(self: SlipReader, ring: ImuRing, nose: Nose, t_ns: int) -> np.ndarray:
+        covariance = read(self, ring, nose, t_ns)
+        asked.append((t_ns, covariance))
+        return covariance
+
+    def measuring(self: ConstraintObserver, *args: Any) -> NonHolonomic:
+        fused.append(args[-1])
+        return measurement(self, *args)
+
+    monkeypatch.setattr(SlipReader, "read", reading)
+    monkeypatch.setattr(ConstraintObserver, "measurement", measuring)
+    whole = drive("road car", duration=172.0)
+    t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
+    estimator, *_ = run(whole.thinned(t < 150.0), calibrated())
+
+    times = np.array([t_ns - int(whole.imu_ns[0]) for t_ns, _ in asked]) * 1e-9
+    assert len(times) > 20 and times.min() > 152.0
+    np.testing.assert_array_equal([covariance for _, covariance in asked], fused)
+    assert len({covariance[0, 0] for covariance in fused}) > len(fused) / 2
+    status = estimator.aids.vehicle.status()
+    assert status.values["slip_source"] == "learned (slip)"
+    assert float(status.values["slip_std_left_used"]) == pytest.approx(fused[-1][0, 0] ** 0.5)
 
 
 def test_the_new_vehicles_move_as_they_say() -> None:

@@ -288,20 +288,24 @@ class Graph:
         self.constants: list[onnx.TensorProto] = []
 
     def constant(self, value: object, dtype: type = np.float32) -> str:
+        """Return the name of a constant."""
         name = f"c{len(self.constants)}"
         array = np.ascontiguousarray(np.asarray(value, dtype=dtype))
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 
     def tensor(self, value: Tensor) -> str:
+        """Return the name of a constant from torch."""
         return self.constant(value.detach().cpu().numpy())
 
     def add(self, operator: str, *inputs: str, output: str = "", **attributes: object) -> str:
+        """Append a node; return the name of its output."""
         output = output or f"t{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, list(inputs), [output], **attributes))
         return output
 
     def linear(self, x: str, layer: nn.Linear) -> str:
+        """Return the name of what a linear layer makes of rows."""
         return self.add("Gemm", x, self.tensor(layer.weight), self.tensor(layer.bias), transB=1)
 
     def model(

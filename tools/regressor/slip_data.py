@@ -1,4 +1,4 @@
-"""Windows of IMU samples of simulated cars, with the slip at their end: to train on, to judge by."""
+"""Windows of IMU samples of simulated cars, with the slip at their end."""
 
 from __future__ import annotations
 

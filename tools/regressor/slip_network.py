@@ -73,7 +73,12 @@ def features_of(readings: Tensor) -> Tensor:
     summed = summed - summed.mean(dim=2, keepdim=True)
     step = (centred @ _halves()).abs()[..., 0]
     force, rate = (mean[:, channel].abs() for channel in TURNING)
-    spreads = (centred.square().mean(dim=2).sqrt(), within, summed.square().mean(dim=2).sqrt(), step)
+    spreads = (
+        centred.square().mean(dim=2).sqrt(),
+        within,
+        summed.square().mean(dim=2).sqrt(),
+        step,
+    )
     sharp = (force + TURNING_FLOORS[0], rate + TURNING_FLOORS[1], force * rate + SIDE_FLOOR)
     return torch.cat(
         (*(torch.log(spread + SMALLEST) for spread in spreads), torch.log(torch.stack(sharp, 1))),

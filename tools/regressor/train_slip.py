@@ -18,7 +18,9 @@ try:
     import torch
     from torch import Tensor
 except ImportError as missing:
-    print(f"tools.regressor.train_slip: error: {missing}: run tools/setup.sh train", file=sys.stderr)
+    print(
+        f"tools.regressor.train_slip: error: {missing}: run tools/setup.sh train", file=sys.stderr
+    )
     raise SystemExit(2) from None
 import numpy as np
 
@@ -46,10 +48,11 @@ tenths of the window, within them, and of their sum; the step between its halves
 is; all as logarithms, limited to the range of the training. Two hidden layers of 32, tanh. The loss
 is the likelihood of the true velocity.
 
-**Limits.** It has seen simulated cars only: a town's streets at up to 15 m/s, an IMU of the grade of
-an MPU-9250 whose vibration grows with the roughness of the road (to a factor of 1.6, one sigma), no
-trucks, no trailers, no snow. The reader limits its answers to 0.2 to 10 times `vehicle.slip_std`,
-and refuses windows with gaps, repeated samples, saturation, or a rate beyond 50 to 200 Hz."""
+**Limits.** It has seen simulated cars only: a town's streets at up to 15 m/s, an IMU of the grade
+of an MPU-9250 whose vibration grows with the roughness of the road (to a factor of 1.6, one sigma),
+no trucks, no trailers, no snow. The reader limits its answers to 0.2 to 10 times
+`vehicle.slip_std`, and refuses windows with gaps, repeated samples, saturation, or a rate beyond 50
+to 200 Hz."""
 
 
 def likelihood(log_variance: Tensor, slip: Tensor) -> Tensor:
@@ -126,13 +129,16 @@ def card(path: Path, command: str, rows: Sequence[tuple[str, Array]]) -> None:
     for name, found in rows:
         cells = (f"{right:.2f}, {down:.2f}" for right, down in found)
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    text = "\n".join(lines)
-    path.write_text(
-        f"# {path.stem}.onnx\n\n{TEXT}\n\nMade by `{command}`.\n\n## Figures\n\nTo the right, down. "
-        "Gains are those of the log-likelihood, in nats per window. What that is worth in outages: "
-        f"[Outages of GNSS](../docs/outages.md).\n\n{text}\n",
-        encoding="utf-8",
+    parts = (
+        f"# {path.stem}.onnx",
+        TEXT,
+        f"Made by `{command}`.",
+        "## Figures",
+        "To the right, down. Gains are those of the log-likelihood, in nats per window. What that "
+        "is worth in outages: [Outages of GNSS](../docs/outages.md).",
+        "\n".join(lines),
     )
+    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
 
 def train(args: argparse.Namespace) -> int:

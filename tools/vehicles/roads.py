@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def random_road(seed: int, duration: float, imu_rate: float = 100.0) -> Recordin
 class ChangingCar:
     """The motion of a car on a road whose surface changes, see `Vehicle.motion`."""
 
-    ride: Ride = Ride()
+    ride: Ride = field(default_factory=Ride)
     rest: float = 10.0  # s
 
     def __call__(self, duration: float, seed: int) -> Motion:
@@ -74,7 +74,7 @@ class ChangingCar:
 
 
 def changing_road(seed: int, duration: float, imu_rate: float = 100.0) -> Recording:
-    """Return a drive on a road whose surface changes every 10 to 40 s, and its vibration with it."""
+    """Return a drive on a road whose surface and vibration change every 10 to 40 s."""
     smooth = ROUGHNESS[0] * ROAD_STD
     car = Vehicle(CHANGING, ChangingCar(), MEASURED, MEMS, imu_rate, 10.0, 0.0, smooth, duration)
     drive = record(car, seed)

@@ -126,6 +126,36 @@ def test_constraint_ends_soon_when_it_is_broken_and_comes_back(assumed: bool) ->
     assert observer.holds
 
 
+def test_a_day_of_skids_does_not_put_the_constraint_out_of_reach() -> None:
+    """GIVEN ten disproofs WHEN the car rolls for ten minutes THEN the constraint is shown."""
+    observer = new_observer()
+    car(observer, 120.0, 1)
+    for skid in range(10):
+        observer.holds = True
+        car(observer, 6.0, 2 * skid, free=3.0)
+        assert not observer.holds
+        car(observer, 60.0, 2 * skid + 1)
+
+    car(observer, 540.0, 3)
+    assert observer.holds
+
+
+def test_the_covariance_of_the_constraint_is_that_of_slip_and_nose() -> None:
+    """Slip lasts for a second, an error of the nose longer: both count for more than once."""
+    observer = new_observer()
+    nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.02)
+    nav[BIAS_G] = 0.0
+    nominal, given = (
+        observer.measurement(0, nav, np.zeros(3), INTERVAL, slip).covariance
+        for slip in (None, np.diag([0.04, 0.25]))
+    )
+
+    white = (1.0 + np.exp(-INTERVAL)) / (1.0 - np.exp(-INTERVAL))
+    np.testing.assert_allclose(given - nominal, white * np.diag([0.03, 0.24]), atol=1e-9)
+    nose = (1.0 + np.exp(-0.1)) / (1.0 - np.exp(-0.1)) * (10.0 * 0.05) ** 2
+    np.testing.assert_allclose(np.diag(nominal), white * 0.01 + nose, rtol=1e-3)
+
+
 def test_what_is_fused_cannot_confirm_itself() -> None:
     observer = new_observer()
     nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.02)
