@@ -1,13 +1,18 @@
-"""Recordings that cannot be calibrated are refused with the reason."""
+"""What is read from a bag for calibration, and which recordings are refused with the reason."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hybrid_ins import parameters
-from hybrid_ins.calibration.recording import read_recording
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.calibration.recording import WHEELS, read_recording
 from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import set_stamp
 from tools.robustness.disturbances import Flight
 from tools.robustness.lasting_faults import by_another_clock
 
@@ -27,3 +32,45 @@ def test_fixes_of_another_clock_are_named(tmp_path: Path, ahead: float, words: s
     assert len(read_recording(bag, values).aid_t) > 50
     with pytest.raises(InputError, match=words):
         read_recording(disturbed, values)
+
+
+@pytest.mark.parametrize("topic", list(WHEELS))
+def test_wheels_are_read_from_either_topic_in_the_order_of_their_stamps(
+    tmp_path: Path, topic: str
+) -> None:
+    """
+    GIVEN a flight with wheels at a place of their own, late by half a second, one in another frame
+    WHEN it is read
+    THEN they are in b relative to the IMU, by stamp since the first sample, that one left out.
+    """
+    plain, path = tmp_path / "flight.mcap", tmp_path / "wheels.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+    values = parameters.check_all(
+        {"aiding.velocity_position": [-1.0, 0.5, 0.2], "imu.position": [0.3, 0.0, 0.1]}
+    )
+    with BagReader(plain) as bag, BagWriter(path) as copy:
+        origin = int(bag.imu("/imu/data").stamp_ns[0])
+        for source in ("/imu/data", "/gnss/fix"):
+            for _, log_ns, message in bag.messages(source):
+                copy.write(source, message, log_ns)
+        for k in reversed(range(40)):
+            message = new_message(WHEELS[topic])
+            t_ns = origin + 200_000_000 * k
+            set_stamp(message.header.stamp, t_ns)
+            message.twist.twist.linear.x = 0.1 * k
+            message.twist.covariance[0] = 0.04
+            if k == 7:
+                message.header.frame_id = "wheel"
+                if hasattr(message, "child_frame_id"):
+                    message.child_frame_id = "wheel"
+            copy.write(topic, message, t_ns + 500_000_000)
+
+    found = read_recording(path, values).body_velocity
+
+    assert read_recording(plain, values).body_velocity == ()
+    kept = [k for k in range(40) if k != 7]
+    assert [one.t_ns for one in found] == [200_000_000 * k for k in kept]
+    np.testing.assert_allclose([one.velocity_b[0] for one in found], 0.1 * np.array(kept))
+    assert all(np.isnan(one.velocity_b[1:]).all() for one in found)
+    np.testing.assert_allclose(found[0].point_b, [-1.3, -0.5, -0.1])
+    assert found[0].covariance_b[0, 0] == pytest.approx(0.04)
