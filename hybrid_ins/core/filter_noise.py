@@ -38,8 +38,9 @@ class FilterNoise:
 
     Attributes
     ----------
-    unclaimed_std : float
-        Standard deviation [m] of a slow error of fixes, see `position_scatter.Split`.
+    unclaimed_std, excess : float
+        Standard deviation [m] of a slow error of fixes, and factor on their variance, that are not
+        claimed; see `position_scatter.Split`.
     """
 
     def __init__(
@@ -51,12 +52,13 @@ class FilterNoise:
         self.model = model
         self.process = process
         self.factors = factors
-        self.unclaimed_std = 0.0
+        self.unclaimed_std, self.excess = 0.0, 1.0
         self._restarted = False
 
     def __copy__(self) -> FilterNoise:
         twin = FilterNoise(copy.copy(self.model), self.process, copy.copy(self.factors))
-        twin.unclaimed_std, twin._restarted = self.unclaimed_std, self._restarted
+        twin.unclaimed_std, twin.excess = self.unclaimed_std, self.excess
+        twin._restarted = self._restarted
         return twin
 
     @property

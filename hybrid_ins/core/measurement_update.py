@@ -134,8 +134,9 @@ class MeasurementUpdate:
         else:
             model = event.linearise(nav)
             if isinstance(event, PositionFix):
-                split = self.scatter.split(model[2], event.t_ns, self.noise.slow_std)
-                self.noise.unclaimed_std = split.unclaimed_std
+                noise = self.noise
+                split = self.scatter.split(model[2], event.t_ns, noise.slow_std, noise.fix_factor)
+                noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
                 model, found = self._split_position(nav, model, split)
             fused = self._fuse_ordinary(nav, event, model, age) if event.sensor == GNSS else None
             psd_changed = fused is None or self.noise.uses_corrections

@@ -1,5 +1,5 @@
 """
-Scatter of GNSS positions below what their receiver claims: a white part and a slow one.
+Scatter of GNSS positions against what their receiver claims: a white part and a slow one.
 
 Many receivers claim metres, which is how far off they are, and scatter by decimetres from fix to
 fix: most of their error is slow, [1]_. A filter that takes all of it as white follows the fixes
@@ -9,7 +9,9 @@ it, and the rest is the variance B of a slow error, a first-order Gauss-Markov p
 
 The share r is learned from the residuals e of the fixes that are fused, as the variational filter
 of [2]_ does it: their variance about the true position is e e' + H P H' after the update. What was
-learned fades, and starts as a prior about the given share.
+learned fades, and starts as a prior about the given share. A receiver that scatters by more than it
+claims has a share above 1. The factor on R that the innovations show (`noise_multiple_model`) is
+found sooner and is coarser; the share contains it, so R is multiplied by the larger of the two.
 
 The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
 to the covariance of the position that is reported, not to that of the filter. From fix to fix it
@@ -52,6 +54,7 @@ MARGIN = 1.25  # on the share: one that is a little too large costs less than on
 SMALLEST = 0.03  # share of the claimed variance
 SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
+EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
 BETTER_SOLUTION = 0.25  # of the slow error's variance
@@ -60,10 +63,11 @@ BETTER_SOLUTION = 0.25  # of the slow error's variance
 class Split(NamedTuple):
     """The claimed variance of a position in two parts."""
 
-    share: float  # of it that is white
+    share: float  # of it that is white; above 1: positions scatter by more than they claim
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
     unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
+    excess: float = 1.0  # factor by which positions scatter more than is claimed and given
 
 
 class PositionScatter(ShallowCopy):
@@ -93,7 +97,7 @@ class PositionScatter(ShallowCopy):
         self._given = given
         self.learning = learning
         self._count = PRIOR_COUNT
-        self._sum = PRIOR_COUNT * given / MARGIN
+        self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
         self.learned = given
         self._t_ns = 0  # of the last position
         self.in_force = False
@@ -101,12 +105,17 @@ class PositionScatter(ShallowCopy):
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
         share = self.learned if self.in_force else self._given
-        if share >= 1.0:
-            return share
         horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
+        if share >= 1.0:
+            return share if horizontal >= SMALLEST_STD**2 else self._largest_expected
         return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
 
-    def split(self, claimed: Array, t_ns: int, slow_std: float) -> Split:
+    @property
+    def _largest_expected(self) -> float:
+        """The largest share that needs no evidence."""
+        return max(1.0, self._given)
+
+    def split(self, claimed: Array, t_ns: int, slow_std: float, fix_factor: float = 1.0) -> Split:
         """
         Return the split of a position's covariance.
 
@@ -118,15 +127,20 @@ class PositionScatter(ShallowCopy):
             Stamp of the fix [ns].
         slow_std : float
             Standard deviation of the slow error that the innovations show, horizontally [m].
+        fix_factor : float
+            On the white part, by the innovations: the split is made for it.
         """
         share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
+        if share > self._largest_expected:
+            share = max(share / fix_factor, self._largest_expected)
         variance = claimed.diagonal()
         slow = max(1.0 - share, 0.0) * variance
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
         unclaimed = slow_std**2 > variance[:2].mean()
-        return Split(share, slow, interval, slow_std if unclaimed else 0.0)
+        excess = max(share / self._largest_expected, 1.0)
+        return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
 
     def learn(self, found: float | None, m: int, t_ns: int) -> None:
         """
@@ -140,9 +154,9 @@ class PositionScatter(ShallowCopy):
             return
         fading = math.exp(-interval / MEMORY)
         self._count = fading * self._count + m
-        self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL)
-        mean = MARGIN * self._sum / self._count
-        self.learned = min(max(mean, SMALLEST), max(1.0, self._given))
+        self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL * max(1.0, self.learned))
+        mean = self._sum / self._count
+        self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
 
 
 @kernel()

@@ -218,5 +218,5 @@ def _factors(noise: FilterNoise) -> dict[str, float]:
     return {
         "factor_accelerometer": accelerometer,
         "factor_gyroscope": gyroscope,
-        "factor_fixes": noise.fix_factor,
+        "factor_fixes": noise.fix_factor * noise.excess,
     }

@@ -69,8 +69,19 @@ def test_a_right_claim_stays(walk: float) -> None:
     assert learned(1.0, 1.0, walk).learned > 0.95
 
 
-def test_more_scatter_than_claimed_is_left_to_the_noise_factors() -> None:
-    assert learned(3.0, 1.0, 0.1).learned == 1.0
+@pytest.mark.parametrize("walk", [0.1, 0.5])
+def test_more_scatter_than_claimed_is_learned(walk: float) -> None:
+    assert learned(3.0, 1.0, walk).learned == pytest.approx(9.0, rel=0.3)
+
+
+def test_the_factor_of_the_innovations_is_not_counted_twice() -> None:
+    """GIVEN fixes with 9 times the claimed variance WHEN a factor of 4 is in force THEN 9 it is."""
+    found, claimed = learned(3.0, 1.0, 0.1), np.eye(3)
+    split = found.split(claimed, SECOND, 0.0, fix_factor=4.0)
+    assert 4.0 * split.share == pytest.approx(found.learned)
+    assert 4.0 * split.excess == pytest.approx(found.learned)
+    assert found.split(claimed, SECOND, 0.0, fix_factor=100.0).share == 1.0
+    assert found.split(1e-4 * claimed, SECOND, 0.0).share == 1.0  # centimetres are left as they are
 
 
 def test_centimetres_are_not_split() -> None:
@@ -86,11 +97,14 @@ def test_the_learned_share_waits_until_it_is_in_force() -> None:
     assert before.share(np.eye(3)) == 1.0 and found.share(np.eye(3)) < 0.1
 
 
-def test_a_given_share_above_1_is_the_upper_limit() -> None:
+def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
+    found.in_force = True
     for k in range(200):
         found.learn(9.0, 3, k * SECOND)
-    assert found.share(np.eye(3)) == 9.0
+    split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
+    assert split.share == pytest.approx(9.0, rel=0.05)
+    assert split.excess == 1.0
 
 
 def test_residual_variance_is_that_of_the_dense_update() -> None:
