@@ -22,7 +22,7 @@ from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
-from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
 from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, NavState
 
@@ -34,6 +34,8 @@ MAX_OFFSET_NS = OFFSETS_NS[-1]
 OFFSET_STD = 0.05  # s, half a cell
 OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, standard deviation of the mixture's; ns, for how long
 OFFSET_BOUNDED = (0.15, 4_000_000_000)  # as enough: the rest is considered, see `clock_offset`
+BLOCK_NS = 500_000_000  # the filters are many: in longer blocks they cost less
+MIN_SPACING_NS = 150_000_000  # between two fixes of a kind: more of them show hardly more
 WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
 """Before that the filters differ by the time since their inflation: no evidence on the clock."""
 
@@ -94,8 +96,19 @@ class ClockSearch(MultipleModelBank):
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._lag_ns = MAX_OFFSET_NS + STEP_NS
+        self._block_ns = BLOCK_NS
+        self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._weighed_from_ns = self._first_ns + WARM_UP_NS
         self._fixes = 0
+
+    def measure(self, measurement: Measurement) -> bool:
+        """See `MultipleModelBank.measure`; also False for a fix that follows another too soon."""
+        if measurement.sensor == GNSS:
+            last_ns = self._measured_ns.get(measurement.kind, 0)
+            if abs(measurement.t_ns - last_ns) < MIN_SPACING_NS:
+                return False
+            self._measured_ns[measurement.kind] = measurement.t_ns
+        return super().measure(measurement)
 
     def _weigh(self, verdicts: list[Verdict]) -> None:
         """See `MultipleModelBank`; the first fixes only make the filters alike."""

@@ -101,6 +101,7 @@ class MultipleModelBank:
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
         self._lag_ns = 0  # of the filters behind the IMU, so that no measurement is late
+        self._block_ns = 0  # they follow it in steps of at least that
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale = 1.0
@@ -148,7 +149,7 @@ class MultipleModelBank:
         """
         samples = ring.after(self.best.t_ns)
         samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
-        if len(samples):
+        if len(samples) and samples["t_ns"][-1] - self.best.t_ns >= self._block_ns:
             for hypothesis in self.filters:
                 hypothesis.predict_block(samples)
         return self._weigh_decided()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.ins_filter import state_at_imu
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import (
@@ -137,7 +138,7 @@ class Reporter:
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
         has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER
         self._reports += state_reports(
-            t_ns, running.nav, running.noise.levels(), arm_b, self._base_frame, has_fix
+            t_ns, state_at_imu(running), running.noise.levels(), arm_b, self._base_frame, has_fix
         )
 
     def is_diagnostics_due(self, t_ns: int) -> bool:

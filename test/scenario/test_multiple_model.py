@@ -95,6 +95,32 @@ def test_the_filter_that_takes_over_is_where_it_says() -> None:
     assert 0.3 < np.mean(nees_after_takeover(range(4))) < 2.2
 
 
+def test_the_position_that_is_published_meanwhile_is_that_of_its_stamp() -> None:
+    run = until(stamped_early(draw(replace(SCENE, scored_from=1.0), 4), -0.25), 11.5)
+    estimator = estimating(run, **AUTO)
+
+    assert estimator.navigator.filter is None
+    *_, last = (r.content for r in estimator.pop_reports() if r.topic == "gnss/filtered")
+    stamps = run.samples["t_ns"][run.scored]
+    latitude, longitude = (np.interp(last.t_ns, stamps, run.lla[:, k]) for k in (0, 1))
+    north, east = (
+        np.radians([last.latitude, last.longitude]) - [latitude, longitude]
+    ) * curvature_scale(run.lla[0])[:2]
+    speed = np.linalg.norm(run.velocity_n[np.searchsorted(stamps, last.t_ns)])
+    assert np.hypot(north, east) < 0.3 * speed
+
+
+def test_fixes_in_quick_succession_are_not_given_to_all_hypotheses() -> None:
+    run = until(draw(SCENE, 4), 6.0)
+    bank = estimating(run).navigator.phase.bank
+    assert isinstance(bank, ClockSearch)
+
+    last, after = run.fixes[-1], (0.05, 0.2, 0.25, 0.3, 0.4)
+    used = [bank.measure(replace(last, t_ns=last.t_ns + round(t * SECOND))) for t in after]
+
+    assert used == [False, True, False, False, True]
+
+
 def test_each_fix_is_told_of_once() -> None:
     # GIVEN fixes that wait for their samples, by the clock in force or by the right one
     run = until(stamped_early(draw(SCENE, 4), 0.1), 20.0)
