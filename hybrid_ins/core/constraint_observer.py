@@ -149,17 +149,17 @@ class ConstraintObserver:
         return np.diag(self._settings.std**2)
 
     def measurement(
-        self, t_ns: int, nav: Array, rate_b: Array, interval: float, slip: Array | None = None
+        self, t_ns: int, nav: Array, rate_b: Array, interval: float, slip: Array
     ) -> NonHolonomic:
         """
         Return the constraint at a stamp [ns], for one every ``interval`` [s].
 
-        ``slip`` is the covariance (2, 2) of the velocity across the nose [(m/s)²], by default the
-        nominal one. Its errors and those of the nose last: they are made to count as white.
+        ``slip`` is the covariance (2, 2) of the velocity across the nose [(m/s)²]. Its errors and
+        those of the nose last: they are made to count as white.
         """
         _, J, _, _ = self._innovation(nav, rate_b)
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
-        R = R + inflated(self._slip if slip is None else slip, SLIP_TIME, interval)
+        R = R + inflated(slip, SLIP_TIME, interval)
         return NonHolonomic(t_ns, rate_b, self.nose, R)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:

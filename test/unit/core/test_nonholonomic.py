@@ -147,7 +147,7 @@ def test_the_covariance_of_the_constraint_is_that_of_slip_and_nose() -> None:
     nav[BIAS_G] = 0.0
     nominal, given = (
         observer.measurement(0, nav, np.zeros(3), INTERVAL, slip).covariance
-        for slip in (None, np.diag([0.04, 0.25]))
+        for slip in (np.diag([0.01, 0.01]), np.diag([0.04, 0.25]))
     )
 
     white = (1.0 + np.exp(-INTERVAL)) / (1.0 - np.exp(-INTERVAL))
