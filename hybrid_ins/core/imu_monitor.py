@@ -33,8 +33,9 @@ SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
 LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 LONGEST_BRAKING_NS = 10_000_000_000
-LONGEST_FALL_NS = 5_000_000_000  # without weight
-LAST_FIX_NS = 1_100_000_000  # age of the last fix that confirms a fall
+LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
+LAST_FIX_NS = 2_500_000_000  # age of the last fix that confirms it: one a second, late
+GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
 MISLED_SPEED, MISLED_TURN = 1.5, 0.1  # m/s, rad: between two checks of such readings
 MISLEADING_FORCE = (FaultKind.SATURATED_FORCE, FaultKind.SPIKES_FORCE)
@@ -54,8 +55,6 @@ class ImuMonitor:
     ----------
     fault : ImuFault or None
         What the last check found.
-    falling : bool
-        The vehicle fell freely at the last check.
     standing : bool
         The vehicle stood at the last check.
     """
@@ -73,11 +72,11 @@ class ImuMonitor:
     def reset(self) -> None:
         """Restart, as the filter did; the biases stay."""
         self.fault: ImuFault | None = None
-        self.falling = self.standing = False
+        self.standing = False
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
-        self._weighed_ns = 0  # last check that found gravity
+        self._weighed_ns = 0  # last check that found gravity, and not several times as much
 
     @property
     def biases(self) -> Biases | None:
@@ -120,8 +119,8 @@ class ImuMonitor:
         self._next_ns = t_ns + PERIOD_NS
         samples = ring.after(t_ns - WINDOW_NS)
         before, self.fault = self.fault, find_fault(samples)
-        self.falling = self._is_falling(t_ns, phases.filter is not None)
-        if self.falling:
+        manoeuvres = self._is_manoeuvre(t_ns, phases.filter is not None)
+        if manoeuvres:
             self.fault = None
         for fault in (before, self.fault):  # what happened between the checks misled the filters
             std = None if fault is None else _error_std_after(fault)
@@ -129,7 +128,7 @@ class ImuMonitor:
                 phases.submit(CovarianceInflation(t_ns, std))
         if self.fault is not None and self.fault.unusable:
             return True
-        if phases.filter is not None and self.fault is None and not self.falling:
+        if phases.filter is not None and self.fault is None and not manoeuvres:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
         if (
             fixes_move
@@ -147,19 +146,19 @@ class ImuMonitor:
             phases.measure(Standstill.of(samples))
         return True
 
-    def _is_falling(self, t_ns: int, running: bool) -> bool:
+    def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:
         """
-        Distinguish a free fall from an IMU without gravity.
+        Distinguish a fall or a hard turn from an IMU without gravity or with a wrong unit.
 
-        To the filter both are a fall. Where the vehicle does not fall, the next fix is beyond the
-        gate: one filter has to run (``running``) for fixes to show it.
+        To the filter both are a motion. Where the vehicle does not move so, the next fix is beyond
+        the gate: one filter has to run (``running``) for fixes to show it.
         """
-        if self.fault is None or self.fault.kind is not FaultKind.NO_GRAVITY:
+        if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
             self._weighed_ns = t_ns
             return False
         return (
             running
-            and t_ns - self._weighed_ns < LONGEST_FALL_NS
+            and t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
             and t_ns - self._fix_agreed_ns < LAST_FIX_NS
         )
 

@@ -26,6 +26,7 @@ from tools.vehicles.drives import Drive
 
 SETTLED = 30.0  # s after the start of the motion, from which errors count
 FAR, LASTING = 2.0, 5.0  # times three sigma, s: silently wrong
+LONGEST_GAP = 0.6  # s, of the odometry: nothing is claimed in a longer one
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text
     at = np.clip(np.searchsorted(t_ns, drive.truth_ns), 1, len(t_ns) - 1)
     gap = (t_ns[at] - t_ns[at - 1]) * 1e-9
     share = (drive.truth_ns - t_ns[at - 1]) / np.maximum(t_ns[at] - t_ns[at - 1], 1)
-    wanted &= gap < 0.6
+    wanted &= gap < LONGEST_GAP
     place = rows[at - 1, :3] + share[:, None] * (rows[at, :3] - rows[at - 1, :3])
     error = place - truth
     P = rows[at, 7:43].reshape(-1, 6, 6)[:, :2, :2]
@@ -156,7 +157,9 @@ def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text
     heading, at_start = nan, nan
     if len(drive.truth_yaw):
         seen = (drive.truth_yaw_ns >= t_ns[0]) & (drive.truth_yaw_ns <= t_ns[-1])
-        k = np.clip(np.searchsorted(t_ns, drive.truth_yaw_ns[seen]), 0, len(t_ns) - 1)
+        k = np.clip(np.searchsorted(t_ns, drive.truth_yaw_ns), 0, len(t_ns) - 1)
+        seen &= t_ns[k] - drive.truth_yaw_ns < LONGEST_GAP * 1e9
+        k = k[seen]
         if len(k):
             C = matrix_from_quat(rows[k, 3:7])
             yaw = 0.5 * np.pi - np.arctan2(C[:, 1, 0], C[:, 0, 0])
