@@ -30,6 +30,7 @@ from hybrid_ins.core import (
     kalman,
     linalg,
     measurements,
+    noise_multiple_model,
     noise_multiple_model_step,
     position_scatter,
     propagation,
@@ -206,22 +207,22 @@ def _compile_output() -> None:
     output.fix_values(nav, zero, np.zeros(output.N_FIX))
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
-    noise_multiple_model_step.mean_system(nav, zero, turn, 0.1)
-    noise_multiple_model_step.advance(
-        nav[COVARIANCE][:, None].copy(),
-        np.zeros((N_ERROR, 1)),
-        np.zeros((N_ERROR, N_ERROR)),
+    values = np.ones(noise_multiple_model.WEIGHTS.stop)
+    estimates = np.zeros((noise_multiple_model_step.N_ROWS, noise_multiple_model.COUNT))
+    noise_multiple_model.update_hypotheses(
+        noise_multiple_model.HYPOTHESES,
+        estimates,
+        estimates.copy(),
+        values,
         0.1,
-        turn,
+        nav,
         np.ones(12),
-        np.ones((3, 1)),
-        np.zeros((3, 1)),
         z,
         H,
-        np.eye(3),
+        turn,
         np.zeros(N_ERROR),
-        np.eye(N_ERROR),
-        6.0,
+        1.0,
+        True,
     )
     clock = np.ones(clock_offset.N_CLOCK)
     clock_offset.sensitivities(nav, clock, 0.0, H)

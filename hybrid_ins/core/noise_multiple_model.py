@@ -34,23 +34,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.iterated_update import linearisation
+from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.noise_multiple_model_step import advance, mean_system
+from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.position_scatter import SLOW_AXES, SLOW_TIME
-from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.shallow_copy import ShallowCopy
-from hybrid_ins.core.state import (
-    COVARIANCE,
-    DV,
-    N_ERROR,
-    PLACES,
-    QUAT,
-    VELOCITY,
-    covariance,
-)
+from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
+from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
@@ -77,10 +72,7 @@ _GRID = np.stack(
 _BESIDE_SLOW = np.zeros((3, SLOW_STDS.size * SLOW_DECADES.size))
 _BESIDE_SLOW[0] = np.tile(SLOW_DECADES, SLOW_STDS.size)
 _DECADES = np.hstack((_GRID, _BESIDE_SLOW))
-_FACTORS = 10.0**_DECADES
 _SLOW_STD = np.append(np.zeros(_GRID.shape[1]), np.repeat(SLOW_STDS, SLOW_DECADES.size))
-_SLOW_LEVEL = np.log10(1.0 + _SLOW_STD / SLOW_UNIT)
-_SLOW_WALK = np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME)  # m²/s, NED
 _LOG_PRIOR = -sum(
     (
         np.where(
@@ -92,8 +84,37 @@ _LOG_PRIOR = -sum(
     ),
     SLOW_COST * (_SLOW_STD > 0.0),
 )
-_IDENTITY = np.eye(N_ERROR)
-_FACTORS_OF_IMU = np.stack((_FACTORS[0], _FACTORS[1], np.ones(len(_LOG_PRIOR))))
+COUNT = len(_LOG_PRIOR)
+
+# What a hypothesis assumes, one per column.
+ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
+LOG_FACTORS, SLOW_LEVEL = slice(6, 9), 9  # what the mixture averages
+SLOW_STD, LOG_PRIOR = 10, 11
+HYPOTHESES = np.vstack(
+    (
+        10.0**_DECADES,
+        np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME),
+        _DECADES,
+        np.log10(1.0 + _SLOW_STD / SLOW_UNIT),
+        _SLOW_STD,
+        _LOG_PRIOR,
+    )
+)
+_HYPOTHESES_OF_IMU = HYPOTHESES.copy()  # about R there are none for what is no fix
+_HYPOTHESES_OF_IMU[2] = 1.0
+
+# What is known besides the hypotheses' estimates, as one flat vector.
+FACTORS = slice(0, 4)  # in force: on accelerometer, gyroscope, R; and the slow error's σ [m]
+LOWEST = slice(4, 7)  # of those factors since the running state was last corrected
+CLAIMED_STD = 7  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(8, 11), slice(11, 20)  # n, and C_nb, after the last correction
+PENDING_G = slice(20, 20 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each hypothesis, fading
+WEIGHTS = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + COUNT)
+_START = np.zeros(WEIGHTS.stop)
+_START[FACTORS] = 1.0, 1.0, 1.0, 0.0
+_START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
+_START[PENDING_G] = np.eye(N_ERROR).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,22 +151,18 @@ class NoiseMultipleModelBank(ShallowCopy):
         self.imu_factors = (1.0, 1.0)
         self.fix_factor = 1.0
         self.slow_std = 0.0
-        self._log_likelihood = np.zeros(len(_LOG_PRIOR))  # of each hypothesis, fading
-        self._P: Array | None = None  # (120, hypotheses), packed
-        self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))  # own minus running estimate
+        self._values = _START
+        self._estimates: Array | None = None  # (N_ROWS, COUNT), see `advance`
         self._t_ns = 0
-        self._velocity_n = np.zeros(3)  # after the last correction
-        self._C_nb = np.eye(3)
-        self._claimed_std = math.inf  # m, of the last position, horizontally
-        self._lowest = np.ones(3)  # factors since the running state was last corrected
 
     def restart(self, *, keep_weights: bool) -> None:
         """Start the hypotheses anew at the next correction, with their weights or without."""
-        self._P = None
+        self._estimates = None
         if not keep_weights:
-            self._log_likelihood = np.zeros(len(_LOG_PRIOR))
-            self.imu_factors, self.fix_factor, self._lowest = (1.0, 1.0), 1.0, np.ones(3)
-            self.slow_std = 0.0
+            self._values = self._values.copy()
+            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD):
+                self._values[part] = _START[part]
+            self._read_factors()
 
     def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """
@@ -167,85 +184,186 @@ class NoiseMultipleModelBank(ShallowCopy):
         After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
         filter's covariance, and their likelihoods stay as they were.
         """
-        T = (correction.t_ns - self._t_ns) * 1e-9
-        if self._P is None or not 0.0 <= T <= MAX_INTERVAL:
-            self._P = np.tile(correction.nav[COVARIANCE][:, None], len(_LOG_PRIOR))
-            self._state_offset = np.zeros((N_ERROR, len(_LOG_PRIOR)))
-            T = 0.0
-        total = self._log_likelihood * np.exp(-T / MEMORY)
-        total += self._advance(correction, psd, T, _FACTORS, self.fix_factor)
-        self._log_likelihood = total - total.max()
-        log_weights = self._log_likelihood + _LOG_PRIOR
-        is_small = (_SLOW_STD > 0.0) & (SLOW_RATIO * self._claimed_std > _SLOW_STD)
-        log_weights[is_small] = -math.inf
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        return self._use_mixture(weights)
+        have_risen = self._update(correction, psd, HYPOTHESES, True)
+        self._read_factors()
+        return self._state_correction() if have_risen else None
 
     def follow(self, correction: Correction, psd: Array) -> None:
-        """Correct the hypotheses by a measurement that is no fix, and does not weigh them."""
-        T = (correction.t_ns - self._t_ns) * 1e-9
-        if self._P is None or not 0.0 <= T <= MAX_INTERVAL:
-            self._P = None
-            return
-        self._log_likelihood = self._log_likelihood * np.exp(-T / MEMORY)
-        self._advance(correction, psd, T, _FACTORS_OF_IMU, 1.0)
+        """Correct the hypotheses by a measurement that is no fix, and do not weigh them."""
+        if self._estimates is not None and 0.0 <= self._time_to(correction) <= MAX_INTERVAL:
+            self._update(correction, psd, _HYPOTHESES_OF_IMU, False)
+        else:
+            self._estimates = None
 
-    def _advance(
-        self, correction: Correction, psd: Array, T: float, factors: Array, fix_factor: float
-    ) -> Array:
-        """Propagate and correct the hypotheses; return the log-likelihood of each."""
-        nav = correction.nav
-        C_nb = matrix_from_quat(nav[QUAT])
-        F, C_mean = mean_system(nav, self._velocity_n, self._C_nb, T)
-        z, H, dx = correction.z, correction.H, correction.dx
-        R = correction.S - H @ covariance(nav) @ H.T
-        if H[0, 0] != 0.0:  # a position
-            self._claimed_std = math.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
-        G = _IDENTITY
-        if correction.fused:
-            z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
-        self._P, self._state_offset, log_likelihood = advance(
-            self._P,
-            self._state_offset,
-            F,
-            T,
-            C_mean,
-            psd,
-            factors,
-            _SLOW_WALK,
-            z,
-            H,
-            R / fix_factor,
-            dx,
-            G,
-            TAIL_DOF,
-        )
+    def _time_to(self, correction: Correction) -> float:
+        """Return the time since the last correction [s]."""
+        return (correction.t_ns - self._t_ns) * 1e-9
+
+    def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
+        """See `update_hypotheses`."""
+        before, T = self._estimates, self._time_to(correction)
+        self._values = self._values.copy()
+        if before is None or not 0.0 <= T <= MAX_INTERVAL:
+            T, before = 0.0, np.zeros((N_ROWS, COUNT))
+            before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
+            self._values[PENDING_G] = _START[PENDING_G]
+        self._estimates = np.empty((N_ROWS, COUNT))
         self._t_ns = correction.t_ns
-        self._velocity_n = nav[VELOCITY] + correction.dx[DV]
-        self._C_nb = C_nb
-        return np.asarray(log_likelihood)
+        have_risen = update_hypotheses(
+            hypotheses,
+            before,
+            self._estimates,
+            self._values,
+            T,
+            correction.nav,
+            psd,
+            correction.z,
+            correction.H,
+            correction.S,
+            correction.dx,
+            correction.weight if correction.fused else 0.0,
+            weigh,
+        )
+        return bool(have_risen)
 
-    def _use_mixture(self, weights: Array) -> StateCorrection | None:
-        """Set the factors to the mixture's mean; where they have risen, correct the state."""
-        a, g, r = map(_factor, (_DECADES @ weights).tolist())
-        level = float(_SLOW_LEVEL @ weights)
-        self.slow_std = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
-        self.imu_factors, self.fix_factor = (a, g), r
-        factors = np.array([a, g, r])
-        risen = np.max(factors / self._lowest)
-        self._lowest = np.minimum(self._lowest, factors)
-        if risen < CORRECTION_RATIO:
-            return None
-        assert self._P is not None
-        self._lowest = factors
-        dx = self._state_offset @ weights
-        deviation = self._state_offset - dx[:, None]
-        P = (self._P @ weights)[PLACES] + (weights * deviation) @ deviation.T
-        self._state_offset, self._velocity_n = deviation, self._velocity_n + dx[DV]
-        return StateCorrection(dx, P)
+    def _read_factors(self) -> None:
+        a, g, self.fix_factor, self.slow_std = self._values[FACTORS].tolist()
+        self.imu_factors = a, g
+
+    def _state_correction(self) -> StateCorrection:
+        """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
+        assert self._estimates is not None
+        values, weights = self._values, self._values[WEIGHTS]
+        G = values[PENDING_G].reshape(N_ERROR, N_ERROR)
+        covariances, offsets = self._estimates[:OFFSETS], self._estimates[OFFSETS:]
+        mean = offsets @ weights
+        deviation = offsets - mean[:, None]
+        P = (covariances @ weights)[PLACES] + (weights * deviation) @ deviation.T
+        dx = G @ mean
+        self._estimates = np.vstack((covariances, deviation))
+        values[LAST_VELOCITY] += dx[DV]
+        return StateCorrection(dx, G @ P @ G.T)
 
 
-def _factor(decades: float) -> float:
-    """Return the factor of a mean exponent, reduced by the dead band."""
-    return float(10.0 ** math.copysign(max(0.0, abs(decades) - DEAD_BAND), decades))
+@kernel(fastmath={"contract"})
+def update_hypotheses(  # type: ignore[no-untyped-def]
+    hypotheses, before, after, values, T, nav, psd, z, H, S, dx, weight, weigh
+):
+    """
+    Propagate and correct the hypotheses, and weigh them.
+
+    Parameters
+    ----------
+    hypotheses : ndarray, shape (12, COUNT)
+        `HYPOTHESES`.
+    before, after : ndarray, shape (N_ROWS, COUNT)
+        Their estimates, see `advance`; ``after`` is written.
+    values : ndarray, shape (WEIGHTS.stop,)
+        What is known besides; overwritten.
+    T : float
+        Time since the last correction [s].
+    nav, psd, z, H, S, dx : ndarray
+        See `NoiseMultipleModelBank.update`.
+    weight : float
+        With which the measurement was fused; 0 if it was rejected.
+    weigh : bool
+        Otherwise likelihoods are not changed.
+
+    Returns
+    -------
+    bool
+        A factor has risen by `CORRECTION_RATIO`.
+    """
+    m, G = len(z), values[PENDING_G].reshape(N_ERROR, N_ERROR)
+    fix_factor = values[FACTORS][2] if weigh else 1.0
+    last_C = values[LAST_C].reshape(3, 3)
+    F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
+    R, _ = innovation_covariance(nav[COVARIANCE], H, np.zeros((m, m)))
+    for a in range(m):
+        for b in range(m):
+            R[a, b] = S[a, b] - R[a, b]
+    if H[0, 0] != 0.0:  # a position
+        values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
+    z_x, H_x, x, G_x = z, H, dx, np.eye(N_ERROR)
+    if weight > 0.0:
+        z_x, H_x, x, G_x = linearisation(nav[COVARIANCE], z, H, R / weight)
+    log_likelihood = np.zeros(before.shape[1])
+    factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
+    advance(
+        before,
+        after,
+        G,
+        F,
+        T,
+        C_mean,
+        psd,
+        factors,
+        walk,
+        z_x,
+        H_x,
+        R / fix_factor,
+        x,
+        TAIL_DOF,
+        log_likelihood,
+    )
+    for i in range(N_ERROR):
+        for j in range(N_ERROR):
+            G[i, j] = G_x[i, j]
+    for i in range(3):
+        values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
+    rotation(nav[QUAT], values[LAST_C])
+    fading = np.exp(-T / MEMORY)
+    for h in range(len(log_likelihood)):
+        values[LOG_LIKELIHOOD][h] *= fading
+    if not weigh:
+        return False
+    _add_likelihood(log_likelihood, values[LOG_LIKELIHOOD])
+    _weigh(hypotheses, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
+    return _average(hypotheses, values[WEIGHTS], values[FACTORS], values[LOWEST])
+
+
+@register_jitable
+def _add_likelihood(one, total):  # type: ignore[no-untyped-def]
+    """Add the log-likelihoods of an innovation; the largest total is 0."""
+    largest = -np.inf
+    for h in range(len(total)):
+        total[h] += one[h]
+        largest = max(largest, total[h])
+    for h in range(len(total)):
+        total[h] -= largest
+
+
+@register_jitable
+def _weigh(hypotheses, log_likelihood, claimed_std, weights):  # type: ignore[no-untyped-def]
+    """Write the weights of the hypotheses."""
+    largest, total = -np.inf, 0.0
+    for h in range(len(weights)):
+        slow_std = hypotheses[SLOW_STD, h]
+        weights[h] = log_likelihood[h] + hypotheses[LOG_PRIOR, h]
+        if slow_std > 0.0 and SLOW_RATIO * claimed_std > slow_std:
+            weights[h] = -np.inf
+        largest = max(largest, weights[h])
+    for h in range(len(weights)):
+        weights[h] = np.exp(weights[h] - largest)
+        total += weights[h]
+    for h in range(len(weights)):
+        weights[h] /= total
+
+
+@register_jitable
+def _average(hypotheses, weights, factors, lowest):  # type: ignore[no-untyped-def]
+    """Set the factors to the mixture's mean; return whether one has risen much."""
+    risen, level = 0.0, 0.0
+    for i in range(3):
+        decades = 0.0
+        for h in range(len(weights)):
+            decades += hypotheses[LOG_FACTORS.start + i, h] * weights[h]
+        beyond = max(0.0, abs(decades) - DEAD_BAND)
+        factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
+        risen = max(risen, factors[i] / lowest[i])
+    for i in range(3):
+        lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
+    for h in range(len(weights)):
+        level += hypotheses[SLOW_LEVEL, h] * weights[h]
+    factors[3] = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
+    return risen >= CORRECTION_RATIO

@@ -11,15 +11,20 @@ from __future__ import annotations
 import numpy as np
 from numba.extending import register_jitable
 
-from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
 from hybrid_ins.core.error_model import system_matrix
-from hybrid_ins.core.linalg import factorise
 from hybrid_ins.core.state import LLA, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
+N_NAVIGATION = 9  # rows of the error state that are no biases
+OFFSETS = PLACES[-1, -1] + 1  # rows of covariance before the offsets'
+N_ROWS = OFFSETS + N_ERROR
+ROWS = np.arange(N_ERROR)[None, :]
+OFFSET_ROWS = OFFSETS + ROWS
+PADDED = 18  # elements of a row, in groups of six
 
-@kernel()
+
+@register_jitable
 def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     """
     Error dynamics over the time since a correction, without IMU samples.
@@ -51,18 +56,22 @@ def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
     return F, C_mean
 
 
-@kernel(fastmath={"contract"})
+@register_jitable
 def advance(  # type: ignore[no-untyped-def]
-    P_all, offset_all, F, T, C, psd, factors, walk, z, H, R, dx, G, tail_dof
+    estimates, after, G, F, T, C, psd, factors, walk, z, H, R, dx, tail_dof, log_likelihood
 ):
     """
     Predict and update every hypothesis.
 
     Parameters
     ----------
-    P_all, offset_all : ndarray, shape (120, n), (15, n)
-        Covariances as packed upper triangles, and the offset of each estimate from the
-        running filter's: one hypothesis per column.
+    estimates : ndarray, shape (N_ROWS, n)
+        One hypothesis per column: its covariance as a packed upper triangle (``OFFSETS`` rows), and
+        the offset of its estimate from the running filter's.
+    after : ndarray, shape (N_ROWS, n)
+        Written: the same after the update.
+    G : ndarray, shape (15, 15)
+        Derivative by which the error that ``estimates`` refers to is still to be multiplied.
     F, T : ndarray, float
         System matrix, shape (15, 15), and the time to go [s].
     C, psd : ndarray, shape (3, 3), (12,)
@@ -72,121 +81,210 @@ def advance(  # type: ignore[no-untyped-def]
         position [m²/s].
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
         The running filter's innovation, measurement matrix, covariance at factor 1.
-    dx, G : ndarray, shape (15,), (15, 15)
-        By which the running filter was corrected; derivative of the error about the corrected
-        state by the one that H refers to.
+    dx : ndarray, shape (15,)
+        By which the running filter was corrected.
     tail_dof : float
         Degrees of freedom of an innovation.
-
-    Returns
-    -------
-    P, offset, log_likelihood : ndarray, shape (120, n), (15, n), (n,)
-        After the update, and the log-likelihood of the innovation.
+    log_likelihood : ndarray, shape (n,)
+        The log-likelihood of the innovation is added.
     """
-    count, m = P_all.shape[1], z.shape[0]
+    count, m = estimates.shape[1], z.shape[0]
     transition, noise = _transition_and_noise(F, T, C, psd)
-    before = P_all.copy()
-    for i in range(3):
-        place = PLACES[i, i]
-        for h in range(count):
-            before[place, h] += T * walk[i, h]
-    P, offset = _transformed(transition, before, offset_all)
-    for i in range(N_ERROR):
-        for j in range(i + 1):
-            a, b, c = noise[0, i, j], noise[1, i, j], noise[2, i, j]
-            if a != 0.0 or b != 0.0 or c != 0.0:
-                place = PLACES[i, j]
-                for h in range(count):
-                    P[place, h] += factors[0, h] * a + factors[1, h] * b + c
-
-    PHt, own = np.zeros((m, N_ERROR, count)), np.empty((m, count))
-    for a in range(m):
-        for k in range(N_ERROR):
-            if H[a, k] != 0.0:
-                for i in range(N_ERROR):
-                    place = PLACES[i, k]
-                    for h in range(count):
-                        PHt[a, i, h] += H[a, k] * P[place, h]
-    S, white = np.empty((m, m)), np.empty(m)
-    weight, log_likelihood = np.ones(count), np.empty(count)
+    _transform(transition, G, estimates, after)
+    _add_noise(after, transition, noise, factors, walk, T)
+    PHt, own = np.empty((m * N_ERROR, count)), np.empty((m, count))
+    HPHt, S, white = np.empty((m * m, count)), np.empty((m, m, count)), np.empty((m, count))
+    _innovations(after, z, H, PHt, HPHt, own)
+    r_factor, nis, root_det = np.empty(count), np.empty(count), np.empty(count)
     for h in range(count):
-        for repeat in range(2):
-            for a in range(m):
-                white[a] = z[a]
-                for k in range(N_ERROR):
-                    white[a] -= H[a, k] * offset[k, h]
-                for b in range(a + 1):
-                    S[a, b] = weight[h] * factors[2, h] * R[a, b]
-                    for k in range(N_ERROR):
-                        S[a, b] += H[a, k] * PHt[b, k, h]
-            nis, log_det = _whiten(S, white)
-            if repeat == 0:
-                tail = np.log1p(nis / (tail_dof - 1.3))
-                log_likelihood[h] = -0.5 * log_det - 0.5 * (tail_dof + m) * tail
-                if nis <= m:
-                    break
-                # An outlier is weighted down, by each hypothesis for itself.
-                weight[h] = (tail_dof + nis) / (tail_dof + m)
-        for a in range(m):
-            own[a, h] = white[a]
-            # With S = L L' and W = P H' L'^-1: K z = W L^-1 z and P - K H P = P - W W'.
-            for i in range(N_ERROR):
-                for b in range(a):
-                    PHt[a, i, h] -= S[a, b] * PHt[b, i, h]
-                PHt[a, i, h] /= S[a, a]
-    for i in range(N_ERROR):
-        for h in range(count):
-            offset[i, h] -= dx[i]
+        r_factor[h] = factors[2, h]
+    for repeat in range(2):
         for a in range(m):
             for h in range(count):
-                offset[i, h] += PHt[a, i, h] * own[a, h]
-            for j in range(i, N_ERROR):
-                place = PLACES[i, j]
+                white[a, h] = own[a, h]
+            for b in range(a + 1):
+                place, r = m * a + b, R[a, b]
                 for h in range(count):
-                    P[place, h] -= PHt[a, i, h] * PHt[a, j, h]
-    if not _is_identity(G):
-        P, offset = _transformed(G, P, offset)
-    return P, offset, log_likelihood
+                    S[a, b, h] = HPHt[place, h] + r_factor[h] * r
+        _whiten(S, white, nis, root_det)
+        if repeat == 0:
+            outliers = False
+            for h in range(count):
+                tail = np.log1p(nis[h] / (tail_dof - 1.3))
+                log_likelihood[h] -= np.log(root_det[h]) + 0.5 * (tail_dof + m) * tail
+                if nis[h] > m:  # An outlier is weighted down, by each hypothesis for itself.
+                    r_factor[h] *= (tail_dof + nis[h]) / (tail_dof + m)
+                    outliers = True
+            if not outliers:
+                break
+    _correct(after, S, PHt, white, dx)
 
 
 @register_jitable
-def _is_identity(A):  # type: ignore[no-untyped-def]
-    for i in range(N_ERROR):
-        for j in range(N_ERROR):
-            if A[i, j] != (1.0 if i == j else 0.0):
-                return False
-    return True
+def _transform(transition, G, before, after):  # type: ignore[no-untyped-def]
+    """
+    Write A P A' and A times the offset, of every hypothesis and with A = transition G.
+
+    The biases' rows of ``transition`` and G are those of the identity.
+    """
+    n, count = N_ERROR, before.shape[1]
+    A = np.zeros((N_NAVIGATION, n))
+    for i in range(N_NAVIGATION):
+        for k in range(n):
+            for j in range(n):
+                A[i, j] += transition[i, k] * G[k, j]
+    values, columns = np.empty((N_NAVIGATION, PADDED)), np.empty((N_NAVIGATION, PADDED), np.int64)
+    _write_nonzero(A, values, columns)
+    half = np.empty((n, count))
+    for i in range(N_NAVIGATION):
+        _combine(values, columns, i, OFFSET_ROWS, 0, before, after, OFFSETS + i)
+        for j in range(n):
+            _combine(values, columns, i, PLACES, j, before, half, j)
+        for j in range(i + 1):
+            _combine(values, columns, j, ROWS, 0, half, after, PLACES[i, j])
+        for j in range(N_NAVIGATION, n):
+            place = PLACES[i, j]
+            for h in range(count):
+                after[place, h] = half[j, h]
+    for row in range(PLACES[N_NAVIGATION, N_NAVIGATION], N_ROWS):
+        if row < OFFSETS or row >= OFFSETS + N_NAVIGATION:
+            for h in range(count):
+                after[row, h] = before[row, h]
 
 
 @register_jitable
-def _transformed(A, P_all, offset_all):  # type: ignore[no-untyped-def]
-    """Return A P A' and A times the offset, of every hypothesis."""
-    count = P_all.shape[1]
-    P, offset = np.zeros_like(P_all), np.zeros_like(offset_all)
-    half = np.empty((N_ERROR, count))
-    for i in range(N_ERROR):  # a row of A P at a time, three columns of A at a time
-        half[:] = 0.0
-        for k in range(0, N_ERROR, 3):
-            u, v, w = A[i, k], A[i, k + 1], A[i, k + 2]
-            if u == 0.0 and v == 0.0 and w == 0.0:
-                continue
-            for h in range(count):
-                offset[i, h] += (
-                    u * offset_all[k, h] + v * offset_all[k + 1, h] + w * offset_all[k + 2, h]
-                )
-            for j in range(N_ERROR):
-                at, at1, at2 = PLACES[k, j], PLACES[k + 1, j], PLACES[k + 2, j]
-                for h in range(count):
-                    half[j, h] += u * P_all[at, h] + v * P_all[at1, h] + w * P_all[at2, h]
+def _add_noise(after, transition, noise, factors, walk, T):  # type: ignore[no-untyped-def]
+    """Add the noise of the time T [s] to the covariances."""
+    count = after.shape[1]
+    first = 0  # of the hypotheses with a walk, which are the last
+    while first < count and walk[0, first] == 0.0:
+        first += 1
+    for i in range(N_ERROR):
         for j in range(i + 1):
             place = PLACES[i, j]
-            for k in range(0, N_ERROR, 3):
-                u, v, w = A[j, k], A[j, k + 1], A[j, k + 2]
-                if u == 0.0 and v == 0.0 and w == 0.0:
-                    continue
+            a, b, c = noise[0, i, j], noise[1, i, j], noise[2, i, j]
+            if a != 0.0 or b != 0.0 or c != 0.0:
                 for h in range(count):
-                    P[place, h] += u * half[k, h] + v * half[k + 1, h] + w * half[k + 2, h]
-    return P, offset
+                    after[place, h] += factors[0, h] * a + factors[1, h] * b + c
+            a = T * transition[i, 0] * transition[j, 0]
+            b = T * transition[i, 1] * transition[j, 1]
+            c = T * transition[i, 2] * transition[j, 2]
+            if a != 0.0 or b != 0.0 or c != 0.0:
+                for h in range(first, count):
+                    after[place, h] += a * walk[0, h] + b * walk[1, h] + c * walk[2, h]
+
+
+@register_jitable
+def _innovations(after, z, H, PHt, HPHt, own):  # type: ignore[no-untyped-def]
+    """Write P H' and H P H' (its lower triangle), row by row, and the innovation of each."""
+    m, count = z.shape[0], after.shape[1]
+    values, columns = np.empty((m, PADDED)), np.empty((m, PADDED), np.int64)
+    _write_nonzero(H, values, columns)
+    rows = np.empty((m, N_ERROR), np.int64)
+    for a in range(m):
+        for i in range(N_ERROR):
+            rows[a, i] = N_ERROR * a + i
+    for a in range(m):
+        for i in range(N_ERROR):
+            _combine(values, columns, a, PLACES, i, after, PHt, rows[a, i])
+        for b in range(a + 1):
+            _combine(values, columns, a, rows, b, PHt, HPHt, m * a + b)
+        _combine(values, columns, a, OFFSET_ROWS, 0, after, own, a)
+        for h in range(count):
+            own[a, h] = z[a] - own[a, h]
+
+
+@register_jitable
+def _whiten(S, z, nis, root_det):  # type: ignore[no-untyped-def]
+    """
+    Turn every S (its lower triangle) into its Cholesky factor L, and z into L^-1 z.
+
+    Writes the square of that, and the root of the determinant of S.
+    """
+    m, count = z.shape
+    for h in range(count):
+        nis[h], root_det[h] = 0.0, 1.0
+    for a in range(m):
+        for b in range(a + 1):
+            for c in range(b):
+                for h in range(count):
+                    S[a, b, h] -= S[a, c, h] * S[b, c, h]
+            if a == b:
+                for h in range(count):
+                    S[a, a, h] = np.sqrt(S[a, a, h])
+            else:
+                for h in range(count):
+                    S[a, b, h] /= S[b, b, h]
+        for b in range(a):
+            for h in range(count):
+                z[a, h] -= S[a, b, h] * z[b, h]
+        for h in range(count):
+            z[a, h] /= S[a, a, h]
+            nis[h] += z[a, h] * z[a, h]
+            root_det[h] *= S[a, a, h]
+
+
+@register_jitable
+def _correct(after, L, PHt, white, dx):  # type: ignore[no-untyped-def]
+    """Update by the innovations; with W = P H' L'^-1, K z = W L^-1 z and P - K H P = P - W W'."""
+    m, count = white.shape
+    for a in range(m):
+        for i in range(N_ERROR):
+            row = N_ERROR * a + i
+            for b in range(a):
+                other = N_ERROR * b + i
+                for h in range(count):
+                    PHt[row, h] -= L[a, b, h] * PHt[other, h]
+            for h in range(count):
+                PHt[row, h] /= L[a, a, h]
+    for i in range(N_ERROR):
+        offset = OFFSETS + i
+        for h in range(count):
+            after[offset, h] -= dx[i]
+        for a in range(m):
+            row = N_ERROR * a + i
+            for h in range(count):
+                after[offset, h] += PHt[row, h] * white[a, h]
+            for j in range(i, N_ERROR):
+                place, other = PLACES[i, j], N_ERROR * a + j
+                for h in range(count):
+                    after[place, h] -= PHt[row, h] * PHt[other, h]
+
+
+@register_jitable
+def _write_nonzero(A, values, columns):  # type: ignore[no-untyped-def]
+    """Write the elements of each row of A that are not zero, and their columns; then zeros."""
+    for i in range(A.shape[0]):
+        found = 0
+        for j in range(PADDED):
+            values[i, j], columns[i, j] = 0.0, 0
+        for j in range(A.shape[1]):
+            if A[i, j] != 0.0:
+                values[i, found], columns[i, found] = A[i, j], j
+                found += 1
+
+
+@register_jitable
+def _combine(values, columns, i, rows, j, source, out, at):  # type: ignore[no-untyped-def]
+    """Write row i of a matrix, by `_write_nonzero`, times the rows[j] of ``source`` to out[at]."""
+    for n in range(0, PADDED, 6):  # more rows at once are not turned into vector instructions
+        if n > 0 and values[i, n] == 0.0:
+            break
+        u, v, w = values[i, n], values[i, n + 1], values[i, n + 2]
+        x, y, q = values[i, n + 3], values[i, n + 4], values[i, n + 5]
+        at_u, at_v = rows[j, columns[i, n]], rows[j, columns[i, n + 1]]
+        at_w, at_x = rows[j, columns[i, n + 2]], rows[j, columns[i, n + 3]]
+        at_y, at_q = rows[j, columns[i, n + 4]], rows[j, columns[i, n + 5]]
+        if n == 0:
+            for h in range(out.shape[1]):
+                total = u * source[at_u, h] + v * source[at_v, h] + w * source[at_w, h]
+                out[at, h] = total + x * source[at_x, h] + y * source[at_y, h] + q * source[at_q, h]
+        else:
+            for h in range(out.shape[1]):
+                total = u * source[at_u, h] + v * source[at_v, h] + w * source[at_w, h]
+                out[at, h] += (
+                    total + x * source[at_x, h] + y * source[at_y, h] + q * source[at_q, h]
+                )
 
 
 @register_jitable
@@ -222,20 +320,6 @@ def _transition_and_noise(F, T, C, psd):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def _whiten(S, z):  # type: ignore[no-untyped-def]
-    """Turn S (its lower triangle) into its Cholesky factor L, z into L^-1 z; NIS, log det of S."""
-    factorise(S)
-    nis, log_det = 0.0, 0.0
-    for i in range(z.shape[0]):
-        for k in range(i):
-            z[i] -= S[i, k] * z[k]
-        z[i] /= S[i, i]
-        nis += z[i] * z[i]
-        log_det += 2.0 * np.log(S[i, i])
-    return nis, log_det
-
-
-@register_jitable
 def _add_sandwich(weight, A, D, first, out):  # type: ignore[no-untyped-def]
     """Add weight A D A' to ``out`` (15, 15), of the 3 x 3 block of D from ``first`` on."""
     for i in range(N_ERROR):
@@ -251,11 +335,12 @@ def _add_sandwich(weight, A, D, first, out):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _product(A, B, out):  # type: ignore[no-untyped-def]
-    """Write A B into ``out``, all of shape (15, 15)."""
+    """Write A B into ``out``, all of shape (15, 15) and with no rows of the biases."""
     for i in range(N_ERROR):
         for j in range(N_ERROR):
             out[i, j] = 0.0
-        for k in range(N_ERROR):
+    for i in range(N_NAVIGATION):
+        for k in range(N_NAVIGATION):
             a = A[i, k]
             if a != 0.0:
                 for j in range(N_ERROR):

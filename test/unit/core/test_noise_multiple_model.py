@@ -1,0 +1,198 @@
+"""The compiled step of all noise hypotheses against one filter at a time, in matrices."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.iterated_update import linearisation
+from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.noise import Correction
+from hybrid_ins.core.noise_multiple_model import (
+    COUNT,
+    HYPOTHESES,
+    LOG_LIKELIHOOD,
+    MEMORY,
+    ON_NOISE,
+    PENDING_G,
+    SLOW_WALK,
+    TAIL_DOF,
+    WEIGHTS,
+    NoiseMultipleModelBank,
+    StateCorrection,
+)
+from hybrid_ins.core.noise_multiple_model_step import OFFSETS, mean_system
+from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DV,
+    LAST_W,
+    LLA,
+    N_ERROR,
+    PLACES,
+    QUAT,
+    VELOCITY,
+    Array,
+    NavState,
+    covariance,
+)
+
+SECOND = 1_000_000_000
+SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
+PSD = np.repeat([1e-3, 1e-6, 1e-7, 1e-9], 3)
+
+
+def flat_state(rng: np.random.Generator, tilt_std: float) -> Array:
+    mixing = rng.normal(size=(N_ERROR, N_ERROR))
+    sigma = SIGMA.copy()
+    sigma[6:9] = tilt_std
+    P = (mixing @ mixing.T + np.eye(N_ERROR)) * np.outer(sigma, sigma) * 0.1
+    nav = NavState(
+        np.array([*rng.uniform(-1.0, 1.0, 2), 50.0]),
+        rng.normal(0.0, 5.0, 3),
+        quat_from_rpy(*rng.uniform(-1.0, 1.0, 3)),
+        np.zeros(3),
+        np.zeros(3),
+        P,
+    ).to_flat()
+    nav[LAST_W] = rng.normal(0.0, 0.3, 3)
+    return nav
+
+
+def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
+    """Return what a fix does to a state: positions and velocities, some rejected, large ones."""
+    size = 1.0 if k < 4 else 6.0
+    if k % 3 == 2:
+        z, H = velocity_model(
+            nav, nav[VELOCITY] + rng.normal(0.0, size, 3), np.array([0.5, 0.0, 1])
+        )
+    else:
+        away = rng.normal(0.0, size, 3) * [1.6e-7, 1.8e-7, 1.0]
+        z, H = position_model(nav, nav[LLA] + away, np.array([0.5, -0.2, 1.0]))
+    root = rng.normal(0.0, 0.3, (3, 3))
+    R = root @ root.T + 0.2 * np.eye(3)
+    S = H @ covariance(nav) @ H.T + R
+    K = covariance(nav) @ H.T @ np.linalg.inv(S)
+    fused = k % 4 != 3
+    dx = K @ z if fused else np.zeros(N_ERROR)
+    C_nb = matrix_from_quat(nav[QUAT])
+    weight = 0.7 if k == 4 else 1.0
+    return Correction(k * SECOND // 5, z, S, H, K, dx, C_nb, 0.2, nav, fused, weight=weight)
+
+
+class Readable:
+    """One hypothesis: the same as the step, as a filter of its own."""
+
+    def __init__(self, hypothesis: Array, nav: Array) -> None:
+        self.factors, self.walk = hypothesis[ON_NOISE], hypothesis[SLOW_WALK]
+        self.P, self.offset = covariance(nav), np.zeros(N_ERROR)
+
+    def predict(self, F: Array, C: Array, T: float) -> None:
+        A = np.eye(N_ERROR) + T * F + T**2 / 2.0 * F @ F + T**3 / 6.0 * F @ F @ F
+        half = np.eye(N_ERROR) + T / 2.0 * F + T**2 / 8.0 * F @ F
+        D = np.zeros((N_ERROR, N_ERROR))
+        D[3:6, 3:6] = self.factors[0] * C @ np.diag(PSD[:3]) @ C.T
+        D[6:9, 6:9] = self.factors[1] * C @ np.diag(PSD[3:6]) @ C.T
+        D[9:, 9:] = np.diag(PSD[6:])
+        P = self.P.copy()
+        P[:3, :3] += T * np.diag(self.walk)
+        self.P = A @ P @ A.T + T / 6.0 * (D + 4.0 * half @ D @ half.T + A @ D @ A.T)
+        self.offset = A @ self.offset
+
+    def correct(self, z: Array, H: Array, R: Array, dx: Array, G: Array) -> float:
+        m, weight = len(z), 1.0
+        own = z - H @ self.offset
+        S = H @ self.P @ H.T + self.factors[2] * R
+        nis = own @ np.linalg.solve(S, own)
+        log_det = np.linalg.slogdet(S)[1]
+        tail = np.log1p(nis / (TAIL_DOF - 1.3))
+        log_likelihood = -0.5 * log_det - 0.5 * (TAIL_DOF + m) * tail
+        if nis > m:
+            weight = (TAIL_DOF + nis) / (TAIL_DOF + m)
+            S = H @ self.P @ H.T + weight * self.factors[2] * R
+        K = self.P @ H.T @ np.linalg.inv(S)
+        self.P = G @ (self.P - K @ S @ K.T) @ G.T
+        self.offset = G @ (self.offset - dx + K @ own)
+        return float(log_likelihood)
+
+
+@pytest.mark.parametrize("tilt_std", [0.02, 0.2])
+def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
+    """Over positions and velocities, fused, weighted and rejected, and iterated corrections."""
+    rng = np.random.default_rng(4)
+    bank, iterated, moves = NoiseMultipleModelBank(), 0, 0
+    velocity_n, C_nb, T = np.zeros(3), np.eye(3), 0.0
+    readable: list[Readable] = []
+    log_likelihood = np.zeros(COUNT)
+    for k in range(1, 9):
+        nav = flat_state(rng, tilt_std)
+        correction = correction_of(rng, nav, k)
+        fix_factor = bank.fix_factor
+        moved = bank.update(correction, PSD)
+
+        readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
+        F, C = mean_system(nav, velocity_n, C_nb, T)
+        R = correction.S - correction.H @ covariance(nav) @ correction.H.T
+        z, H, dx, G = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
+        if correction.fused:
+            z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
+        iterated += not np.array_equal(G, np.eye(N_ERROR))
+        log_likelihood *= np.exp(-T / MEMORY)
+        for h, one in enumerate(readable):
+            one.predict(F, C, T)
+            log_likelihood[h] += one.correct(z, H, R / fix_factor, dx, G)
+        velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], matrix_from_quat(nav[QUAT]), 0.2
+        if moved is not None:
+            moves += 1
+            velocity_n = velocity_n + moved.dx[DV]
+            correct_state(bank._values[WEIGHTS], readable, moved)
+        compare(bank, readable)
+        found = bank._values[LOG_LIKELIHOOD]
+        np.testing.assert_allclose(found, log_likelihood - log_likelihood.max(), atol=1e-9)
+    assert iterated > 1
+    assert moves > 0
+
+
+def correct_state(weights: Array, readable: list[Readable], moved: StateCorrection) -> None:
+    """Check a mixture's correction of the running state, and refer the offsets to it."""
+    offsets = np.array([one.offset for one in readable])
+    dx = weights @ offsets
+    P = sum(
+        w * (one.P + np.outer(one.offset - dx, one.offset - dx))
+        for w, one in zip(weights, readable, strict=True)
+    )
+    scale = np.sqrt(P.diagonal())
+    np.testing.assert_allclose(moved.dx / scale, dx / scale, atol=1e-11)
+    np.testing.assert_allclose(
+        moved.P / np.outer(scale, scale), P / np.outer(scale, scale), atol=1e-11
+    )
+    for one in readable:
+        one.offset = one.offset - dx
+
+
+def compare(bank: NoiseMultipleModelBank, readable: list[Readable]) -> None:
+    """Check covariances and offsets, relative to the standard deviations."""
+    assert bank._estimates is not None
+    G = bank._values[PENDING_G].reshape(N_ERROR, N_ERROR)
+    for h, one in enumerate(readable):
+        P, scale = G @ bank._estimates[:OFFSETS, h][PLACES] @ G.T, np.sqrt(one.P.diagonal())
+        square = np.outer(scale, scale)
+        np.testing.assert_allclose(P / square, one.P / square, atol=1e-11)
+        offset = G @ bank._estimates[OFFSETS:, h]
+        np.testing.assert_allclose(offset / scale, one.offset / scale, atol=1e-11)
+
+
+def test_a_copy_is_a_checkpoint() -> None:
+    rng = np.random.default_rng(5)
+    bank = NoiseMultipleModelBank()
+    nav = flat_state(rng, 0.02)
+    bank.update(correction_of(rng, nav, 1), PSD)
+    kept = copy.copy(bank)
+    later = correction_of(rng, flat_state(rng, 0.02), 2)
+    bank.update(later, PSD)
+    once = bank.imu_factors, bank.fix_factor, bank._values.copy()
+
+    kept.update(later, PSD)
+
+    assert (kept.imu_factors, kept.fix_factor) == once[:2]
+    np.testing.assert_array_equal(kept._values, once[2])
