@@ -69,6 +69,7 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
     np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_estimated_offset_is_applied_to_fixes_and_told() -> None:
     run = stamped_early(draw(SCENE, 4), 0.15)
     estimator = through_estimator(run)

@@ -64,6 +64,7 @@ def test_smooth_braking_is_not_standing(
     assert not [speed for speed in speeds if speed > 0.1]
 
 
+@pytest.mark.slow
 def test_zero_updates_correct_the_sensitivity_too() -> None:
     """
     GIVEN a vehicle that stands for 30 s of every 70, so that most corrections are zero updates

@@ -23,7 +23,11 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("smooth", [[], ["--smooth"]], ids=["filter", "smoother"])
+@pytest.mark.parametrize(
+    "smooth",
+    [[], pytest.param(["--smooth"], marks=pytest.mark.slow)],
+    ids=["filter", "smoother"],
+)
 def test_output_has_the_log_time_at_which_it_was_known(
     flight: Path, smooth: list[str], tmp_path: Path
 ) -> None:

@@ -46,6 +46,7 @@ def judged(bag: Path, skip: float) -> Result:
     return evaluate_run(read_run(bag), Scoring(skip=skip))
 
 
+@pytest.mark.slow
 def test_smoothed_outage_is_a_fraction_of_the_filtered_one(tmp_path: Path) -> None:
     # GIVEN a flight with an outage of 10 s, whose heading is not known at the start
     source = simulated(tmp_path / "flight.mcap", "--gnss-rate", "1", "--outage", "35", "10")
@@ -126,6 +127,7 @@ def test_positions_are_smoothed_with_their_scatter_and_the_slow_rest_is_reported
     assert variance.min() > 0.5 and variance.max() < 1.5
 
 
+@pytest.mark.slow
 def test_stretches_between_restarts_are_smoothed_each_by_itself() -> None:
     # GIVEN a run without IMU samples for 5 s
     run = draw(Scenario("gap", rate=100.0, duration=60.0), 2)

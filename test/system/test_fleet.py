@@ -81,6 +81,7 @@ def test_bags_of_one_name_are_refused(flights_dir: Path, tmp_path: Path) -> None
         batch.find_jobs([flights_dir, other], tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_fleet_is_replayed_resumed_and_evaluated(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +126,7 @@ def test_a_fleet_is_replayed_resumed_and_evaluated(
     assert "2 of 2 bags were finished before" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_strangers_file_is_not_replaced(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

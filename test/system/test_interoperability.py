@@ -63,6 +63,7 @@ def counts(bag: Path) -> Counter[str]:
         return Counter({topic: reader.count(topic) for topic in reader.topics})
 
 
+@pytest.mark.slow
 def test_rosbags_reads_what_ins_replay_writes_and_agrees_with_ins_evaluate(
     estimate: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

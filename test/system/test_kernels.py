@@ -46,6 +46,7 @@ def compilations() -> Counter[str]:
     )
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     """GIVEN all kernels WHEN a flight with everything in it is smoothed THEN none is added."""
     kernels.prepare(parts=kernels.OFFLINE)

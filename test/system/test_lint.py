@@ -8,6 +8,7 @@ NOT_INSTALLED = ("test", "tools")
 LONGEST = 110  # columns, as in setup.cfg
 
 
+@pytest.mark.slow
 def test_flake8() -> None:
     flake8 = pytest.importorskip("ament_flake8.main", reason="ament_flake8 comes with ROS only")
 
@@ -29,6 +30,7 @@ def test_lines_of_what_is_not_installed() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_pep257() -> None:
     pep257 = pytest.importorskip("ament_pep257.main", reason="ament_pep257 comes with ROS only")
     options = ["--convention", "numpy", "--add-ignore", "D105", "D200", "D401", "--"]

@@ -115,7 +115,8 @@ def test_everything_arrives_and_everything_that_comes_back_is_recorded(
     assert np.median(latency) < 0.05  # milliseconds, but for a busy machine
 
 
-@pytest.mark.parametrize("rate", [pytest.param(0.5, marks=pytest.mark.slow), 4.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.5, 4.0])
 def test_the_rate_is_held(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path, rate: float
 ) -> None:

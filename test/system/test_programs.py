@@ -210,6 +210,7 @@ def test_a_conversion_or_simulation_replaces_bags_only(
     assert (tmp_path / name).read_text() == "a,b\n1,2\n"
 
 
+@pytest.mark.slow
 def test_a_replay_that_never_starts_leaves_nothing_in_the_way(
     flight: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

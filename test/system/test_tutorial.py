@@ -7,6 +7,7 @@ import pytest
 from tools import tutorial
 
 
+@pytest.mark.slow
 def test_the_tutorial_shows_what_is_printed_with_its_calibration(
     flights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,7 @@ def test_failing_before_the_first_message_leaves_nothing(tmp_path: Path, name: s
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
     """The signal arrives while messages are serialised, gathered and flushed."""
     script = tmp_path / "record.py"

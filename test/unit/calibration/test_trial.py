@@ -35,6 +35,7 @@ def trial(bag: Path, **values: Any) -> Trial:
     return run_trial(bag, {**parameters.defaults(), **values}, TOPICS)
 
 
+@pytest.mark.slow
 def test_withheld_fixes_are_met_with_the_right_parameters_and_missed_with_wrong_ones(
     bag: Path,
 ) -> None:

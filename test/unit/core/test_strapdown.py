@@ -169,7 +169,12 @@ FLIGHTS = {
         ("airliner", 200.0, Errors(0.038, 1.2e-4, 5.0e-8)),
         ("quadrotor", 200.0, Errors(0.43, 1.8e-3, 1.4e-5)),
         ("vibrating quadrotor", 200.0, Errors(355.0, 1.8, 2.5e-3)),
-        ("vibrating quadrotor", 1000.0, Errors(14.6, 0.071, 1.1e-4)),
+        pytest.param(
+            "vibrating quadrotor",
+            1000.0,
+            Errors(14.6, 0.071, 1.1e-4),
+            marks=pytest.mark.slow,
+        ),
         ("rolling", 200.0, Errors(4.1, 0.015, 4.2e-8)),
     ],
 )

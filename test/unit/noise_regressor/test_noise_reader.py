@@ -537,7 +537,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("content", [None, b"no model\n" * 1000])
+@pytest.mark.parametrize(
+    "content", [pytest.param(None, marks=pytest.mark.slow), b"no model\n" * 1000]
+)
 def test_a_replay_goes_on_without_its_model_and_says_so(
     recording: Path, tmp_path: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]
 ) -> None:

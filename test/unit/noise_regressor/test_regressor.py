@@ -315,6 +315,7 @@ def stamped(rate=200.0, count=200, seed=0):
     return t_ns, white(0.01, seed=seed, window=count).T
 
 
+@pytest.mark.slow
 def test_a_good_window_has_no_fault():
     t_ns, readings = stamped()
     assert find_fault(t_ns, readings, RATES) is None

@@ -59,6 +59,7 @@ def flown():
     return np.array(t), np.array(in_map), np.array(in_odom)
 
 
+@pytest.mark.slow
 def test_no_step_is_longer_than_speed_times_time(flown) -> None:
     t, in_map, in_odom = flown
     steps = np.linalg.norm(np.diff(in_odom[:, :3], axis=0), axis=1)

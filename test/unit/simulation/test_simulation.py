@@ -413,6 +413,7 @@ def xyz(vectors: list[object]) -> np.ndarray:
     return np.array([[v.x, v.y, v.z] for v in vectors])  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_default_bag_is_the_papers_table_1(tmp_path: Path) -> None:
     bag = run(tmp_path / "bag")
     imu_t, imu_log, imu = rows(bag, "/imu/data")
