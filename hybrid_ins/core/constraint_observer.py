@@ -7,6 +7,9 @@ whose nose and point without slip are estimated along the way, and that of one w
 What is predicted before each observation counts, so that a nose fitted to one straight leg proves
 nothing.
 
+The constraint is proven with the nominal slip, and disproven with that which the motion shows, to a
+limit: a rough road is no ice, and a boat that hardly drifts is no car.
+
 References
 ----------
 .. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
@@ -41,6 +44,7 @@ TURNED = 2.0 * math.pi  # rad that the vehicle must have turned by: a straight l
 KNOWN = math.radians(1.0)  # σ of the nose: a filter that knows little agrees with anything
 REPEATED = 2.0  # factor on that angle each time that the constraint was disproven
 MOST_TURNED = 8.0 * TURNED  # a day has many disproofs, each of some seconds
+LARGEST_SLIP = 2.0  # of the nominal σ, with which a vehicle on wheels is not contradicted
 OUTLIER = 16.0  # NIS of an observation that teaches nothing about the nose
 
 
@@ -85,7 +89,7 @@ class ConstraintObserver:
     evidence : float
         Logarithm of the likelihood ratio over the last minutes [nats]; positive for the constraint.
     recent : float
-        The same over the last seconds.
+        The same over the last seconds, with the slip that was shown.
     turned : float
         Angle turned by while it held [rad].
     slip : SlipEstimator
@@ -127,26 +131,29 @@ class ConstraintObserver:
         z, J, state, speed = self._innovation(nav, rate_b)
         if abs(speed) < MIN_SPEED:
             return
-        S = state + J @ self._P @ J.T
-        held, nis = _log_density(z, S + self._slip)
+        S, slip = state + J @ self._P @ J.T, self._slip
+        held, _ = _log_density(z, S + np.diag(self._settings.std**2))
+        slipping, nis = _log_density(z, S + slip)
         free, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
         share = min(interval / EVIDENCE_TIME, 1.0)
-        gain = share * (held - free)
+        gains = share * (np.array([held, slipping]) - free)
         if fused:
-            gain = min(gain, 0.0)
+            gains = np.minimum(gains, 0.0)
         else:
             self.slip.observe(z, S, share, math.exp(-interval / MEMORY))
-        self.evidence = _faded(self.evidence, gain, interval / MEMORY)
-        self.recent = _faded(self.recent, gain, interval / RECENT)
+        self.evidence = _faded(self.evidence, float(gains[0]), interval / MEMORY)
+        self.recent = _faded(self.recent, float(gains[1]), interval / RECENT)
         if nis < OUTLIER and not fused:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
             R = inflated(state, STATE_TIME, interval)
-            self._learn(z, J, R + inflated(self._slip, SLIP_TIME, interval))
+            self._learn(z, J, R + inflated(slip, SLIP_TIME, interval))
         self._decide()
 
     @property
     def _slip(self) -> Array:
-        return np.diag(self._settings.std**2)
+        """Covariance of slip, (2, 2), that does not contradict wheels: the nominal one, or more."""
+        nominal = np.diag(self._settings.std**2)
+        return np.clip(self.slip.covariance, nominal, LARGEST_SLIP**2 * nominal)
 
     def measurement(
         self, t_ns: int, nav: Array, rate_b: Array, interval: float, slip: Array

@@ -126,6 +126,34 @@ def test_constraint_ends_soon_when_it_is_broken_and_comes_back(assumed: bool) ->
     assert observer.holds
 
 
+def test_a_rough_road_does_not_disprove_wheels_and_ice_does() -> None:
+    """GIVEN a nominal slip of 0.1 m/s WHEN the axle moves by 0.18, 0.25, then by 1 m/s."""
+    observer = new_observer()
+    car(observer, 120.0, 1, slip=0.18)
+
+    for seed in range(2, 12):
+        car(observer, 60.0, seed, slip=0.25)
+        assert observer.holds
+    car(observer, 20.0, 12, slip=1.0)
+    assert not observer.holds
+    car(observer, 300.0, 13, slip=1.0)
+    assert not observer.holds
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_a_boat_that_hardly_drifts_proves_no_wheels(seed: int) -> None:
+    """It sways by 0.2 m/s and heaves by 0.35: more than a nominal car, less than `FREE_ANGLE`."""
+    observer = new_observer()
+    rng = np.random.default_rng(seed)
+    for k in range(900):
+        rate = np.array([0.0, 0.0, 0.3 * np.sin(0.1 * k)])
+        across = [0.2 * np.sin(0.09 * k), 0.5 * np.sin(0.7 * k)] + 0.05 * rng.standard_normal(2)
+        nav = flat_state(np.array([5.0, *across]), np.zeros(3), rate, std=0.02)
+        nav[BIAS_G] = 0.0
+        observer.observe(nav, rate, INTERVAL, fused=False)
+        assert not observer.holds
+
+
 def test_a_day_of_skids_does_not_put_the_constraint_out_of_reach() -> None:
     """GIVEN ten disproofs WHEN the car rolls for ten minutes THEN the constraint is shown."""
     observer = new_observer()
