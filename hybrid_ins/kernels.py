@@ -193,7 +193,23 @@ def _compile_filter() -> None:
     position_scatter.residual_variance(nav[COVARIANCE], z, H, np.eye(3), 1.0)
     position_scatter.change_slow_error(nav, np.zeros(3), 0.0)
     clock = clock_offset.ClockOffsetObserver(0.1).values
-    fix_update.fuse_ordinary_fix(nav, z, H, np.eye(3), True, clock, 0.0, 0.0)
+    fix_update.fuse_ordinary_fix(
+        nav,
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(3),
+        True,
+        1.0,
+        np.zeros(3),
+        0.0,
+        False,
+        1.0,
+        clock,
+        0.0,
+        0.0,
+        np.empty(0),
+        np.zeros(fix_update.N_RESULT),
+    )
 
 
 def _compile_output() -> None:

@@ -105,7 +105,7 @@ class ClockOffsetObserver:
     @property
     def residual(self) -> float:
         """Offset still to be added to the stamps of fixes, by the innovations alone [s]."""
-        return float(self.values[RESIDUAL])
+        return self.values.item(RESIDUAL)
 
     @property
     def drift(self) -> float:
@@ -115,8 +115,9 @@ class ClockOffsetObserver:
     @property
     def sigma(self) -> float:
         """Standard deviation of `residual` [s]."""
-        _, _, variance, _, _, scale = self.values[:6].tolist()
-        return MARGIN * math.sqrt(variance * max(scale, 1.0))
+        return MARGIN * math.sqrt(
+            self.values.item(P_OFFSET) * max(self.values.item(NIS_SCALE), 1.0)
+        )
 
     @property
     def missing(self) -> tuple[float, float]:

@@ -56,9 +56,10 @@ class FilterNoise:
         self._restarted = False
 
     def __copy__(self) -> FilterNoise:
-        twin = FilterNoise(copy.copy(self.model), self.process, copy.copy(self.factors))
-        twin.unclaimed_std, twin.excess = self.unclaimed_std, self.excess
-        twin._restarted = self._restarted
+        factors = None if self.factors is None else self.factors.__copy__()
+        twin = object.__new__(FilterNoise)
+        twin.__dict__.update(self.__dict__)
+        twin.model, twin.factors = copy.copy(self.model), factors
         return twin
 
     @property
@@ -78,10 +79,9 @@ class FilterNoise:
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
-        levels = self.model.levels()
-        if self.factors is None:
+        levels, (a, g) = self.model.levels(), self.imu_factors
+        if a == 1.0 and g == 1.0:
             return levels
-        a, g = self.factors.imu_factors
         return np.asarray(levels * np.array((a, a, a, g, g, g)))
 
     def psd(self) -> Array:

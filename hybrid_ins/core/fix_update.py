@@ -1,10 +1,9 @@
 """
 The measurement update by an ordinary fix, in one compiled call.
 
-Nearly all fixes agree with the state so well that the gate gives them their full weight, and
-nothing is inflated or rejected. `fuse_ordinary_fix` does with such a fix what
-`measurement_update.MeasurementUpdate` does with any: that is the readable form, and both give the
-same.
+Nearly all fixes agree with the state so well that nothing is inflated or rejected.
+`fuse_ordinary_fix` does with such a fix what `measurement_update.MeasurementUpdate` does with any:
+that is the readable form, and both give the same.
 """
 
 from __future__ import annotations
@@ -13,14 +12,54 @@ import numpy as np
 
 from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD, observe, sensitivities
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.linalg import factorise, whiten
-from hybrid_ins.core.state import CLOCK_VARIANCE, COVARIANCE, N_ERROR, SENSITIVITY, VELOCITY
+from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
+from hybrid_ins.core.state import (
+    CLOCK_VARIANCE,
+    COVARIANCE,
+    DIAGONAL,
+    N_ERROR,
+    QUAT,
+    SENSITIVITY,
+    SLOW_VARIANCE,
+    VELOCITY,
+)
+from hybrid_ins.core.strapdown import rotation
+
+FULL_WEIGHT = np.array([ORDINARY.get(m, 0.0) for m in range(4)])  # largest NIS, by components
+
+# What is returned, as one flat vector.
+NIS, LOG_DET, WEIGHT, FOUND = 0, 1, 2, 3
+SIGMA, INNOVATION, CORRECTION = slice(4, 7), slice(7, 10), slice(10, 10 + N_ERROR)
+ATTITUDE = slice(CORRECTION.stop, CORRECTION.stop + 9)
+S_MATRIX = slice(ATTITUDE.stop, ATTITUDE.stop + 9)
+H_MATRIX = slice(S_MATRIX.stop, S_MATRIX.stop + 3 * N_ERROR)
+K_MATRIX = slice(H_MATRIX.stop, H_MATRIX.stop + 3 * N_ERROR)
+N_RESULT = K_MATRIX.stop
 
 
 @kernel()
-def fuse_ordinary_fix(nav, z, H, R, is_position, clock, interval, limit):  # type: ignore[no-untyped-def]
+def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
+    nav,
+    measured,
+    lever_b,
+    covariance_n,
+    is_position,
+    share,
+    slow_variance,
+    slow_interval,
+    learning,
+    fix_factor,
+    clock,
+    interval,
+    limit,
+    before,
+    result,
+):
     """
     Fuse a fix if its NIS is at most ``limit``; otherwise change nothing.
 
@@ -28,44 +67,63 @@ def fuse_ordinary_fix(nav, z, H, R, is_position, clock, interval, limit):  # typ
     ----------
     nav : ndarray, shape (N_FLAT,)
         Flat state with nothing pending; overwritten.
-    z, H, R : ndarray, shape (m,), (m, 15), (m, m)
-        Innovation, measurement matrix, and measurement covariance; R is overwritten.
+    measured, lever_b, covariance_n : ndarray, shape (3,), (3,), (m, m)
+        See `measurements.PositionFix` and `VelocityFix`; m is 2 where the fix lacks the vertical.
     is_position : bool
         Otherwise the fix is a velocity.
+    share, slow_variance, slow_interval : float, ndarray, shape (m,), float
+        See `position_scatter.Split`; 1 and 0 of a velocity.
+    learning : bool
+        The scatter of positions is learned.
+    fix_factor : float
+        On the covariance of fixes.
     clock : ndarray, shape (N_CLOCK,)
         `ClockOffsetObserver.values`; overwritten.
     interval : float
         Time since the last correction by a fix that ``clock`` contains [s].
     limit : float
         `Gate.ordinary_limit`.
+    before : ndarray, shape (N_FLAT,) or (0,)
+        Written: the state that the fix was compared with.
+    result : ndarray, shape (N_RESULT,)
+        Written: NIS and log det of the innovation, and the standard deviations used for the fix,
+        all with the variance of the clock offset considered; the fix's weight; the
+        `residual_variance`; innovation, correction, C_nb after it, S, H and gain.
 
     Returns
     -------
-    fused : bool
-    nis, log_det : float
-        Of the innovation, with the variance of the clock offset considered.
-    sigma : ndarray, shape (m,)
-        Standard deviations used for the fix, likewise.
-    S : ndarray, shape (m, m)
-        Covariance of the innovation, without it.
-    dx, K : ndarray, shape (15,), (15, m)
-        Correction and gain.
+    bool
+        The fix was fused.
     """
-    m, variance = len(z), nav[CLOCK_VARIANCE]
+    m, variance = len(covariance_n), nav[CLOCK_VARIANCE]
     finite = limit >= 0.0
     for i in range(len(nav)):
         finite = finite and np.isfinite(nav[i])
     if not finite:
-        return False, 0.0, 0.0, z, R, z, H
+        return False
+    if is_position:
+        z, H = position_model(nav, measured, lever_b)
+    else:
+        z, H = velocity_model(nav, measured, lever_b)
+    z, H = z[:m], H[:m]
+    packed, white, R = nav[COVARIANCE], np.empty((m, m)), np.empty((m, m))
+    diagonal, slow = np.empty(m), nav[SLOW_VARIANCE].copy()
+    for a in range(m):
+        diagonal[a] = packed[DIAGONAL[a]]
+        for b in range(m):
+            white[a, b] = share * covariance_n[a, b]
+            R[a, b] = white[a, b] * fix_factor
+    if is_position:
+        change_slow_error(nav, slow_variance, slow_interval)
     h, change = sensitivities(nav, clock, interval, H)
     if variance > 0.0 and not is_position:
         for a in range(m):
             for b in range(m):
                 R[a, b] += VELOCITY_AGE_STD**2 * change[a] * change[b]
-    S, _ = innovation_covariance(nav[COVARIANCE], H, R)
-    root, sigma = np.empty((m, m)), np.empty(m)
+    S, _ = innovation_covariance(packed, H, R)
+    root = np.empty((m, m))
     for a in range(m):
-        sigma[a] = np.sqrt(R[a, a] + variance * h[a] * h[a])
+        result[SIGMA][a] = np.sqrt(R[a, a] + variance * h[a] * h[a])
         for b in range(m):
             root[a, b] = S[a, b] + variance * h[a] * h[b]
     factorise(root)
@@ -73,12 +131,30 @@ def fuse_ordinary_fix(nav, z, H, R, is_position, clock, interval, limit):  # typ
     for a in range(m):
         log_det += 2.0 * np.log(root[a, a])
     if not nis <= limit:
-        return False, nis, log_det, sigma, S, z, H
+        for a in range(m):
+            packed[DIAGONAL[a]], nav[SLOW_VARIANCE][a] = diagonal[a], slow[a]
+        return False
+    if is_position and learning:
+        result[FOUND] = share * residual_variance(packed, z, H, white, fix_factor)
+    weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
+    for i in range(len(before)):
+        before[i] = nav[i]
     velocity_n = nav[VELOCITY].copy()
-    dx, K = update(nav, z, H, R)
+    dx, K = update(nav, z, H, R / weight)
     s = nav[SENSITIVITY]
     for i in range(N_ERROR):
         for a in range(m):
             s[i] -= K[i, a] * h[a]
+    result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
+    rotation(nav[QUAT], result[ATTITUDE])
+    for i in range(N_ERROR):
+        result[CORRECTION][i] = dx[i]
+        for a in range(m):
+            result[H_MATRIX][N_ERROR * a + i], result[K_MATRIX][m * i + a] = H[a, i], K[i, a]
+    for a in range(m):
+        result[INNOVATION][a] = z[a]
+        for b in range(m):
+            result[S_MATRIX][m * a + b] = S[a, b]
+            S[a, b] += (1.0 / weight - 1.0) * R[a, b]
     observe(clock, interval, velocity_n, dx, z, h, S, is_position)
-    return True, nis, log_det, sigma, S, dx, K
+    return True

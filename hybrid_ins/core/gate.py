@@ -134,14 +134,13 @@ class Gate(ShallowCopy):
 
     def ordinary_limit(self, kind: str, components: int) -> float:
         """
-        Return the NIS up to which `judge` accepts a GNSS measurement with its full weight.
+        Return the NIS up to which `judge` accepts a GNSS measurement by its NIS alone.
 
         -1 after rejections and large innovations: more than its NIS decides then.
         """
-        counted = kind in self._rejections or kind in self._scales
-        if counted or components not in self._thresholds:
+        if kind in self._rejections or kind in self._scales:
             return -1.0
-        return min(self._thresholds[components], ORDINARY[components])
+        return self._thresholds.get(components, -1.0)
 
     def judge(
         self,

@@ -23,7 +23,17 @@ from hybrid_ins.core.events import (
     ScatterInForce,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.fix_update import fuse_ordinary_fix
+from hybrid_ins.core.fix_update import (
+    ATTITUDE,
+    CORRECTION,
+    H_MATRIX,
+    INNOVATION,
+    K_MATRIX,
+    N_RESULT,
+    S_MATRIX,
+    SIGMA,
+    fuse_ordinary_fix,
+)
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
@@ -50,6 +60,11 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 Model = tuple[Array, Array, Array]  # z, H, R
+Fused = tuple[
+    Verdict, bool, float | None
+]  # whether the noise moved the state; see `_split_position`
+
+NO_SLOW_ERROR = np.empty(0)
 
 
 class Outcome(NamedTuple):
@@ -97,10 +112,10 @@ class MeasurementUpdate:
 
     def __copy__(self) -> MeasurementUpdate:
         return MeasurementUpdate(
-            copy.copy(self.noise),
-            copy.copy(self.gate),
-            copy.copy(self.clock),
-            copy.copy(self.scatter),
+            self.noise.__copy__(),
+            self.gate.__copy__(),
+            self.clock.__copy__(),
+            self.scatter.__copy__(),
             self._corrected_ns,
         )
 
@@ -132,17 +147,16 @@ class MeasurementUpdate:
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
         else:
-            model = event.linearise(nav)
             if isinstance(event, PositionFix):
                 noise = self.noise
-                split = self.scatter.split(model[2], event.t_ns, noise.slow_std, noise.fix_factor)
+                claimed = event.claimed
+                split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
                 noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
-                model, found = self._split_position(nav, model, split)
-            fused = self._fuse_ordinary(nav, event, model, age) if event.sensor == GNSS else None
+            fused = self._fuse_ordinary(nav, event, split, age)
             psd_changed = fused is None or self.noise.uses_corrections
-            verdict, moved = fused or self._fuse(nav, event, model, age)
+            verdict, moved, found = fused or self._fuse(nav, event, split, age)
             if verdict.accepted and split is not None:
-                self.scatter.learn(found, len(model[0]), event.t_ns)
+                self.scatter.learn(found, len(verdict.sigma), event.t_ns)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
@@ -159,52 +173,85 @@ class MeasurementUpdate:
         return (z, H, white), split.share * found
 
     def _fuse_ordinary(
-        self, nav: Array, fix: Measurement, model: Model, age: float
-    ) -> tuple[Verdict, bool] | None:
-        """Do what `_fuse` does with a fix that has its full weight; None, if this one has not."""
-        z, H, R = model
-        limit = self.gate.ordinary_limit(fix.kind, len(z))
-        uses_corrections, clock = self.noise.uses_corrections, self.clock
-        before = nav.copy() if uses_corrections else nav
-        fused, nis, log_det, sigma, S, dx, K = fuse_ordinary_fix(
+        self, nav: Array, fix: Measurement, split: Split | None, age: float
+    ) -> Fused | None:
+        """Do what `_fuse` does with a fix that its NIS alone decides on; None for others."""
+        if isinstance(fix, PositionFix):
+            assert split is not None
+            measured, share, slow, slow_interval = (
+                fix.lla,
+                split.share,
+                split.slow_variance,
+                split.interval,
+            )
+        elif isinstance(fix, VelocityFix):
+            measured, share, slow, slow_interval = fix.velocity_n, 1.0, NO_SLOW_ERROR, 0.0
+        else:
+            return None
+        claimed = fix.claimed
+        m, noise, clock = len(claimed), self.noise, self.clock
+        uses_corrections = noise.uses_corrections
+        before = np.empty(len(nav) if uses_corrections else 0)
+        result = np.empty(N_RESULT)
+        if not fuse_ordinary_fix(
             nav,
-            z,
-            H,
-            R * self.noise.fix_factor,
-            fix.kind == PositionFix.kind,
+            measured,
+            fix.lever_b,
+            claimed,
+            split is not None,
+            share,
+            slow,
+            slow_interval,
+            self.scatter.learning,
+            noise.fix_factor,
             clock.values,
             clock.interval(fix.t_ns),
-            limit,
-        )
-        if not fused:
+            self.gate.ordinary_limit(fix.kind, m),
+            before,
+            result,
+        ):
             return None
         clock.on_corrected(fix.t_ns)
         interval = (fix.t_ns - self._corrected_ns) * 1e-9
         self._corrected_ns = fix.t_ns
-        threshold = self.gate.threshold(len(z))
-        verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det)
-        if not uses_corrections:
-            return verdict, False
-        C_nb = matrix_from_quat(nav[QUAT])
-        return verdict, self._learn_noise(
-            nav, Correction(fix.t_ns, z, S, H, K, dx, C_nb, interval, before, True)
+        nis, log_det, weight, found = result[: SIGMA.start].tolist()
+        threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
+        verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
+        moved = uses_corrections and self._learn_noise(
+            nav,
+            Correction(
+                fix.t_ns,
+                result[INNOVATION][:m],
+                result[S_MATRIX][: m * m].reshape(m, m),
+                result[H_MATRIX][: m * N_ERROR].reshape(m, N_ERROR),
+                result[K_MATRIX][: m * N_ERROR].reshape(N_ERROR, m),
+                result[CORRECTION],
+                result[ATTITUDE].reshape(3, 3),
+                interval,
+                before,
+                True,
+                weight=weight,
+            ),
         )
+        return verdict, moved, found if self.scatter.learning else None
 
     def _fuse(
         self,
         nav: Array,
         measurement: Measurement,
-        model: Model,
+        split: Split | None,
         age: float,
-    ) -> tuple[Verdict, bool]:
+    ) -> Fused:
         """
         Decide on a measurement, fuse it, and let the noise and the clock learn from it.
 
-        ``model`` is `Measurement.linearise` at ``nav``. Returns the verdict, and whether the noise
-        moved the state, too.
+        ``split`` is that of a position's covariance.
         """
+        model, found = measurement.linearise(nav), None
+        if split is not None:
+            model, found = self._split_position(nav, model, split)
         if not np.isfinite(nav).all():
-            return Verdict.rejected(measurement, "the state is lost"), False
+            return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
@@ -243,16 +290,16 @@ class MeasurementUpdate:
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
-            return verdict, False
+            return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
         if verdict.inflated or verdict.jump:
-            return verdict, False
+            return verdict, False, found
         informs = measurement.kind == PositionFix.kind
         self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R, informs)
-        return verdict, self._learn_noise(nav, correction)
+        return verdict, self._learn_noise(nav, correction), found
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let the noise learn from a correction; it may say where the state belongs."""

@@ -151,6 +151,12 @@ class PositionFix:
     kind: ClassVar[str] = "position"
     sensor: ClassVar[str] = GNSS
 
+    @property
+    def claimed(self) -> Array:
+        """R, (3, 3), or (2, 2) where the vertical component is not given."""
+        R = self.covariance_n
+        return np.ascontiguousarray(R if math.isfinite(self.lla[2]) else R[:2, :2])
+
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
         z, H = position_model(nav, self.lla, self.lever_b)
@@ -169,6 +175,12 @@ class VelocityFix:
 
     kind: ClassVar[str] = "velocity"
     sensor: ClassVar[str] = GNSS
+
+    @property
+    def claimed(self) -> Array:
+        """R, (3, 3), or (2, 2) where the vertical component is not given."""
+        R = self.covariance_n
+        return np.ascontiguousarray(R if math.isfinite(self.velocity_n[2]) else R[:2, :2])
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""

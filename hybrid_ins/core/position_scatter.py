@@ -105,7 +105,7 @@ class PositionScatter(ShallowCopy):
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
         share = self.learned if self.in_force else self._given
-        horizontal = 0.5 * (claimed[0, 0] + claimed[1, 1])
+        horizontal = 0.5 * (claimed.item(0, 0) + claimed.item(1, 1))
         if share >= 1.0:
             return share if horizontal >= SMALLEST_STD**2 else self._largest_expected
         return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
@@ -134,11 +134,10 @@ class PositionScatter(ShallowCopy):
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
         if share > self._largest_expected:
             share = max(share / fix_factor, self._largest_expected)
-        variance = claimed.diagonal()
-        slow = max(1.0 - share, 0.0) * variance
+        slow = max(1.0 - share, 0.0) * claimed.diagonal()
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
-        unclaimed = slow_std**2 > variance[:2].mean()
+        unclaimed = slow_std**2 > 0.5 * (claimed.item(0, 0) + claimed.item(1, 1))
         excess = max(share / self._largest_expected, 1.0)
         return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
 
