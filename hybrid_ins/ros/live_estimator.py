@@ -53,6 +53,7 @@ from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.geographic_services import GeographicServices
 from hybrid_ins.ros.gps_fix_input import ABSENT, GpsFixInput
+from hybrid_ins.ros.memory import HypothesesHeap
 from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
 from hybrid_ins.ros.node_arguments import reason_of
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
@@ -140,6 +141,7 @@ class LiveEstimator:
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
         self._crowded = CrowdedTopics(node, self.estimator.inputs)
         self._last_imu = time.monotonic()
+        self._heap = HypothesesHeap()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
         self._gps_fix = GpsFixInput(self.estimator, new_message)
         self._geographic: GeographicServices | None = None
@@ -338,6 +340,7 @@ class LiveEstimator:
         self._topics.find_subscribers()
         self._crowded.find()
         self._warm_start.save_where_due()
+        self._heap.update(len(self.estimator.navigator.phases.filters))
         if self._geographic is not None:
             self._geographic.offer()
         silent = time.monotonic() - self._last_imu
