@@ -257,8 +257,7 @@ class LiveEstimator:
         callback: Callable[[Any], None],
         decode: Callable[[bytes], Any] | None = None,
     ) -> None:
-        decode = decode or (lambda data: deserialize_message(data, kind))
-        node = self._node
+        node, decode = self._node, decode or (lambda data: deserialize_message(data, kind))
 
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
