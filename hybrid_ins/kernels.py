@@ -233,11 +233,13 @@ def _compile_output() -> None:
         0.1,
         nav,
         np.ones(12),
-        z,
         H,
         turn,
         np.zeros(N_ERROR),
-        1.0,
+        z,
+        H,
+        np.zeros(N_ERROR),
+        np.eye(N_ERROR),
         True,
     )
     clock = np.ones(clock_offset.N_CLOCK)

@@ -13,7 +13,7 @@ import numpy as np
 from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD, observe, sensitivities
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
-from hybrid_ins.core.iterated_update import update
+from hybrid_ins.core.iterated_update import update_and_linearise
 from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
@@ -39,7 +39,11 @@ ATTITUDE = slice(CORRECTION.stop, CORRECTION.stop + 9)
 S_MATRIX = slice(ATTITUDE.stop, ATTITUDE.stop + 9)
 H_MATRIX = slice(S_MATRIX.stop, S_MATRIX.stop + 3 * N_ERROR)
 K_MATRIX = slice(H_MATRIX.stop, H_MATRIX.stop + 3 * N_ERROR)
-N_RESULT = K_MATRIX.stop
+LINEAR_Z = slice(K_MATRIX.stop, K_MATRIX.stop + 3)
+LINEAR_H = slice(LINEAR_Z.stop, LINEAR_Z.stop + 3 * N_ERROR)
+LINEAR_X = slice(LINEAR_H.stop, LINEAR_H.stop + N_ERROR)
+LINEAR_G = slice(LINEAR_X.stop, LINEAR_X.stop + N_ERROR * N_ERROR)
+N_RESULT = LINEAR_G.stop
 
 
 @kernel()
@@ -88,7 +92,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     result : ndarray, shape (N_RESULT,)
         Written: NIS and log det of the innovation, and the standard deviations used for the fix,
         all with the variance of the clock offset considered; the fix's weight; the
-        `residual_variance`; innovation, correction, C_nb after it, S, H and gain.
+        `residual_variance`; innovation, correction, C_nb after it, S, H and gain; and the
+        `iterated_update.linearisation`.
 
     Returns
     -------
@@ -140,7 +145,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     for i in range(len(before)):
         before[i] = nav[i]
     velocity_n = nav[VELOCITY].copy()
-    dx, K = update(nav, z, H, R / weight)
+    dx, K, z_x, H_x, x, G = update_and_linearise(nav, z, H, R / weight)
     s = nav[SENSITIVITY]
     for i in range(N_ERROR):
         for a in range(m):
@@ -151,8 +156,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         result[CORRECTION][i] = dx[i]
         for a in range(m):
             result[H_MATRIX][N_ERROR * a + i], result[K_MATRIX][m * i + a] = H[a, i], K[i, a]
+            result[LINEAR_H][N_ERROR * a + i] = H_x[a, i]
+        result[LINEAR_X][i] = x[i]
+        for j in range(N_ERROR):
+            result[LINEAR_G][N_ERROR * i + j] = G[i, j]
     for a in range(m):
-        result[INNOVATION][a] = z[a]
+        result[INNOVATION][a], result[LINEAR_Z][a] = z[a], z_x[a]
         for b in range(m):
             result[S_MATRIX][m * a + b] = S[a, b]
             S[a, b] += (1.0 / weight - 1.0) * R[a, b]

@@ -47,11 +47,18 @@ def update(nav, z, H, R):  # type: ignore[no-untyped-def]
     dx, K : ndarray, shape (15,), (15, m)
         The correction that was applied and the gain it came from, eq. (10)-(11) of [3]_.
     """
+    dx, K, _, _, _, _ = update_and_linearise(nav, z, H, R)
+    return dx, K
+
+
+@register_jitable
+def update_and_linearise(nav, z, H, R):  # type: ignore[no-untyped-def]
+    """Return what `update` returns, then what `linearisation` does at the state before."""
     dx, K = gain(nav[COVARIANCE], z, H, R)
     if is_nonlinear(nav[COVARIANCE], dx, H, R):
         return _update_by_iteration(nav, z, H, R, dx, K)
     apply(nav, dx, K, H, R)
-    return dx, K
+    return dx, K, z, H, dx, np.eye(N_ERROR)
 
 
 @kernel()
@@ -79,11 +86,7 @@ def linearisation(packed, z, H, R):  # type: ignore[no-untyped-def]
     if is_nonlinear(packed, x, H, R):
         converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, x, K)
         if converged:
-            for i in range(N_ERROR):  # a product of matrices would load SciPy
-                x[i] = 0.0
-                for a in range(len(z)):
-                    x[i] += K_x[i, a] * z_x[a]
-            return z_x, H_x, x, G
+            return z_x, H_x, _product(K_x, z_x), G
     return z.copy(), H.copy(), x, np.eye(N_ERROR)
 
 
@@ -150,12 +153,12 @@ def iterate(packed, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _update_by_iteration(nav, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
-    """`update` by iteration; by the linear correction, given as well, where that diverges."""
+    """Iterate; use the linear correction, given as well, where that diverges."""
     m, packed = len(z), nav[COVARIANCE]
-    converged, K, _, H_x, error, G = iterate(packed, z, H, R, linear, K_linear)
+    converged, K, z_x, H_x, error, G = iterate(packed, z, H, R, linear, K_linear)
     if not converged:
         apply(nav, linear, K_linear, H, R)
-        return linear, K_linear
+        return linear, K_linear, z, H, linear, np.eye(N_ERROR)
     joseph_update(packed, K, H_x, R)
     # P now refers to the new estimate, about which (δp, δv, ε) and its transform are the same.
     P, GP, K_mapped = np.empty((N_ERROR, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), np.zeros_like(K)
@@ -174,7 +177,17 @@ def _update_by_iteration(nav, z, H, R, linear, K_linear):  # type: ignore[no-unt
                 packed[at] += GP[i, k] * G[j, k]
             at += 1
     inject(nav, error)
-    return error, K_mapped
+    return error, K_mapped, z_x, H_x, _product(K, z_x), G
+
+
+@register_jitable
+def _product(K, z):  # type: ignore[no-untyped-def]
+    """Return K z; a product of matrices would load SciPy."""
+    x = np.zeros(N_ERROR)
+    for i in range(N_ERROR):
+        for a in range(len(z)):
+            x[i] += K[i, a] * z[a]
+    return x
 
 
 @register_jitable

@@ -29,6 +29,10 @@ from hybrid_ins.core.fix_update import (
     H_MATRIX,
     INNOVATION,
     K_MATRIX,
+    LINEAR_G,
+    LINEAR_H,
+    LINEAR_X,
+    LINEAR_Z,
     N_RESULT,
     S_MATRIX,
     SIGMA,
@@ -231,6 +235,12 @@ class MeasurementUpdate:
                 before,
                 True,
                 weight=weight,
+                linear=(
+                    result[LINEAR_Z][:m],
+                    result[LINEAR_H][: m * N_ERROR].reshape(m, N_ERROR),
+                    result[LINEAR_X],
+                    result[LINEAR_G].reshape(N_ERROR, N_ERROR),
+                ),
             ),
         )
         return verdict, moved, found if self.scatter.learning else None
@@ -267,8 +277,9 @@ class MeasurementUpdate:
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
         before = nav.copy()
-        dx, K = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z)))
+        dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
+            linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
@@ -286,6 +297,7 @@ class MeasurementUpdate:
             before,
             verdict.accepted,
             weight=verdict.weight,
+            linear=linear,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

@@ -64,6 +64,8 @@ class Correction:
         The state was changed by other means than measurements since the previous correction.
     weight : float
         With which it was fused: its covariance was divided by that.
+    linear : tuple of ndarray, optional
+        Where the correction was found by iteration, `iterated_update.linearisation`.
     """
 
     t_ns: int
@@ -78,6 +80,7 @@ class Correction:
     fused: bool
     restarted: bool = False
     weight: float = 1.0
+    linear: tuple[Array, Array, Array, Array] | None = None
 
 
 class NoiseModel(Protocol):

@@ -38,7 +38,6 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
@@ -114,7 +113,8 @@ WEIGHTS = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS] = 1.0, 1.0, 1.0, 0.0
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
-_START[PENDING_G] = np.eye(N_ERROR).ravel()
+_IDENTITY = np.eye(N_ERROR)
+_START[PENDING_G] = _IDENTITY.ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +217,10 @@ class NoiseMultipleModelBank(ShallowCopy):
             T,
             correction.nav,
             psd,
-            correction.z,
             correction.H,
             correction.S,
             correction.dx,
-            correction.weight if correction.fused else 0.0,
+            *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
         )
         return bool(have_risen)
@@ -247,7 +246,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
 @kernel(fastmath={"contract"})
 def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses, before, after, values, T, nav, psd, z, H, S, dx, weight, weigh
+    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, weigh
 ):
     """
     Propagate and correct the hypotheses, and weigh them.
@@ -262,10 +261,10 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, z, H, S, dx : ndarray
+    nav, psd, H, S, dx : ndarray
         See `NoiseMultipleModelBank.update`.
-    weight : float
-        With which the measurement was fused; 0 if it was rejected.
+    z_x, H_x, x, G_x : ndarray
+        `iterated_update.linearisation` of the correction.
     weigh : bool
         Otherwise likelihoods are not changed.
 
@@ -274,7 +273,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     bool
         A factor has risen by `CORRECTION_RATIO`.
     """
-    m, G = len(z), values[PENDING_G].reshape(N_ERROR, N_ERROR)
+    m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
     fix_factor = values[FACTORS][2] if weigh else 1.0
     last_C = values[LAST_C].reshape(3, 3)
     F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
@@ -284,9 +283,6 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
             R[a, b] = S[a, b] - R[a, b]
     if H[0, 0] != 0.0:  # a position
         values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
-    z_x, H_x, x, G_x = z, H, dx, np.eye(N_ERROR)
-    if weight > 0.0:
-        z_x, H_x, x, G_x = linearisation(nav[COVARIANCE], z, H, R / weight)
     log_likelihood = np.zeros(before.shape[1])
     factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
     advance(

@@ -19,9 +19,9 @@ from hybrid_ins.core.strapdown import rotation
 N_NAVIGATION = 9  # rows of the error state that are no biases
 OFFSETS = PLACES[-1, -1] + 1  # rows of covariance before the offsets'
 N_ROWS = OFFSETS + N_ERROR
-ROWS = np.arange(N_ERROR)[None, :]
-OFFSET_ROWS = OFFSETS + ROWS
-PADDED = 18  # elements of a row, in groups of six
+HALF_ROWS = np.arange(N_NAVIGATION * N_ERROR).reshape(N_NAVIGATION, N_ERROR)
+OFFSET_ROWS = OFFSETS + np.arange(N_ERROR)[None, :]
+GROUP, PADDED = 6, 18  # elements of a row; more at once are not turned into vector instructions
 
 
 @register_jitable
@@ -92,8 +92,9 @@ def advance(  # type: ignore[no-untyped-def]
     transition, noise = _transition_and_noise(F, T, C, psd)
     _transform(transition, G, estimates, after)
     _add_noise(after, transition, noise, factors, walk, T)
-    PHt, own = np.empty((m * N_ERROR, count)), np.empty((m, count))
-    HPHt, S, white = np.empty((m * m, count)), np.empty((m, m, count)), np.empty((m, count))
+    padded = m + -m % 3
+    PHt, own = np.zeros((padded * N_ERROR, count)), np.empty((m, count))
+    HPHt, S, white = np.empty((m * m, count)), np.empty((m, m, count)), np.zeros((padded, count))
     _innovations(after, z, H, PHt, HPHt, own)
     r_factor, nis, root_det = np.empty(count), np.empty(count), np.empty(count)
     for h in range(count):
@@ -135,17 +136,18 @@ def _transform(transition, G, before, after):  # type: ignore[no-untyped-def]
                 A[i, j] += transition[i, k] * G[k, j]
     values, columns = np.empty((N_NAVIGATION, PADDED)), np.empty((N_NAVIGATION, PADDED), np.int64)
     _write_nonzero(A, values, columns)
-    half = np.empty((n, count))
+    half = np.empty((N_NAVIGATION * n, count))  # A P, row by row
+    for j in range(n):  # a column of P at a time stays in the processor's cache
+        for i in range(N_NAVIGATION):
+            _combine(values, columns, i, PLACES, j, before, half, n * i + j)
     for i in range(N_NAVIGATION):
         _combine(values, columns, i, OFFSET_ROWS, 0, before, after, OFFSETS + i)
-        for j in range(n):
-            _combine(values, columns, i, PLACES, j, before, half, j)
         for j in range(i + 1):
-            _combine(values, columns, j, ROWS, 0, half, after, PLACES[i, j])
+            _combine(values, columns, j, HALF_ROWS, i, half, after, PLACES[i, j])
         for j in range(N_NAVIGATION, n):
-            place = PLACES[i, j]
+            place, row = PLACES[i, j], n * i + j
             for h in range(count):
-                after[place, h] = half[j, h]
+                after[place, h] = half[row, h]
     for row in range(PLACES[N_NAVIGATION, N_NAVIGATION], N_ROWS):
         if row < OFFSETS or row >= OFFSETS + N_NAVIGATION:
             for h in range(count):
@@ -201,7 +203,7 @@ def _whiten(S, z, nis, root_det):  # type: ignore[no-untyped-def]
 
     Writes the square of that, and the root of the determinant of S.
     """
-    m, count = z.shape
+    m, count = S.shape[0], z.shape[1]
     for h in range(count):
         nis[h], root_det[h] = 0.0, 1.0
     for a in range(m):
@@ -227,8 +229,10 @@ def _whiten(S, z, nis, root_det):  # type: ignore[no-untyped-def]
 @register_jitable
 def _correct(after, L, PHt, white, dx):  # type: ignore[no-untyped-def]
     """Update by the innovations; with W = P H' L'^-1, K z = W L^-1 z and P - K H P = P - W W'."""
-    m, count = white.shape
+    m, count = L.shape[0], white.shape[1]
     for a in range(m):
+        for h in range(count):
+            L[a, a, h] = 1.0 / L[a, a, h]
         for i in range(N_ERROR):
             row = N_ERROR * a + i
             for b in range(a):
@@ -236,19 +240,26 @@ def _correct(after, L, PHt, white, dx):  # type: ignore[no-untyped-def]
                 for h in range(count):
                     PHt[row, h] -= L[a, b, h] * PHt[other, h]
             for h in range(count):
-                PHt[row, h] /= L[a, a, h]
+                PHt[row, h] *= L[a, a, h]
     for i in range(N_ERROR):
         offset = OFFSETS + i
         for h in range(count):
             after[offset, h] -= dx[i]
-        for a in range(m):
-            row = N_ERROR * a + i
+        for a in range(0, m, 3):  # three at a time: those beyond m are zero
+            u, v, w = N_ERROR * a + i, N_ERROR * (a + 1) + i, N_ERROR * (a + 2) + i
             for h in range(count):
-                after[offset, h] += PHt[row, h] * white[a, h]
+                after[offset, h] += (
+                    PHt[u, h] * white[a, h]
+                    + PHt[v, h] * white[a + 1, h]
+                    + PHt[w, h] * white[a + 2, h]
+                )
             for j in range(i, N_ERROR):
-                place, other = PLACES[i, j], N_ERROR * a + j
+                place = PLACES[i, j]
+                x, y, z = N_ERROR * a + j, N_ERROR * (a + 1) + j, N_ERROR * (a + 2) + j
                 for h in range(count):
-                    after[place, h] -= PHt[row, h] * PHt[other, h]
+                    after[place, h] -= (
+                        PHt[u, h] * PHt[x, h] + PHt[v, h] * PHt[y, h] + PHt[w, h] * PHt[z, h]
+                    )
 
 
 @register_jitable
@@ -267,24 +278,27 @@ def _write_nonzero(A, values, columns):  # type: ignore[no-untyped-def]
 @register_jitable
 def _combine(values, columns, i, rows, j, source, out, at):  # type: ignore[no-untyped-def]
     """Write row i of a matrix, by `_write_nonzero`, times the rows[j] of ``source`` to out[at]."""
-    for n in range(0, PADDED, 6):  # more rows at once are not turned into vector instructions
+    for n in range(0, PADDED, GROUP):
         if n > 0 and values[i, n] == 0.0:
             break
-        u, v, w = values[i, n], values[i, n + 1], values[i, n + 2]
-        x, y, q = values[i, n + 3], values[i, n + 4], values[i, n + 5]
-        at_u, at_v = rows[j, columns[i, n]], rows[j, columns[i, n + 1]]
-        at_w, at_x = rows[j, columns[i, n + 2]], rows[j, columns[i, n + 3]]
-        at_y, at_q = rows[j, columns[i, n + 4]], rows[j, columns[i, n + 5]]
-        if n == 0:
+        a, b, c = values[i, n], values[i, n + 1], values[i, n + 2]
+        d, e, f = values[i, n + 3], values[i, n + 4], values[i, n + 5]
+        at_a, at_b = rows[j, columns[i, n]], rows[j, columns[i, n + 1]]
+        at_c, at_d = rows[j, columns[i, n + 2]], rows[j, columns[i, n + 3]]
+        at_e, at_f = rows[j, columns[i, n + 4]], rows[j, columns[i, n + 5]]
+        if n > 0:
             for h in range(out.shape[1]):
-                total = u * source[at_u, h] + v * source[at_v, h] + w * source[at_w, h]
-                out[at, h] = total + x * source[at_x, h] + y * source[at_y, h] + q * source[at_q, h]
+                total = a * source[at_a, h] + b * source[at_b, h] + c * source[at_c, h]
+                total += d * source[at_d, h] + e * source[at_e, h] + f * source[at_f, h]
+                out[at, h] += total
+        elif d != 0.0:
+            for h in range(out.shape[1]):
+                total = a * source[at_a, h] + b * source[at_b, h] + c * source[at_c, h]
+                total += d * source[at_d, h] + e * source[at_e, h] + f * source[at_f, h]
+                out[at, h] = total
         else:
             for h in range(out.shape[1]):
-                total = u * source[at_u, h] + v * source[at_v, h] + w * source[at_w, h]
-                out[at, h] += (
-                    total + x * source[at_x, h] + y * source[at_y, h] + q * source[at_q, h]
-                )
+                out[at, h] = a * source[at_a, h] + b * source[at_b, h] + c * source[at_c, h]
 
 
 @register_jitable

@@ -21,36 +21,20 @@ from tools.benchmark.table import Section
 
 REPLAY = "hybrid_ins.cli.replay"
 CALIBRATE = "hybrid_ins.cli.calibrate"
-PARTS = {  # what a function's module belongs to
-    "mcap_file": "bags",
-    "bags": "bags",
-    "wire": "encoding",
-    "conversions": "encoding",
-    "replay": "replay",
-    "estimator": "estimator",
-    "navigator": "estimator",
-    "propagation": "kernel",
-    "output": "kernel",
-    "local_frame": "kernel",
-    "kalman": "kernel",
-    "measurements": "kernel",
-    "ins_filter": "filter",
-    "gate": "filter",
-    "samples": "filter",
-    "state": "filter",
-    "attitude": "filter",
-    "time_offset": "clock offset",
-    "health": "IMU health",
-    "standstill": "IMU health",
-    "noise": "noise",
-    "noise_scale": "noise",
-    "noise_bank": "noise",
-    "noise_reader": "regressor",
-    "regressor": "regressor",
-    "window": "regressor",
-    "spectral": "regressor",
-    "onnxruntime_inference_collection": "regressor",
-}
+PARTS = (  # what a function belongs to, by the beginning of its module's path in the package
+    ("bags/", "bags"),
+    ("replay", "replay"),
+    ("noise_regressor/", "regressor"),
+    ("ros/axes_monitor", "IMU checks"),
+    ("ros/", "conversions and reports"),
+    ("core/imu_", "IMU checks"),
+    ("core/standstill", "IMU checks"),
+    ("core/constraint_observer", "IMU checks"),
+    ("core/noise_multiple_model", "noise factors"),
+    ("core/multiple_model", "searches"),
+    ("core/clock_search", "searches"),
+    ("core/", "filter"),
+)
 
 
 def measure(quick: bool) -> Section:
@@ -151,12 +135,12 @@ def _profile(profiler: cProfile.Profile) -> list[list[str]]:
     stats = pstats.Stats(profiler).stats  # type: ignore[attr-defined]
     shares: dict[str, float] = {}
     for (file, _, _), (_, _, own, _, callers) in stats.items():
-        part = PARTS.get(Path(file).stem)
+        part = _part(file)
         if part is not None:
             shares[part] = shares.get(part, 0.0) + own
             continue
         for (caller_file, _, _), (_, _, own_from_caller, _) in callers.items():
-            part = PARTS.get(Path(caller_file).stem, "other")
+            part = _part(caller_file) or "other"
             shares[part] = shares.get(part, 0.0) + own_from_caller
     total = sum(shares.values())
     return [
@@ -166,3 +150,9 @@ def _profile(profiler: cProfile.Profile) -> list[list[str]]:
             for part, share in sorted(shares.items(), key=lambda item: -item[1])
         ),
     ]
+
+
+def _part(file: str) -> str | None:
+    """Return what a function of a file belongs to; None outside of the package."""
+    inside = file.rpartition("/hybrid_ins/")[2]
+    return next((part for start, part in PARTS if inside.startswith(start)), None)

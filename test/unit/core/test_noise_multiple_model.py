@@ -77,7 +77,11 @@ def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
     dx = K @ z if fused else np.zeros(N_ERROR)
     C_nb = matrix_from_quat(nav[QUAT])
     weight = 0.7 if k == 4 else 1.0
-    return Correction(k * SECOND // 5, z, S, H, K, dx, C_nb, 0.2, nav, fused, weight=weight)
+    linear = linearisation(nav[COVARIANCE], z, H, R / weight) if fused else None
+    interval = 0.2
+    return Correction(
+        k * SECOND // 5, z, S, H, K, dx, C_nb, interval, nav, fused, False, weight, linear
+    )
 
 
 class Readable:
@@ -133,9 +137,8 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
-        z, H, dx, G = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
-        if correction.fused:
-            z, H, dx, G = linearisation(nav[COVARIANCE], z, H, R / correction.weight)
+        plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
+        z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
         log_likelihood *= np.exp(-T / MEMORY)
         for h, one in enumerate(readable):
