@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from support.streams import closed_pipe, latin_1
 
+from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
+from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import defaults
 from hybrid_ins.parameters.parameter_file import load
@@ -157,3 +161,50 @@ def test_what_makes_withheld_fixes_worse_is_written_only_by_force(
     assert not Path("robot.yaml").exists()
     assert run("bag", "--out", "robot.yaml", "--force") == 0
     assert Path("robot.yaml").exists()
+
+
+def with_wheels(plain: Path, out: Path, *, reading: float) -> None:
+    """Add speeds of wheels at 10 Hz to a simulated drive; they read a share of the truth."""
+    rng = np.random.default_rng(2)
+    covariance = np.diag([0.05**2, 1e9, 1e9, 1e9, 1e9, 1e9]).ravel()
+    with BagReader(plain) as bag, BagWriter(out) as copy:
+        for source in ("/imu/data", "/gnss/fix"):
+            for _, log_ns, message in bag.messages(source):
+                copy.write(source, message, log_ns)
+        for _, log_ns, truth in bag.messages("/truth/odometry"):
+            wheels = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
+            wheels.header.stamp, wheels.header.frame_id = truth.header.stamp, "base_link"
+            speed = reading * truth.twist.twist.linear.x + 0.05 * rng.standard_normal()
+            wheels.twist.twist.linear.x = speed
+            wheels.twist.covariance = covariance
+            copy.write("/aiding/velocity", wheels, log_ns)
+
+
+@pytest.mark.slow
+def test_a_car_with_wheels_is_calibrated_from_its_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """
+    GIVEN two minutes of a car whose IMU is turned by 5 degrees and whose wheels read 1 % too little
+    WHEN the program reads the bag, told that the car moves along its nose
+    THEN mount, kind, nose, axle, slip and scale are found, printed and written.
+    """
+    plain, bag, out = tmp_path / "plain.mcap", tmp_path / "car.mcap", tmp_path / "car.yaml"
+    car = ["--trajectory", "car", "--duration", "120", "--imu-rate", "50", "--gnss-rate", "2"]
+    assert (
+        simulate.main([str(plain), *car, "--truth-rate", "10", "--mount-rpy", "0", "0", "5"]) == 0
+    )
+    with_wheels(plain, bag, reading=1.0 / 1.01)
+
+    status = program.main([str(bag), "--nose-first", "--search", "0.2", "--out", str(out)])
+
+    assert status == 0
+    printed = capsys.readouterr().out
+    rows = {line[:28].split("  ")[0]: line for line in printed.splitlines()}
+    for label in ("IMU mount", "nose", "axle forward", "slip left, up", "wheel scale"):
+        assert "identified" in rows[label], rows[label]
+    values = load(out)
+    assert values["vehicle.kind"] == "ground"
+    assert values["imu.mount_rpy"][2] == pytest.approx(np.radians(5.0), abs=0.006)
+    np.testing.assert_allclose(values["vehicle.nose"], 0.0, atol=0.009)
+    assert values["aiding.velocity_scale"] == pytest.approx(1.01, abs=0.004)
