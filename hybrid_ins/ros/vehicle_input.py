@@ -1,5 +1,5 @@
 """
-The constraint of a vehicle on wheels into the navigator, where fixes are missing.
+The constraint of a vehicle on wheels, or with wings, into the navigator, where fixes are missing.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.nonholonomic import Nose
+from hybrid_ins.core.sideslip import WindObserver
 from hybrid_ins.noise_regressor.slip import SlipReader
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.ros.diagnostics import status
@@ -32,6 +33,8 @@ class VehicleInput:
     """
     Observes whether the vehicle moves along its nose, and constrains the filter in outages.
 
+    A fixed wing moves along its nose against the air: the wind is observed.
+
     Fixes alone determine the motion while they come: what they show of the vehicle is free of what
     is assumed about it.
 
@@ -47,7 +50,9 @@ class VehicleInput:
     Attributes
     ----------
     observer : ConstraintObserver or None
-        None where ``vehicle.kind`` excludes the constraint.
+        None where ``vehicle.kind`` excludes the constraint of wheels.
+    wind : WindObserver or None
+        None where ``vehicle.kind`` is not ``fixed_wing``.
     fused : bool
         The constraint was fused at the last observation.
     slip : SlipReader
@@ -66,6 +71,7 @@ class VehicleInput:
         self._fixes = fixes
         self._log = log
         self.observer: ConstraintObserver | None = None
+        self.wind: WindObserver | None = None
 
     def configure(self, mount: Array, arm_b: Array) -> None:
         """
@@ -82,9 +88,11 @@ class VehicleInput:
         slip_std = np.array(values["vehicle.slip_std"])
         self.slip = SlipReader(values["vehicle.slip_model"], slip_std, mount, self._log)
         self.restart()
+        yaw, pitch = values["vehicle.nose"]
+        if values["vehicle.kind"] == "fixed_wing":
+            self.wind = WindObserver(Nose(-yaw, pitch, np.zeros(3)))
         if values["vehicle.kind"] not in CONSTRAINED:
             return
-        yaw, pitch = values["vehicle.nose"]
         point_b = FLIP @ np.array(values["vehicle.axle_position"]) - arm_b
         self.observer = ConstraintObserver(
             ConstraintSettings(
@@ -105,14 +113,25 @@ class VehicleInput:
 
     def run_periodic(self, t_ns: int) -> None:
         """Observe the motion at a stamp [ns], and constrain it, where that is due."""
-        if self.observer is None or t_ns < self._next_ns:
+        if (self.observer is None and self.wind is None) or t_ns < self._next_ns:
             return
         self._next_ns = t_ns + PERIOD_NS
         running = self._navigator.filter
         self.fused = False
         if running is None or self._navigator.monitor.standing or not self._fixes.started:
             return
-        self._observe(running, t_ns)
+        if self.wind is not None:
+            self._observe_wind(self.wind, running.flat_state(), t_ns)
+        else:
+            self._observe(running, t_ns)
+
+    def _observe_wind(self, wind: WindObserver, nav: Array, t_ns: int) -> None:
+        wind.observe(nav, PERIOD_NS * 1e-9, settled=self._fixes.settled(t_ns))
+        if self._fixes.outage(t_ns):
+            constraint = wind.measurement(t_ns, nav, PERIOD_NS * 1e-9)
+            self.fused = constraint is not None
+            if constraint is not None:
+                self._navigator.measure(constraint)
 
     def _observe(self, running: InsFilter, t_ns: int) -> None:
         observer = self.observer
@@ -149,6 +168,8 @@ class VehicleInput:
     def status(self) -> Status:
         """Return the status on ``/diagnostics``."""
         kind, observer = self._values["vehicle.kind"], self.observer
+        if self.wind is not None:
+            return _wind_status(self.wind, self.fused)
         if observer is None:
             return status("vehicle", 0, f"{kind}: no constraint", {"kind": kind})
         if self.fused:
@@ -186,6 +207,26 @@ class VehicleInput:
                 **{f"refused: {why}": n for why, n in sorted(self.slip.refusals.items())},
             },
         )
+
+
+def _wind_status(wind: WindObserver, fused: bool) -> Status:
+    """Return the status of a fixed wing."""
+    text = "outage: no sideslip in the wind" if fused else "the wind is observed"
+    north_std, east_std = wind.sigma.tolist()
+    return status(
+        "vehicle",
+        0,
+        text,
+        {
+            "kind": "fixed_wing",
+            "constraint": "fused" if fused else "holds",
+            "wind_north": float(wind.wind_n[0]),
+            "wind_north_std": north_std,
+            "wind_east": float(wind.wind_n[1]),
+            "wind_east_std": east_std,
+            "sideslip_std": float(np.sqrt(wind.slip.covariance[0, 0])),
+        },
+    )
 
 
 def _nose(observer: ConstraintObserver) -> str:

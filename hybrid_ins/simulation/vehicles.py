@@ -160,8 +160,12 @@ def slope_along(speed: Array) -> Array:
     return 0.03 * np.sin(2.0 * np.pi * integral(speed) / 400.0)
 
 
-def fixed_wing(duration: float, seed: int, rest: float = 60.0) -> Motion:
-    """Stand with the engine on, take off, then circles, straight legs and climbs, in wind."""
+def fixed_wing(duration: float, seed: int, rest: float = 60.0, *, gust_std: float = 0.0) -> Motion:
+    """
+    Stand with the engine on, take off, then circles, straight legs and climbs, in wind.
+
+    Gusts, of ``gust_std`` [m/s] in each component, carry the plane and do not turn it.
+    """
     t = time_grid(duration)
     rng = np.random.default_rng(seed)
     cruise = rng.uniform(15.0, 22.0)
@@ -177,6 +181,10 @@ def fixed_wing(duration: float, seed: int, rest: float = 60.0) -> Motion:
     wind = smoothed(np.where(t > rest + 6.0, 1.0, 0.0), 4.0)[:, None] * rng.normal(0.0, 3.0, 2)
     velocity_n = velocity_of(speed, heading, climb)
     velocity_n[:, :2] += wind
+    if gust_std:
+        noise = np.random.default_rng([seed, 17]).standard_normal((2, len(t)))
+        gusts = np.stack([smoothed(axis, 4.0) for axis in noise], axis=1)
+        velocity_n[:, :2] += gust_std * gusts / gusts.std(axis=0) * (speed / cruise)[:, None]
     slope = np.arctan2(climb, np.maximum(speed, 1.0)) + 0.05
 
     def attitude(_: Array, acceleration_n: Array) -> Array:

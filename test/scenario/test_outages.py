@@ -17,8 +17,9 @@ from hybrid_ins.ros.vehicle_input import VehicleInput
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import record
 from tools.vehicles.constraint import row
-from tools.vehicles.judge import run
-from tools.vehicles.outages import End, ends
+from tools.vehicles.drives import from_simulation
+from tools.vehicles.judge import Judged, run
+from tools.vehicles.outages import End, ends, gusty
 
 
 @cache
@@ -122,6 +123,36 @@ def test_the_constraint_has_the_variances_that_the_samples_show(
     values = dict(estimator.aids.vehicle.status().values)
     assert values["slip_source"] == "learned (slip)"
     assert float(values["slip_std_left_used"]) == pytest.approx(fused[-1][0, 0] ** 0.5, rel=1e-4)
+
+
+def test_the_wind_is_for_vehicles_that_are_said_to_be_planes() -> None:
+    for kind in ("auto", "ground", "multirotor", "other"):
+        assert Judged(calibrated(**{"vehicle.kind": kind})).aids.vehicle.wind is None
+    plane = Judged(calibrated(**{"vehicle.kind": "fixed_wing"})).aids.vehicle
+
+    assert plane.observer is None
+    found = dict(plane.status().values)
+    assert float(found["wind_north"]) == 0.0 and float(found["wind_north_std"]) == 5.0
+
+
+@pytest.mark.slow
+def test_a_plane_bridges_an_outage_by_the_wind() -> None:
+    """
+    GIVEN a fixed wing in wind and gusts, with a minute of fixes in the air
+    WHEN fixes are missing for 60 s
+    THEN its error at the end is at most 0.7 of that without the constraint.
+    """
+    plane = replace(gusty(), duration=210.0, receiver=replace(gusty().receiver, offset=0.0))
+    whole = from_simulation(record(plane, 2))
+    clock = {"gnss.time_offset.estimate": False}
+    without, with_it = (
+        ends(whole, calibrated(**clock, **{"vehicle.kind": kind}), starts=np.array([145.0]))[-1]
+        for kind in ("other", "fixed_wing")
+    )
+
+    assert with_it.after == 60.0
+    assert with_it.error < 0.7 * without.error
+    assert with_it.nees < 4.0
 
 
 def test_the_new_vehicles_move_as_they_say() -> None:

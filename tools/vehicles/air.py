@@ -1,6 +1,8 @@
 """
 What the air tells of the velocity of real aircraft: sideslip of a fixed wing, drag of copters.
 
+Then outages cut into the flight of the fixed wing, without and with ``vehicle.kind: fixed_wing``.
+
 The wind, and the drag of a copter, are fitted to 90 s with fixes. What they make of the next 30 s
 without is compared with the receiver's velocity; the attitude is that of the autopilot.
 
@@ -23,10 +25,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins import parameters
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.ros.trajectory import Array
+from tools.vehicles import drives as vehicle_drives
+from tools.vehicles.outages import BETWEEN as BETWEEN_OUTAGES
+from tools.vehicles.outages import HEADER as OUTAGES_HEADER
+from tools.vehicles.outages import JUDGED as JUDGED_AFTER
+from tools.vehicles.outages import LENGTH, VARIANTS, End, ends
+from tools.vehicles.outages import row as outage_row
 
 FITTED, JUDGED, BETWEEN = 90.0, 30.0, 15.0  # s: to fit, to judge, between two trials
+SHIFTS = np.arange(15.0, 135.0, 20.0)  # s after take-off, of the first outage of each run
 SMOOTH = 25  # samples, half a second
 SMALLEST_SPEED = 1.0  # m/s, of a copter that flies
 AXES = ("ax", "ay", "az")  # of imu.csv, FLU
@@ -121,6 +131,18 @@ HEADER = (
 )
 
 
+def outages(folder: Path) -> Iterator[str]:
+    """Yield the rows of outages of a flight with the default parameters."""
+    drive, (begin, end) = vehicle_drives.load(folder, "all"), AIRBORNE[folder.name]
+    for variant in ("none", "fixed wing"):
+        found: list[End] = []
+        for shift in SHIFTS:
+            starts = np.arange(begin + shift, end - LENGTH, LENGTH + BETWEEN_OUTAGES)
+            values = {**parameters.defaults(), **VARIANTS[variant]}
+            found += ends(drive, values, starts=starts)
+        yield from (outage_row(folder.name, variant, found, after) for after in JUDGED_AFTER)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
@@ -133,6 +155,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         for windy, law in ((False, "drag, no wind"), (True, "drag, constant wind")):
             errors, k = drag(flight, windy=windy)
             print(row(name, law, errors, f"{k.mean():.2f} ± {k.std():.2f} /s"))
+    print(OUTAGES_HEADER)
+    for line in outages(data / "plane_x8"):
+        print(line, flush=True)
     return 0
 
 

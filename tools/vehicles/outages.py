@@ -12,6 +12,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Array
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
-from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, record
+from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, fixed_wing, record
 from tools.vehicles.aiding import Aiding, wheels
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import run
@@ -34,6 +35,7 @@ SETTLED, BETWEEN, LENGTH = 120.0, 60.0, 60.0  # s before the first outage, betwe
 JUDGED = (30.0, 60.0)  # s after an outage begins
 SHORTEST = 30.0  # m: less distance says nothing per distance
 CALIBRATION_SEEDS = (101, 103)
+GUSTY, GUST_STD = "fixed wing, gusts", 1.5  # m/s
 VARIANTS: dict[str, dict[str, Any]] = {  # those that begin with wheels: with their messages
     "none": {"vehicle.kind": "other"},
     "auto": {"vehicle.kind": "auto"},
@@ -41,6 +43,7 @@ VARIANTS: dict[str, dict[str, Any]] = {  # those that begin with wheels: with th
     "constant 0.05, 0.05": {"vehicle.slip_model": "", "vehicle.slip_std": [0.05, 0.05]},
     "constant 0.05, 0.1": {"vehicle.slip_model": "", "vehicle.slip_std": [0.05, 0.1]},
     "ground": {"vehicle.kind": "ground"},
+    "fixed wing": {"vehicle.kind": "fixed_wing"},
     "wheels": {"vehicle.kind": "auto"},
     "wheels alone": {"vehicle.kind": "other"},
 }
@@ -61,11 +64,17 @@ def every_vehicle() -> dict[str, Vehicle]:
     return {**VEHICLES, **ROAD_VEHICLES}
 
 
+def gusty() -> Vehicle:
+    """Return the fixed wing in gusts."""
+    motion = partial(fixed_wing, gust_std=GUST_STD)
+    return replace(VEHICLES["fixed wing 50 Hz"], name=GUSTY, motion=motion)
+
+
 def driven(name: str, seed: int, duration: float | None = None) -> Recording:
-    """Return a drive of a vehicle by its name, or of a car on a road that changes."""
+    """Return a drive of a vehicle by its name, of a car on a road that changes, or in gusts."""
     if name == CHANGING:
         return changing_road(seed, duration or every_vehicle()["road car"].duration)
-    vehicle = every_vehicle()[name]
+    vehicle = gusty() if name == GUSTY else every_vehicle()[name]
     return record(replace(vehicle, duration=duration or vehicle.duration), seed)
 
 
@@ -105,10 +114,16 @@ def ends(
     values: Mapping[str, Any],
     log: Any = lambda *_: None,
     aiding: Sequence[Aiding] = (),
+    starts: Array | None = None,
 ) -> list[End]:
-    """Return the errors in the outages of one drive; ``aiding`` as for `judge.run`."""
+    """
+    Return the errors in the outages of one drive.
+
+    ``aiding`` as for `judge.run`; ``starts`` of the outages [s after the first sample], instead of
+    `begins`.
+    """
     t = (drive.arrival_ns - drive.imu_ns[0]) * 1e-9
-    starts = begins(drive)
+    starts = begins(drive) if starts is None else starts
     out = np.any([(t > start) & (t < start + LENGTH) for start in starts], axis=0)
     estimator, t_ns, rows = run(drive.thinned(~out), values, log, aiding)
     if len(t_ns) < 2 or estimator.odometry.map is None:
