@@ -36,6 +36,7 @@ from tools.benchmark.table import Section
 from tools.paper.runs import Run, Scenario, draw
 
 RUNS = 100
+CALLS_AHEAD = 2000  # fixes that are made before the clock runs
 
 
 def measure_calls(section: Section, run: Run, quick: bool) -> None:
@@ -115,9 +116,16 @@ def _update_call(run: Run, factors: NoiseMultipleModelBank | None) -> Callable[[
     ins, ring = _filter(run, RATE, factors)
     ring.extend(run.samples[1:200])
     ins.predict_block(run.samples[1:200])
-    fix = PositionFix(ins.t_ns, run.start.lla, run.fixes[0].covariance_n, LEVER)
+    first_ns, period_ns = ins.t_ns, int(1e9 / FIX_RATE)
+    R = run.fixes[0].covariance_n
+    made = [
+        PositionFix(first_ns + k * period_ns, run.start.lla, R, LEVER)
+        for k in range(CALLS_AHEAD, 0, -1)
+    ]
 
     def call() -> None:
+        fix = made.pop()
+        ins.t_ns = fix.t_ns  # no samples between two fixes; old checkpoints expire
         ins.submit(fix)
         ins.verdicts.clear()
 
