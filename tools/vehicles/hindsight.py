@@ -24,7 +24,14 @@ from tools.vehicles.judge import Score, score
 Exponents = tuple[int, int, int]
 
 ACCELEROMETER, GYROSCOPE = 0.5, 0.01  # m/s², rad/s per sample
-STARTS: tuple[Exponents, ...] = ((-6, -4, 0), (-4, -3, 0), (-2, -2, 0), (0, 0, 0))
+STARTS: tuple[Exponents, ...] = (
+    (-6, -4, 0),
+    (-4, -3, 0),
+    (-2, -2, 0),
+    (0, 0, 0),
+    (2, 0, -3),
+    (2, 3, 0),
+)
 COVERED = 0.02  # share of the truth's epochs by which the constant may be ready later
 HEADER = (
     "| drive | default [m] | best constant [m] | ratio | accelerometer [m/s²] | gyroscope [rad/s] "
