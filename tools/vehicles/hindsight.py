@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from hybrid_ins import parameters
 from tools.vehicles.drives import Drive
 from tools.vehicles.evaluate import drives
@@ -52,7 +54,8 @@ def run_constant(drive: Drive, exponents: Exponents) -> Score:
         "noise.q_accelerometer": (ACCELEROMETER * q_accelerometer) ** 2,
         "noise.q_gyroscope": (GYROSCOPE * q_gyroscope) ** 2,
     }
-    return score(replace(drive, fix_std=drive.fix_std * fixes), values)
+    claimed = np.where(np.isnan(drive.fix_std), values["gnss.position_std_default"], drive.fix_std)
+    return score(replace(drive, fix_std=claimed * fixes), values)
 
 
 def search(
