@@ -234,7 +234,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
             "[robustness](robustness.md#random-messages)",
         ),
     ),
-    "Speed, on two cores of an AMD EPYC": (
+    "Speed, on two processors": (
         Figure(
             "One IMU sample through mechanisation and covariance",
             "{:.1f} µs live, {:.1f} µs in a batch; careful NumPy {:.0f} µs",
@@ -242,7 +242,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
             BENCH,
         ),
         Figure(
-            "CPU of the node with IMU data at 200 Hz and 1 kHz",
+            "CPU of the node with IMU data at 200 Hz and 1 kHz, a clock offset being searched",
             "{:.0f} % and {:.0f} % of a core; an rclpy node that only publishes empty Odometry "
             "{:.0f} % and {:.0f} %",
             (
@@ -255,7 +255,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
             in_readme=True,
         ),
         Figure(
-            "Latency from IMU stamp to odometry at 1 kHz",
+            "Latency from IMU stamp to odometry at 1 kHz, likewise",
             "{:.2f} ms (median), {:.2f} ms (99th percentile)",
             (
                 Source(BENCHMARK, ("latency p50 at 1000 Hz", "|")),
