@@ -24,6 +24,7 @@ from hybrid_ins import kernel_cache, parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.noise_multiple_model_step import OFFSETS
 from hybrid_ins.core.state import DP, LLA, PLACES, SENSITIVITY, covariance
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros import estimator as ros_estimator
@@ -193,7 +194,8 @@ def live(
                 estimator.handle_fix(fix)
                 estimator.pop_reports()
                 running = estimator.navigator.filter
-                if k % EVERY == 0 and running is not None and running.noise.factors._P is not None:
+                hypotheses = None if running is None else running.noise.factors._estimates
+                if k % EVERY == 0 and hypotheses is not None:
                     lla = sample(motion, [(running.t_ns - T0_NS) * 1e-9]).lla[0]
                     missing = offset - estimator.clock.offset
                     rows.append((gnss.t[k], *look(running, lla, missing)))
@@ -227,8 +229,8 @@ def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
     """Return a row of `Day` without its time; the true position, and clock offset still missing."""
     off = (lla - running.nav[LLA]) * curvature_scale(lla)
     factors = running.noise.factors
-    assert factors is not None and factors._P is not None
-    P = factors._P[PLACES]  # (15, 15, hypotheses)
+    assert factors is not None and factors._estimates is not None
+    P = factors._estimates[:OFFSETS][PLACES]  # (15, 15, hypotheses)
     std = np.sqrt(np.diagonal(P)).T  # (15, hypotheses)
     correlation = P.transpose(2, 0, 1) / (std.T[:, :, None] * std.T[:, None, :])
     s = running.nav[SENSITIVITY]
@@ -239,7 +241,7 @@ def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
         *running.noise.imu_factors,
         running.noise.fix_factor,
         float(np.abs(s).max()),
-        float(np.max(np.abs(factors._state_offset) / std)),
+        float(np.max(np.abs(factors._estimates[OFFSETS:]) / std)),
         float(np.linalg.eigvalsh(correlation).min()),
     )
 
