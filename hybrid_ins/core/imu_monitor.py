@@ -19,7 +19,7 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Standstill
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.standstill import is_standing, is_standing_with_engine
+from hybrid_ins.core.standstill import is_standing
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
 
 Array = NDArray[np.float64]
@@ -29,7 +29,6 @@ WINDOW_NS = 1_000_000_000  # of samples that are checked
 SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
 BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
-KNOWN_SPEED = 1.0  # m/s, σ of the filter's speed up to which the spectrum may show standing
 SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
 LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
@@ -134,7 +133,8 @@ class ImuMonitor:
         if (
             fixes_move
             or t_ns - samples["t_ns"][0] <= SHORTEST_STAND
-            or not _resembles_standing(samples, best)
+            or not is_standing(samples)
+            or not _zero_speed_is_plausible(best)
         ):
             self._calm_ns = None
         elif self._calm_ns is None:
@@ -180,15 +180,6 @@ def _error_std_after(fault: ImuFault) -> Array | None:
     return std
 
 
-def _resembles_standing(samples: NDArray[np.void], running: InsFilter) -> bool:
-    """Return whether samples and a filter's speed are those of a standing vehicle."""
-    if not _zero_speed_is_plausible(running):
-        return False
-    return is_standing(samples) or (
-        _largest_speed_std(running) < KNOWN_SPEED and is_standing_with_engine(samples)
-    )
-
-
 def _zero_speed_is_plausible(running: InsFilter) -> bool:
     """Return whether the filter's speed may be zero: a smooth cruise resembles standing."""
     velocity = running.nav[VELOCITY]
@@ -203,13 +194,8 @@ def _longest_braking_ns(running: InsFilter) -> int:
 
     A filter that knows its speed poorly finds zero plausible long before the vehicle stands.
     """
-    speed = LARGEST_SPEED * _largest_speed_std(running)
+    speed = LARGEST_SPEED * float(np.sqrt(_speed_covariance(running).diagonal().max()))
     return min(int(speed / SOFTEST_BRAKING * 1e9), LONGEST_BRAKING_NS)
-
-
-def _largest_speed_std(running: InsFilter) -> float:
-    """Return the standard deviation of the speed along the axis of which least is known [m/s]."""
-    return float(np.sqrt(_speed_covariance(running).diagonal().max()))
 
 
 def _speed_covariance(running: InsFilter) -> Array:

@@ -6,10 +6,6 @@ beyond what the samples' noise explains. Vibration fails the first test, a hover
 the second. A smooth cruise passes both: the caller must also check that zero speed is plausible to
 the filter, and that the fixes of the last seconds show no motion.
 
-The vibration of an engine lies above the frequencies of motion. The spectrum separates them: a
-vehicle stands with its engine on where there is next to nothing below. A smooth flight passes this
-test for a third of the time: the filter must know its speed, too.
-
 References
 ----------
 .. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
@@ -33,9 +29,6 @@ SLOW_FORCE_STD = 0.05  # m/s², of the means, beyond what the samples' noise exp
 SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
 MEANS = 8  # per window
-MOTION_BAND = (0.5, 5.0)  # Hz
-VIBRATION = 10.0  # Hz, from which on there is none of a vehicle's motion
-LEAKAGE = 0.03  # of vibration into the frequencies of motion
 FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES = 4
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
@@ -53,29 +46,6 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     noise, slow = _spread(readings[-MEANS * size :], size)
     if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
-    return _turns_little(readings)
-
-
-def is_standing_with_engine(samples: NDArray[np.void]) -> bool:
-    """Return whether the only motion during ``samples``, about a second, was vibration."""
-    span = (int(samples["t_ns"][-1]) - int(samples["t_ns"][0])) * 1e-9
-    if len(samples) < 2 * MEANS or span <= 0.0:
-        return False
-    readings = readings_of(samples)
-    if not _turns_little(readings):
-        return False
-    window = np.hanning(len(readings))[:, None]
-    power = np.abs(np.fft.rfft((readings - readings.mean(axis=0)) * window, axis=0)) ** 2
-    power *= 2.0 / (float(np.sum(window**2)) * len(readings))
-    frequency = np.fft.rfftfreq(len(readings), span / (len(readings) - 1))
-    low, high = MOTION_BAND
-    slow = power[(frequency >= low) & (frequency < high)].sum(axis=0)
-    vibration = power[frequency >= VIBRATION].sum(axis=0)
-    return bool(np.all(slow < _SLOW_STD**2 + LEAKAGE**2 * vibration))
-
-
-def _turns_little(readings: NDArray[np.float64]) -> bool:
-    """Return whether the mean rate of readings (N, 6) is that of a bias."""
     return bool(np.all(np.abs(readings[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
 
 
