@@ -1,22 +1,18 @@
 """
-All kernels compiled ahead of their first use, by two processes.
+All kernels compiled ahead of their first use, by other processes.
 
 Compiling takes ten to sixty seconds, once for each version of the package; the machine code is kept
-(`kernel_cache`). Programs call `prepare` before their first sample, the node before `rclpy.init`,
-which would take over the signals; ``python -m hybrid_ins.kernels`` does it at the end of an
-installation.
+(`kernel_cache`). The node and the programs call `prepare` before their first sample;
+``python -m hybrid_ins.kernels`` does it at the end of an installation.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -43,9 +39,10 @@ from hybrid_ins.ros import imu_admission, odom_frame, output
 
 COMPILING = "compiling the filter for this machine, once: 10 to 60 s"
 WAITING = "another process compiles the filter for this machine; waiting for it: up to 60 s"
-FILTER, SMOOTHING, CALIBRATION = "filter", "smoothing", "calibration"
-OFFLINE = (SMOOTHING, CALIBRATION)
-"""Parts that programs need besides the filter's, which all need."""
+NODE = FILTER, OUTPUT = "filter", "output"
+"""Parts that the node and every program need."""
+OFFLINE = SMOOTHING, CALIBRATION = "smoothing", "calibration"
+"""Parts that some programs need besides."""
 
 
 def prepare(announce: Callable[[str], None] = lambda text: None, parts: Sequence[str] = ()) -> None:
@@ -63,91 +60,52 @@ def prepare(announce: Callable[[str], None] = lambda text: None, parts: Sequence
         Of `OFFLINE`: compiled, too, where that has not been done.
     """
     _skip_scipy()
-    kernel_cache.enable()
-    if _missing(parts):
+    is_kept = kernel_cache.enable() is not None
+    if _missing((*NODE, *parts)):
         with kernel_cache.exclusive(lambda: announce(WAITING)):
-            if _missing(parts):
+            if _missing((*NODE, *parts)):
                 announce(COMPILING)
-                with signals_repeated():
-                    _compile(parts)
-    _compile_filter()
-    _compile_output()
+                if is_kept:
+                    _compile_in_children(NODE)
+                    _compile_in_children(parts)
+    for part in NODE:
+        _COMPILE[part]()
 
 
 def is_compiled() -> bool:
     """Return whether `prepare` has nothing to compile for the node."""
-    return kernel_cache.is_complete(FILTER)
+    return not _missing(NODE)
 
 
 def _missing(parts: Sequence[str]) -> list[str]:
-    return [part for part in (FILTER, *parts) if not kernel_cache.is_complete(part)]
+    return [part for part in parts if not kernel_cache.is_complete(part)]
 
 
-def _compile(parts: Sequence[str]) -> None:
-    """Compile what is missing, half of it in another process."""
-    if not kernel_cache.is_complete(FILTER):
-        with _compiled_beside(FILTER):
-            _compile_output()
-        _compile_filter()
-        kernel_cache.mark_complete(FILTER)
-    missing = _missing(parts)
-    with _compiled_beside(*missing[1:]):
-        for part in missing[:1]:
-            _COMPILE[part]()
-    for part in missing:
-        _COMPILE[part]()
-        kernel_cache.mark_complete(part)
+def _compile_in_children(parts: Sequence[str]) -> None:
+    """
+    Compile what is missing, each part in a process of its own.
+
+    A signal's handler ends this wait by an exception; raised within the compiler, the exception
+    would be lost in its callbacks from C, or be printed by an object that it left half made.
+    """
+    children = {part: _start_compilation(part) for part in _missing(parts)}
+    try:
+        for part, child in children.items():
+            if child.wait() == 0:
+                kernel_cache.mark_complete(part)
+    finally:
+        for child in children.values():
+            child.kill()
+            child.wait()
 
 
-@contextmanager
-def _compiled_beside(*parts: str) -> Iterator[None]:
-    """Within the block, another process compiles these; it does not outlive this one."""
-    if not parts or kernel_cache.enable() is None:
-        yield
-        return
-    child = subprocess.Popen(
-        [sys.executable, "-m", "hybrid_ins.kernels", *parts],
-        stdin=subprocess.PIPE,
+def _start_compilation(part: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "hybrid_ins.kernels", part],
+        stdin=subprocess.PIPE,  # closed when this process ends, see `_end_with_parent`
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    try:
-        yield
-        child.wait()
-    finally:
-        child.kill()
-        child.wait()
-
-
-@contextmanager
-def signals_repeated() -> Iterator[None]:
-    """
-    Within the block, SIGINT and SIGTERM come again every second until one ends the block.
-
-    A handler ends it by an exception, and the compiler loses one that is raised while it calls
-    back from C.
-    """
-    timers: list[threading.Timer] = []
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        timers.append(threading.Timer(1.0, os.kill, (os.getpid(), number)))
-        timers[-1].start()
-        handler = handlers[signal.Signals(number)]
-        assert callable(handler)
-        handler(number, frame)
-
-    is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
-    wrapped = [number for number, handler in handlers.items() if is_main and callable(handler)]
-    for number in wrapped:
-        signal.signal(number, handle)
-    try:
-        yield
-    finally:
-        for timer in timers:
-            timer.cancel()
-        for number in wrapped:
-            signal.signal(number, handlers[number])
 
 
 def _end_with_parent() -> None:
@@ -297,6 +255,7 @@ def _compile_calibration() -> None:
 
 _COMPILE = {
     FILTER: _compile_filter,
+    OUTPUT: _compile_output,
     SMOOTHING: _compile_smoothing,
     CALIBRATION: _compile_calibration,
 }
