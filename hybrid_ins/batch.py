@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -29,6 +27,7 @@ from tqdm import tqdm
 from hybrid_ins import progress
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import write_text
+from hybrid_ins.worker_processes import worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 METADATA = "metadata.yaml"
@@ -251,22 +250,8 @@ def _executor(workers: int, cluster: str | None) -> Iterator[Executor]:
         with _dask_client(cluster) as client:
             yield client.get_executor()
         return
-    context = multiprocessing.get_context("spawn")  # a fork would inherit locks and threads
-    executor = ProcessPoolExecutor(workers, context, initializer=_ignore_ctrl_c)
-    try:
+    with worker_processes(workers) as executor:
         yield executor
-    except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    finally:
-        executor.shutdown()
-
-
-def _ignore_ctrl_c() -> None:
-    """Leave Ctrl-C, which reaches all processes of a terminal, to the one that started them."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _dask_client(address: str) -> Any:

@@ -19,8 +19,7 @@ from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.iterated_update import update
@@ -39,7 +38,7 @@ def innovations(  # type: ignore[no-untyped-def]
     nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, states
 ):
     """
-    Run the filter from ``nav`` over all samples and aiding measurements, in order of time.
+    Run the filter from ``nav`` over samples and aiding measurements, up to the last of these.
 
     Parameters
     ----------
@@ -70,8 +69,8 @@ def innovations(  # type: ignore[no-untyped-def]
     f, w = nav[LAST_F], nav[LAST_W]
     while k < count and aid_t[k] < now:
         k += 1
-    while i < n:
-        aiding = k < count and aid_t[k] <= t[i]
+    while i < n and k < count:
+        aiding = aid_t[k] <= t[i]
         then = aid_t[k] if aiding else t[i]
         if then > now:
             # Between two samples the reading is interpolated linearly.
@@ -162,10 +161,14 @@ def gaussian_scale(tail: float, m: int) -> float:
     if m == 0:
         return tail
     probability = (np.arange(4000) + 0.5) / 4000
-    square = chi2.ppf(probability, m)
-    return float(
-        brentq(lambda b: np.mean((tail + m) * square / (b + square)) - m, 0.1 * tail, 2.0 * tail)
-    )
+    square = 2.0 * gammaincinv(0.5 * m, probability)  # chi-square quantiles
+    low, high = 0.1 * tail, 2.0 * tail
+    while low < (b := 0.5 * (low + high)) < high:
+        if np.mean((tail + m) * square / (b + square)) > m:
+            low = b
+        else:
+            high = b
+    return b
 
 
 def empty_states(count: int = 0) -> Array:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,11 +13,12 @@ from typing import Any
 from tqdm import tqdm
 
 from hybrid_ins import kernels, progress
+from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.findings import Calibration, calibrate
-from hybrid_ins.calibration.recording import antenna_is_base, read_recording
+from hybrid_ins.calibration.recording import Recording, antenna_is_base, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
-from hybrid_ins.calibration.trial import Comparison, compare, run_trial
+from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
@@ -23,6 +26,7 @@ from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.replay import log_message
 from hybrid_ins.ros.axes_monitor import describe
+from hybrid_ins.worker_processes import worker_processes
 
 DESCRIPTION = """\
 Estimate from recordings of IMU and GNSS: the offset between their clocks, the lever arm of the
@@ -31,6 +35,9 @@ made it observable. The recordings are then replayed with and without what was f
 withheld: parameters that do not fit, or are worse at these fixes, are not written. Writes a
 parameter file for ins_node and ins_replay. Record half a minute or more with curves, acceleration
 and braking."""
+
+WORTH_A_PROCESS = 150.0
+"""Seconds of recordings whose replay takes about as long as the start of a process."""
 
 EXAMPLE = "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot calibration.png"
 
@@ -109,7 +116,7 @@ def _body(args: argparse.Namespace) -> int:
             on_stage=stages.start,
             log=log_message,
         )
-    comparison = None if args.use_truth else _compare(args, values, found.values)
+    comparison = None if args.use_truth else _compare(args, recordings, values, found.values)
     objection = _objection(found, comparison)
     if args.out and (args.force or not objection):  # before the text: its reader may stop reading
         write_text(args.out, parameter_file(found))
@@ -129,16 +136,35 @@ def _body(args: argparse.Namespace) -> int:
 
 
 def _compare(
-    args: argparse.Namespace, given: Mapping[str, Any], found: Mapping[str, Any]
+    args: argparse.Namespace,
+    recordings: Sequence[Recording],
+    given: Mapping[str, Any],
+    found: Mapping[str, Any],
 ) -> Comparison:
     """Run the estimator over the recordings with the given parameters, and with those found."""
-    with progress.bar("replay", 2 * len(args.bags), "run", leave=False) as bar:
-        trials = []
-        for values in (given, found):
-            for path in args.bags:
-                trials.append(run_trial(path, values, options.topics(args), args.longest))
-                bar.update()
+    runs = [(path, values) for values in (given, found) for path in args.bags]
+    total = 2.0 * sum(recording.t[-1] - recording.t[0] for recording in recordings)
+    workers = min(os.cpu_count() or 1, len(runs), int(total / WORTH_A_PROCESS))
+    apply: Callable[..., Iterable[Trial]] = map
+    run: Callable[..., Trial] = run_trial
+    trials = []
+    with progress.bar("replay", len(runs), "run", leave=False) as bar, ExitStack() as stack:
+        if workers > 1:
+            apply = stack.enter_context(worker_processes(workers)).map
+            run = _run_elsewhere
+        trial = partial(run, topics=options.topics(args), longest=args.longest)
+        for made in apply(trial, *zip(*runs, strict=True)):
+            trials.append(made)
+            bar.update()
     return compare(trials[: len(args.bags)], trials[len(args.bags) :])
+
+
+def _run_elsewhere(
+    path: Path, values: Mapping[str, Any], topics: InputTopics, longest: float
+) -> Trial:
+    """Run a trial in a process that has no kernels yet."""
+    kernels.prepare()
+    return run_trial(path, values, topics, longest)
 
 
 def _objection(found: Calibration, comparison: Comparison | None) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,11 +45,12 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(program, "read_recording", lambda *args, **options: None)
+    short = SimpleNamespace(t=np.zeros(2))
+    monkeypatch.setattr(program, "read_recording", lambda *args, **options: short)
     monkeypatch.setattr(program, "axes_fault", lambda *args: None)
     monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
     monkeypatch.setattr(program, "calibrate", lambda *args, **options: found())
-    monkeypatch.setattr(program, "run_trial", lambda *args: trial(0.5))
+    monkeypatch.setattr(program, "run_trial", lambda *args, **options: trial(0.5))
     monkeypatch.setattr(program.kernels, "prepare", lambda *args, **options: None)
     return lambda *arguments: program.main(list(arguments))
 
@@ -151,7 +153,7 @@ def test_what_makes_withheld_fixes_worse_is_written_only_by_force(
     monkeypatch.setattr(
         program,
         "run_trial",
-        lambda path, values, *_: trial(offsets[values["gnss.time_offset.value"]]),
+        lambda path, values, **_: trial(offsets[values["gnss.time_offset.value"]]),
     )
 
     assert run("bag", "--out", "robot.yaml") == 2
