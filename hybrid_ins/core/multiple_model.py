@@ -30,7 +30,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, EPS, QUAT, NavState, covariance, pack
 
 Array = NDArray[np.float64]
@@ -41,6 +41,7 @@ HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
 HEADING_KNOWN = ((0.1, 1_000_000_000), (0.2, 10_000_000_000))
 """Standard deviation of the mixture's heading [rad], for how long [ns]: either is enough."""
 
+SHARE = 20  # of the filters that are behind is propagated at once
 MIN_WEIGHT = 1e-6  # a hypothesis below that is dropped
 NIS_MEMORY = 25.0  # innovations over which the best hypothesis' NIS is averaged
 
@@ -72,6 +73,8 @@ class MultipleModelBank:
         For those.
     prior : ndarray, optional
         Probability of each state; by default all are equally likely.
+    lag : float
+        The filters stay behind the IMU by that much [s], so that no measurement is late to them.
 
     Attributes
     ----------
@@ -93,6 +96,7 @@ class MultipleModelBank:
         make_filter: FilterFactory,
         settings: FilterSettings,
         prior: Array | None = None,
+        lag: float = 0.0,
     ) -> None:
         self.filters = [make_filter(state, settings) for state in states]
         self.log_weights = np.log(np.full(len(states), 1.0) if prior is None else prior)
@@ -100,8 +104,10 @@ class MultipleModelBank:
         self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
-        self._lag_ns = 0  # of the filters behind the IMU, so that no measurement is late
+        self._lag_ns = int(lag * 1e9)
         self._block_ns = 0  # they follow it in steps of at least that
+        self._behind: list[InsFilter] = []  # that have not taken ``_block`` yet
+        self._block = np.empty(0, SAMPLE_DTYPE)
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale = 1.0
@@ -118,6 +124,7 @@ class MultipleModelBank:
 
     def submit(self, event: Change) -> None:
         """See `InsFilter.submit`."""
+        self._end_block_before(event.t_ns)
         for hypothesis in self.filters:
             hypothesis.submit(event)
 
@@ -129,6 +136,7 @@ class MultipleModelBank:
         """
         if measurement.sensor == GNSS and measurement.t_ns <= self._first_ns:
             return False
+        self._end_block_before(measurement.t_ns)
         self._waiting[measurement.kind, measurement.t_ns] = measurement
         shifted = {
             offset_ns: replace(  # type: ignore[type-var]  # a record, see `measurements`
@@ -147,12 +155,31 @@ class MultipleModelBank:
 
         Returns the likeliest hypothesis' verdicts on what has been weighed since.
         """
+        self.begin_block(ring, now_ns)
+        return self.end_block()
+
+    def begin_block(self, ring: ImuRing, now_ns: int) -> None:
+        """Choose the samples that the filters take until `end_block`; see `advance`."""
         samples = ring.after(self.best.t_ns)
         samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
         if len(samples) and samples["t_ns"][-1] - self.best.t_ns >= self._block_ns:
-            for hypothesis in self.filters:
-                hypothesis.predict_block(samples)
+            self._block, self._behind = samples, self.filters[::-1]
+
+    def continue_block(self) -> None:
+        """Propagate one filter, or some of very many; the result does not depend on when."""
+        for _ in range(min(len(self._behind), 1 + len(self._behind) // SHARE)):
+            self._behind.pop().predict_block(self._block)
+
+    def end_block(self) -> list[Verdict]:
+        """Propagate the filters that are behind; see `advance`."""
+        while self._behind:
+            self.continue_block()
         return self._weigh_decided()
+
+    def _end_block_before(self, t_ns: int) -> None:
+        """Propagate the filters that an event [ns] finds behind: to the others it is late."""
+        while self._behind and t_ns + min(self._offsets_ns) <= self._block["t_ns"][-1]:
+            self.continue_block()
 
     def _weigh_decided(self) -> list[Verdict]:
         """Weigh what all have decided by now, by different clocks at different times."""

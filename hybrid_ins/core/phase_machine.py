@@ -165,6 +165,7 @@ class PhaseMachine:
         bank, running = self.phase.bank, self.filter
         if may_stand or bank is None or not self.clock_open or bank.clock_open:
             return
+        bank.end_block()
         waiting = bank.filters[0].withdraw()
         weights = None if running is None else np.exp(bank.log_weights)
         search = search_clock(bank.filters, self._parts, self._ring, weights)
@@ -185,16 +186,28 @@ class PhaseMachine:
         return isinstance(self.phase, Searching) and self.phase.bank.clock_open
 
     def continue_search(self, t_ns: int) -> bool:
-        """Let the filters beside the running one follow the IMU to a stamp [ns]; see `decide`."""
+        """
+        Let the filters beside the running one follow the IMU to a stamp [ns]; see `decide`.
+
+        They do until the next call, a few at each `advance_search`: odometry does not wait.
+        """
         if not isinstance(self.phase, Running):
             return False
         if self.phase.bank is not None:
-            self.phase.bank.advance(self._ring, t_ns)
-            return self.decide()
+            self.phase.bank.end_block()
+            found = self.decide()
+            if self.phase.bank is not None:
+                self.phase.bank.begin_block(self._ring, t_ns)
+            return found
         if self.clock_open:
             bank = search_clock([self.phase.filter], self._parts, self._ring)
             self._enter(Running(self.phase.filter, bank))
         return False
+
+    def advance_search(self) -> None:
+        """Let one or some of the filters beside the running one follow."""
+        if self.filter is not None and self.phase.bank is not None:
+            self.phase.bank.continue_block()
 
     def decide(self) -> bool:
         """
@@ -209,15 +222,15 @@ class PhaseMachine:
         if decision is None:
             return False
         winner, running = decision.filter, self.filter
+        missed = self._ring.after(winner.t_ns)
+        if len(missed):
+            winner.predict_block(missed)
         if running is not None:
             if bank.heading_open and is_contradicted(running.state, winner.state):
                 self._events.append(HeadingCorrected.between(running.state, winner.state))
             elif not bank.clock_open:
                 self._enter(Running(running))
                 return False
-        missed = self._ring.after(winner.t_ns)
-        if len(missed):
-            winner.predict_block(missed)
         if running is not None:  # It has judged each fix already, but for those that wait.
             winner.withdraw()
             winner.verdicts.clear()

@@ -23,6 +23,7 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import NavState
 
 PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
+CHECK_LAG = 0.5  # s, of a check of the heading behind the IMU: a late fix costs a rewind of each
 
 
 class FilterParts(Protocol):
@@ -90,7 +91,7 @@ def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Se
     begin = _factory(parts, ring, start.t_ns, start.sample, period)
     if start.given:
         known = heading_check.prior(len(start.states))
-        check = MultipleModelBank(start.states, begin, parts.settings, known)
+        check = MultipleModelBank(start.states, begin, parts.settings, known, CHECK_LAG)
         return Running(begin(start.states[0], parts.settings), check)
     return Searching(MultipleModelBank(start.states, begin, parts.settings))
 

@@ -255,6 +255,7 @@ class Estimator:
         """Do what is not done with every sample; call it after each, once that is published."""
         t_ns = self.navigator.last_ns
         if t_ns < self.due_ns and not self.navigator.has_events:
+            self.navigator.phases.advance_search()
             return
         self._handle_events()
         self.noise.run_periodic(t_ns)

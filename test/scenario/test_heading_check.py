@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from support.scenes import Scene, make_navigator, play, scene
 
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import HeadingCorrected
 from hybrid_ins.core.phases import Running
@@ -88,3 +90,38 @@ def test_the_course_of_a_car_in_reverse(seed: int) -> None:
 
     assert abs(run.errors(navigator, 45.0)[2] - math.pi) < 0.1
     assert len(corrections(run)) <= 1
+
+
+@pytest.mark.parametrize("late", [0.05, 0.6])
+def test_odometry_waits_for_one_filter_at_a_time(late: float) -> None:
+    """WHEN the filters follow between samples THEN few do at each, and the result is the same."""
+    run = scene(static(15.0), seed=3)
+
+    def banks(advance: Callable[[Navigator], None]) -> MultipleModelBank:
+        navigator = make_navigator("parameter", yaw_std=QUARTER)
+
+        def after(t: float) -> None:
+            advance(navigator)
+            if round(t * 100.0) % 20 == 0:
+                navigator.continue_search()
+
+        play(run, navigator, delay=lambda t: late, after=after)
+        assert navigator.phase.bank is not None
+        navigator.phase.bank.end_block()
+        return navigator.phase.bank
+
+    moved: list[int] = []
+
+    def one_by_one(navigator: Navigator) -> None:
+        filters = navigator.phases.filters[1:]
+        before = [f.t_ns for f in filters]
+        navigator.phases.advance_search()
+        moved.append(sum(f.t_ns != t for f, t in zip(filters, before, strict=True)))
+
+    spread, at_once = banks(one_by_one), banks(lambda navigator: None)
+
+    assert len(spread.filters) == N_HEADINGS + 1
+    assert max(moved) == 1 and sum(moved) > 50 * (N_HEADINGS + 1)
+    np.testing.assert_array_equal(spread.log_weights, at_once.log_weights)
+    for one, other in zip(spread.filters, at_once.filters, strict=True):
+        np.testing.assert_array_equal(one.nav, other.nav)
