@@ -34,7 +34,7 @@ from hybrid_ins.core.rotations import (
     rpy_from_quat,
 )
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing
+from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing, may_be_zero
 from hybrid_ins.core.state import B_G, DP, DV, EPS, N_ERROR, NavState
 
 Array = NDArray[np.float64]
@@ -232,7 +232,7 @@ class Alignment:
         last = samples[-1]
         reading = np.concatenate((last["f"], last["w"]))
         rate = samples["w"].mean(axis=0)
-        standing = is_standing(samples)
+        standing = is_standing(samples) and may_be_zero(velocity_n, v_cov)
         samples["f"] -= bias_a
         samples["w"] -= bias_g
         down_b = _down(samples)

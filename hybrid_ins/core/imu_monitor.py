@@ -19,7 +19,7 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Standstill
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.standstill import is_standing
+from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
 
 Array = NDArray[np.float64]
@@ -28,11 +28,11 @@ PERIOD_NS = 500_000_000  # between two checks
 WINDOW_NS = 1_000_000_000  # of samples that are checked
 SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
 BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
-SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
 LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 LONGEST_BRAKING_NS = 10_000_000_000
+STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
 LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
 LAST_FIX_NS = 2_500_000_000  # age of the last fix that confirms it: one a second, late
 GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
@@ -74,6 +74,7 @@ class ImuMonitor:
         self.fault: ImuFault | None = None
         self.standing = False
         self._calm_ns: int | None = None  # since when the vehicle may stand
+        self._standing_force = StandingForce()
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity, and not several times as much
@@ -137,6 +138,9 @@ class ImuMonitor:
             or not _zero_speed_is_plausible(best)
         ):
             self._calm_ns = None
+            self._standing_force.reset()
+        elif self._standing_force.changes(samples):
+            self._calm_ns = t_ns + STEADY_NS
         elif self._calm_ns is None:
             self._calm_ns = int(samples["t_ns"][0])
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
@@ -182,10 +186,7 @@ def _error_std_after(fault: ImuFault) -> Array | None:
 
 def _zero_speed_is_plausible(running: InsFilter) -> bool:
     """Return whether the filter's speed may be zero: a smooth cruise resembles standing."""
-    velocity = running.nav[VELOCITY]
-    return bool(
-        velocity @ np.linalg.solve(_speed_covariance(running), velocity) < SPEED_NIS_STANDING
-    )
+    return may_be_zero(running.nav[VELOCITY], _speed_covariance(running))
 
 
 def _longest_braking_ns(running: InsFilter) -> int:

@@ -3,8 +3,9 @@ Detection of a standing vehicle from its IMU, and of a moving one from its fixes
 
 While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
 beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
-the second. A smooth cruise passes both: the caller must also check that zero speed is plausible to
-the filter, and that the fixes of the last seconds show no motion.
+the second. A smooth cruise passes both: the caller must also check that zero speed is plausible
+(`may_be_zero`), and that the fixes of the last seconds show no motion. A train that sets off gently
+passes them, too: its acceleration hardly changes in a second, but since the stand began it does.
 
 References
 ----------
@@ -33,6 +34,7 @@ FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES = 4
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
 SIGNIFICANT = 4.0  # standard deviations of the speed
+SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 _STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
 _SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
@@ -47,6 +49,39 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
     return bool(np.all(np.abs(readings[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
+
+
+def may_be_zero(velocity_n: NDArray[np.float64], covariance_n: NDArray[np.float64]) -> bool:
+    """Return whether zero is plausible for a velocity (3,) [m/s] with its covariance (3, 3)."""
+    nis = velocity_n @ np.linalg.solve(covariance_n, velocity_n)
+    return bool(nis < SPEED_NIS_STANDING)
+
+
+class StandingForce:
+    """
+    Mean specific force of a stand: it stays as it is, or the vehicle sets off or is tilted.
+
+    A zero-velocity update while a vehicle sets off would make its acceleration a bias.
+    """
+
+    def __init__(self) -> None:
+        self._mean: NDArray[np.float64] | None = None
+
+    def reset(self) -> None:
+        """Forget the stand."""
+        self._mean = None
+
+    def changes(self, samples: NDArray[np.void]) -> bool:
+        """Return whether the mean of ``samples`` is another than when the stand began."""
+        force = samples["f"]
+        mean, before = force.mean(axis=0), self._mean
+        noise = 4.0 * float(force.std(axis=0).max()) / np.sqrt(len(force))
+        changed = before is not None and bool(
+            np.linalg.norm(mean - before) > np.hypot(SLOW_FORCE_STD, noise)
+        )
+        if before is None or changed:
+            self._mean = mean
+        return changed
 
 
 @kernel()

@@ -13,9 +13,12 @@ from hybrid_ins.simulation.motions import (
     START_LLA,
     aircraft_flight,
     car_drive,
+    motion_through,
     quadrotor_flight,
     random_motion,
     static,
+    time_grid,
+    velocity_of,
 )
 from hybrid_ins.simulation.sensors import ImuErrors
 
@@ -56,6 +59,27 @@ def test_standing_still_decides_nothing_and_learns_the_gyroscope_bias() -> None:
     assert run.errors(navigator, 30.0)[0] < 0.1
     assert navigator.phase.best is not None
     assert navigator.phase.best.nav[BIAS_G] == pytest.approx([0.002, -0.003, 0.001], abs=5e-4)
+
+
+def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
+    # GIVEN a train at 25 m/s in a wide curve, so smooth that its IMU seems to stand
+    t = time_grid(6.0)
+    course = 0.025 * t
+    motion = motion_through(
+        t,
+        velocity_of(25.0 + 0.0 * t, course, 0.0 * t),
+        np.stack((0.0 * t, 0.0 * t, course), axis=-1),
+        START_LLA,
+    )
+    run = scene(motion)
+    navigator = make_navigator("parameter")
+    # WHEN it is aligned
+    play(run, navigator)
+    # THEN the curve is no bias of the gyroscope, and its tilt is as unknown as in motion
+    assert navigator.filter is not None
+    truth = np.array([0.002, -0.003, 0.001])
+    std = np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL][12:15])
+    assert np.all(np.abs(navigator.filter.nav[BIAS_G] - truth) < 4.0 * std)
 
 
 @pytest.mark.parametrize("heading", np.linspace(-2.9, 3.1, 4))

@@ -15,8 +15,11 @@ from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
     car_drive,
+    motion_through,
     quadrotor_flight,
+    smoothed,
     static,
+    time_grid,
 )
 from hybrid_ins.simulation.sensors import ImuErrors
 
@@ -237,6 +240,34 @@ def test_stop_in_an_outage_is_noticed_by_the_filter() -> None:
         for t, v in zip(run.truth.t.round(3), run.truth.velocity_n, strict=True)
     }
     assert not [t for t, stands in standing if stands and moving[round(t, 3)] > 0.3]
+
+
+def test_a_train_that_sets_off_gently_does_not_stand() -> None:
+    """
+    GIVEN a train that sets off after 20 s, whose acceleration grows to 1 m/s2 over 25 s
+    WHEN no fix shows it
+    THEN it does not stand, and its acceleration is not taken for a bias.
+    """
+    t = time_grid(60.0)
+    speed = smoothed(np.where(t > 45.0, 30.0, 0.0), 50.0)
+    motion = motion_through(
+        t, np.stack((speed, 0.0 * t, 0.0 * t), axis=-1), np.zeros((len(t), 3)), START_LLA
+    )
+    run = scene(motion, seed=5)
+    navigator = make_navigator("parameter", yaw=0.0)
+    standing = []
+
+    play(
+        run,
+        navigator,
+        fix=lambda t: t < 15.0,
+        after=lambda t: standing.append((t, navigator.monitor.standing)),
+    )
+
+    moving = dict(zip(run.truth.t.round(3), run.truth.velocity_n[:, 0], strict=True))
+    assert any(stands for t, stands in standing if t < 20.0)
+    assert not [t for t, stands in standing if stands and moving[round(t, 3)] > 0.3]
+    assert run.errors(navigator, 60.0)[1] < 5.0
 
 
 def test_shaking_sensor_is_not_standing() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.standstill import is_standing
+from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero
 
 RATE = 200.0
 
@@ -49,3 +49,30 @@ def test_motion_is_not_standing(what: str, changes: dict) -> None:
 
 def test_too_few_samples_tell_nothing() -> None:
     assert not is_standing(samples(seconds=0.05))
+
+
+@pytest.mark.parametrize(("jerk", "seconds", "found"), [(0.03, 5.0, True), (0.0, 60.0, False)])
+def test_a_gentle_start_changes_the_mean_since_the_stand_began(
+    jerk: float, seconds: float, found: bool
+) -> None:
+    stand = StandingForce()
+    begins = np.arange(0.0, seconds, 0.5)
+
+    windows = [samples(force=lambda t, b=b: jerk * (t + b)) for b in begins]
+
+    assert all(is_standing(window) for window in windows)  # one second does not show it
+    assert any(stand.changes(window) for window in windows) == found
+
+
+def test_noise_is_no_change_of_the_mean() -> None:
+    stand = StandingForce()
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        window = samples()
+        window["f"] += 0.25 * rng.standard_normal(window["f"].shape)
+        assert not stand.changes(window)
+
+
+@pytest.mark.parametrize(("speed", "plausible"), [(1.0, True), (5.0, False)])
+def test_zero_is_plausible_within_the_covariance(speed: float, plausible: bool) -> None:
+    assert may_be_zero(np.array([speed, 0.0, 0.0]), np.eye(3)) == plausible
