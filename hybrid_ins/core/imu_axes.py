@@ -145,7 +145,8 @@ class ImuAxesCheck:
             if t_ns < self._next_ns:
                 return
             self._next_ns = t_ns + PERIOD_NS
-            motions = self._motions()
+            short = self._motions_of(WINDOW, 0)
+            motions = short or self._long_motions()
             if not motions:
                 self._on_found(self._by_gravity())
                 return
@@ -154,7 +155,7 @@ class ImuAxesCheck:
                 return
             self._rare_ns = t_ns + LONGEST_PERIOD_NS
             self._checked.update(kinds)
-            self._work = self._compare(motions)
+            self._work = self._compare([*short, *self._long_motions()])
         try:
             next(self._work)
         except StopIteration as end:
@@ -241,11 +242,10 @@ class ImuAxesCheck:
         mount = _mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
 
-    def _motions(self) -> list[Motion]:
-        """Return the last seconds, by those intervals over which there is enough motion."""
-        if len(self._grid) <= (WINDOW + SHORTEST) / STEP:
-            return self._motions_of(WINDOW, 0)
-        return [*self._motions_of(WINDOW, 0), *self._motions_of(LONG_WINDOW, 1)]
+    def _long_motions(self) -> list[Motion]:
+        """Return the motions of the last minute, once there is more than the shorter window."""
+        is_longer = len(self._grid) > (WINDOW + SHORTEST) / STEP
+        return self._motions_of(LONG_WINDOW, 1) if is_longer else []
 
     def _motions_of(self, window: float, shortest: int) -> list[Motion]:
         """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""

@@ -138,9 +138,11 @@ def iterate(packed, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
         for a in range(m):
             z_x[a] = z[a]
             for j in range(N_ERROR):
-                H_x[a, j] = 0.0
-                for i in range(N_ERROR):
-                    H_x[a, j] += H[a, i] * G[i, j]
+                H_x[a, j] = H[a, j]
+                if j < 9:  # see `left_jacobian_transform` for the rows of G that are not 0 there
+                    H_x[a, j] = 0.0
+                    for i in range(0 if j >= 6 else j - j % 3, j - j % 3 + 3):
+                        H_x[a, j] += H[a, i] * G[i, j]
                 z_x[a] += H_x[a, j] * x[j] - H[a, j] * error[j]
         last = x
         x, K = gain(packed, z_x, H_x, R)
@@ -154,30 +156,23 @@ def iterate(packed, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
 @register_jitable
 def _update_by_iteration(nav, z, H, R, linear, K_linear):  # type: ignore[no-untyped-def]
     """Iterate; use the linear correction, given as well, where that diverges."""
-    m, packed = len(z), nav[COVARIANCE]
+    packed = nav[COVARIANCE]
     converged, K, z_x, H_x, error, G = iterate(packed, z, H, R, linear, K_linear)
     if not converged:
         apply(nav, linear, K_linear, H, R)
         return linear, K_linear, z, H, linear, np.eye(N_ERROR)
     joseph_update(packed, K, H_x, R)
     # P now refers to the new estimate, about which (δp, δv, ε) and its transform are the same.
-    P, GP, K_mapped = np.empty((N_ERROR, N_ERROR)), np.zeros((N_ERROR, N_ERROR)), np.zeros_like(K)
+    P = np.empty((N_ERROR, N_ERROR))
     unpack(packed, P)
-    for i in range(N_ERROR):
-        for k in range(N_ERROR):
-            for j in range(N_ERROR):
-                GP[i, j] += G[i, k] * P[k, j]
-            for a in range(m):
-                K_mapped[i, a] += G[i, k] * K[k, a]
+    P = _transformed(G, _transformed(G, P).T)
     at = 0
     for i in range(N_ERROR):
         for j in range(i, N_ERROR):
-            packed[at] = 0.0
-            for k in range(N_ERROR):
-                packed[at] += GP[i, k] * G[j, k]
+            packed[at] = P[j, i]
             at += 1
     inject(nav, error)
-    return error, K_mapped, z_x, H_x, _product(K, z_x), G
+    return error, _transformed(G, K), z_x, H_x, _product(K, z_x), G
 
 
 @register_jitable
@@ -188,6 +183,22 @@ def _product(K, z):  # type: ignore[no-untyped-def]
         for a in range(len(z)):
             x[i] += K[i, a] * z[a]
     return x
+
+
+@register_jitable
+def _transformed(G, A):  # type: ignore[no-untyped-def]
+    """Return G A, shape (15, n), for the derivative G of `left_jacobian_transform`."""
+    product = A.copy()
+    for i in range(9):
+        block = i - i % 3
+        for j in range(A.shape[1]):
+            product[i, j] = 0.0
+            for k in range(block, block + 3):
+                product[i, j] += G[i, k] * A[k, j]
+            if block < 6:
+                for k in range(6, 9):
+                    product[i, j] += G[i, k] * A[k, j]
+    return product
 
 
 @register_jitable

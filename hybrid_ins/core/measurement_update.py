@@ -279,7 +279,8 @@ class MeasurementUpdate:
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
+            if self.noise.factors is not None:
+                linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
