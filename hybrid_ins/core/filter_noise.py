@@ -113,6 +113,11 @@ class FilterNoise:
             return None
         return self.factors.update(correction, self.process.psd(self.model.levels()))
 
+    def learn_jump(self, correction: Correction, R: Array) -> None:
+        """Learn from a fix that was rejected as a jump, with the covariance R (m, m) in force."""
+        if self.factors is not None:
+            self.factors.weigh_jump(correction, R)
+
     def follow(self, correction: Correction) -> None:
         """Learn what a measurement that is no fix did to the state."""
         if self.factors is not None:
@@ -122,8 +127,8 @@ class FilterNoise:
         """
         Drop what refers to the present state: it is changed by other means than measurements.
 
-        Without ``keep_weights`` the factors are dropped too: they were learned from measurements
-        that proved inconsistent with the state.
+        Without ``keep_weights`` the factors on the IMU's noise are dropped too: they were learned
+        from measurements that proved inconsistent with the state.
         """
         self._restarted = True
         if self.factors is not None:

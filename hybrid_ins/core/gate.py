@@ -66,6 +66,8 @@ class Verdict:
     jump : bool
         It is rejected, in a run of rejections that began with a jump: no error of an INS grows
         that fast.
+    disagrees : bool
+        A jump that does not show the same error as the one before: evidence on the fixes.
     weight : float
         At most 1; R is divided by it.
     """
@@ -80,6 +82,7 @@ class Verdict:
     log_det: float = 0.0
     inflated: bool = False
     jump: bool = False
+    disagrees: bool = False
     weight: float = 1.0
 
     @classmethod
@@ -213,7 +216,13 @@ class Gate(ShallowCopy):
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             if is_gnss and not jump:
                 return replace(plain, reason="large innovation")
-            return replace(plain, accepted=False, reason="innovation beyond the gate", jump=jump)
+            return replace(
+                plain,
+                accepted=False,
+                reason="innovation beyond the gate",
+                jump=jump,
+                disagrees=jump and not of_state,
+            )
         self._rejections = others
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"

@@ -308,6 +308,8 @@ class MeasurementUpdate:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
+        if verdict.disagrees:
+            self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
             return verdict, False, found
         informs = measurement.kind == PositionFix.kind

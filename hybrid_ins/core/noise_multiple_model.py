@@ -39,66 +39,39 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.kalman import innovation_covariance
+from hybrid_ins.core.linalg import log_determinant
 from hybrid_ins.core.noise import Correction
+from hybrid_ins.core.noise_hypotheses import (
+    COUNT,
+    HYPOTHESES,
+    LOG_FACTORS,
+    LOG_PRIOR,
+    ON_NOISE,
+    SLOW_LEVEL,
+    SLOW_RATIO,
+    SLOW_STD,
+    SLOW_UNIT,
+    SLOW_WALK,
+)
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
-from hybrid_ins.core.position_scatter import SLOW_AXES, SLOW_TIME
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
-DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
-RATE_DECADES = np.array([-1.5, 0.0, 3.0])  # on the gyroscope's
-GNSS_DECADES = np.array([0.0, 0.7, 1.5, 3.0])  # on R
-FACTOR_COST = 2.0  # nats of evidence that a factor above 1 needs
-DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
-REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
+OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
 DEAD_BAND = 0.1  # decades that count as none
-SLOW_STDS = np.array([0.3, 1.0, 3.0])  # m, of a slow error of the fixes
-SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
-SLOW_RATIO = 20.0  # smallest, to the claimed σ: mount and clock cause what looks like less
-SLOW_COST = 5.0  # nats of evidence that a slow error needs
-SLOW_UNIT = 0.03  # m: of a smaller one the logarithm is near 0
 MEMORY = 20.0  # s over which the likelihood is remembered
+UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
-_GRID = np.stack(
-    [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
-)
-_BESIDE_SLOW = np.zeros((3, SLOW_STDS.size * SLOW_DECADES.size))
-_BESIDE_SLOW[0] = np.tile(SLOW_DECADES, SLOW_STDS.size)
-_DECADES = np.hstack((_GRID, _BESIDE_SLOW))
-_SLOW_STD = np.append(np.zeros(_GRID.shape[1]), np.repeat(SLOW_STDS, SLOW_DECADES.size))
-_LOG_PRIOR = -sum(
-    (
-        np.where(
-            grid < 0.0,
-            REDUCTION_COST - REDUCTION_DECADE_COST * grid,
-            FACTOR_COST * (grid > 0.0) + cost * grid,
-        )
-        for grid, cost in zip(_DECADES, DECADE_COST, strict=True)
-    ),
-    SLOW_COST * (_SLOW_STD > 0.0),
-)
-COUNT = len(_LOG_PRIOR)
-
-# What a hypothesis assumes, one per column.
-ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
-LOG_FACTORS, SLOW_LEVEL = slice(6, 9), 9  # what the mixture averages
-SLOW_STD, LOG_PRIOR = 10, 11
-HYPOTHESES = np.vstack(
-    (
-        10.0**_DECADES,
-        np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME),
-        _DECADES,
-        np.log10(1.0 + _SLOW_STD / SLOW_UNIT),
-        _SLOW_STD,
-        _LOG_PRIOR,
-    )
-)
+_R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYPOTHESES[2])]
+_LOG_PRIOR_OF_R = np.empty(COUNT)
+for _level in _R_LEVELS:
+    _LOG_PRIOR_OF_R[_level] = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][_level])
 _HYPOTHESES_OF_IMU = HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2] = 1.0
 
@@ -136,7 +109,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     imu_factors : (float, float)
         On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
     fix_factor : float
-        On the covariance that fixes claim, 1 to 10³: receivers claim too small ones, too.
+        On the covariance that fixes claim, 1 to 10⁴: receivers claim too small ones, too.
     slow_std : float
         Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
         none.
@@ -156,13 +129,60 @@ class NoiseMultipleModelBank(ShallowCopy):
         self._t_ns = 0
 
     def restart(self, *, keep_weights: bool) -> None:
-        """Start the hypotheses anew at the next correction, with their weights or without."""
+        """
+        Start the hypotheses anew at the next correction, with their weights or without.
+
+        Without: what is known of R stays all the same, whatever state it was learned with.
+        """
         self._estimates = None
         if not keep_weights:
+            of_fixes = self._log_likelihood_of_fixes()
             self._values = self._values.copy()
             for part in (FACTORS, LOWEST, LOG_LIKELIHOOD):
                 self._values[part] = _START[part]
-            self._read_factors()
+            self._add_log_likelihood(of_fixes)
+
+    def _log_likelihood_of_fixes(self) -> Array:
+        """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
+        joint = self._values[LOG_LIKELIHOOD] + HYPOTHESES[LOG_PRIOR]
+        found = np.empty(COUNT)
+        for level in _R_LEVELS:
+            found[level] = np.logaddexp.reduce(joint[level]) - _LOG_PRIOR_OF_R[level]
+        return np.asarray(found - found.max())
+
+    def weigh_jump(self, correction: Correction, R: Array) -> None:
+        """
+        Weigh the factors on R by a fix that was rejected as a jump.
+
+        No error of an INS makes a jump. Most are errors of their own, with the prior probability
+        ``OUTLIERS``; where they are many the receiver claims too small a covariance.
+
+        Parameters
+        ----------
+        correction : Correction
+            With S that ``R`` is contained in.
+        R : ndarray, shape (m, m)
+            With ``fix_factor`` in force.
+        """
+        z, m = correction.z, len(R)
+        found = np.empty(COUNT)
+        for level in _R_LEVELS:
+            factor = HYPOTHESES[ON_NOISE][2][level[0]] / self.fix_factor
+            S = correction.S + (factor - 1.0) * R
+            tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
+            found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
+        self._values = self._values.copy()
+        self._add_log_likelihood(np.logaddexp(found - found.max(), math.log(OUTLIERS)))
+
+    def _add_log_likelihood(self, one: Array) -> None:
+        """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
+        values = self._values
+        lowest = values[LOWEST].copy()
+        _add_likelihood(one, values[LOG_LIKELIHOOD])
+        _weigh(HYPOTHESES, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
+        _average(HYPOTHESES, values[WEIGHTS], values[FACTORS], values[LOWEST])
+        values[LOWEST] = lowest  # the state is corrected with the next fix
+        self._read_factors()
 
     def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
         """
@@ -320,13 +340,13 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _add_likelihood(one, total):  # type: ignore[no-untyped-def]
-    """Add the log-likelihoods of an innovation; the largest total is 0."""
+    """Add the log-likelihoods of an innovation; totals are from ``UNLIKELIEST`` to 0."""
     largest = -np.inf
     for h in range(len(total)):
         total[h] += one[h]
         largest = max(largest, total[h])
     for h in range(len(total)):
-        total[h] -= largest
+        total[h] = max(total[h] - largest, UNLIKELIEST)
 
 
 @register_jitable

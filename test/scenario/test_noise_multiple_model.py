@@ -117,6 +117,29 @@ def test_a_lone_outlier_changes_nothing() -> None:
     assert np.max(factors[150:] / without[150:]) < 1.3
 
 
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_receiver_that_loses_its_solution_and_does_not_say_so(seed: int) -> None:
+    """
+    GIVEN fixes that claim 0.1 m, keep to it for 40 s, then scatter by 5 m for 25 s, and are good
+    again
+    WHEN the filter runs
+    THEN R follows within seconds both ways, nothing is inflated, and the IMU is not taken for the
+    cause.
+    """
+    run = draw(replace(SCENE, duration=85.0), seed)
+    rng = np.random.default_rng(seed)
+    t = np.array([(f.t_ns - run.samples["t_ns"][0]) * 1e-9 for f in run.fixes])
+    lost = (t > 40.0) & (t < 65.0)
+
+    ins, factors = fly(moved(run, lost[:, None] * rng.normal(0.0, 5.0, (len(t), 3))))
+
+    assert np.all(factors[(t > 46.0) & lost, 2] > 300.0)
+    assert np.median(factors[(t > 46.0) & lost, 0]) < 10.0
+    assert np.all(factors[t > 71.0, 2] < 3.0)
+    assert not any(v.inflated for v in ins.verdicts)
+    assert np.mean([v.accepted for v in ins.verdicts]) > 0.9
+
+
 def test_late_fixes_give_the_same_factors_and_the_same_state() -> None:
     run = draw(SCENE, 4)
     std = np.sqrt(np.diag(run.fixes[0].covariance_n))

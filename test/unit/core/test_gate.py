@@ -102,6 +102,14 @@ def test_fixes_that_contradict_each_other_wait_longer_but_not_for_ever(gate: Gat
     assert any(v.inflated for v in verdicts)
 
 
+def test_jumps_are_evidence_on_the_fixes_where_they_disagree(gate: Gate) -> None:
+    same = [judge(gate, t, 50.0 + 0.1 * t) for t in (0.0, 0.5, 1.0)]
+    other = judge(gate, 1.5, -60.0)
+
+    assert [v.disagrees for v in same] == [True, False, False]
+    assert other.jump and other.disagrees
+
+
 def test_acceptance_in_between_starts_the_patience_anew(gate: Gate) -> None:
     for t in (0.0, 1.0, 2.0):
         judge(gate, t, 50.0)

@@ -1,6 +1,7 @@
 """The compiled step of all noise hypotheses against one filter at a time, in matrices."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,15 +9,13 @@ import pytest
 from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.noise import Correction
+from hybrid_ins.core.noise_hypotheses import COUNT, HYPOTHESES, ON_NOISE, SLOW_WALK
 from hybrid_ins.core.noise_multiple_model import (
-    COUNT,
-    HYPOTHESES,
     LOG_LIKELIHOOD,
     MEMORY,
-    ON_NOISE,
     PENDING_G,
-    SLOW_WALK,
     TAIL_DOF,
+    UNLIKELIEST,
     WEIGHTS,
     NoiseMultipleModelBank,
     StateCorrection,
@@ -144,6 +143,7 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         for h, one in enumerate(readable):
             one.predict(F, C, T)
             log_likelihood[h] += one.correct(z, H, R / fix_factor, dx, G)
+        log_likelihood = np.maximum(log_likelihood - log_likelihood.max(), UNLIKELIEST)
         velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], matrix_from_quat(nav[QUAT]), 0.2
         if moved is not None:
             moves += 1
@@ -151,7 +151,7 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
             correct_state(bank._values[WEIGHTS], readable, moved)
         compare(bank, readable)
         found = bank._values[LOG_LIKELIHOOD]
-        np.testing.assert_allclose(found, log_likelihood - log_likelihood.max(), atol=1e-9)
+        np.testing.assert_allclose(found, log_likelihood, atol=1e-9)
     assert iterated > 1
     assert moves > 0
 
@@ -199,3 +199,49 @@ def test_a_copy_is_a_checkpoint() -> None:
 
     assert (kept.imu_factors, kept.fix_factor) == once[:2]
     np.testing.assert_array_equal(kept._values, once[2])
+
+
+def jump_of(rng: np.random.Generator, nav: Array, k: int) -> tuple[Correction, Array]:
+    found = correction_of(rng, nav, k)
+    z = np.array([40.0, -30.0, 20.0])
+    R = found.S - found.H @ covariance(nav) @ found.H.T
+    return replace(found, z=z, dx=np.zeros(N_ERROR), fused=False), R
+
+
+def test_many_jumps_raise_r_alone_and_one_does_not() -> None:
+    rng = np.random.default_rng(6)
+    bank, nav = NoiseMultipleModelBank(), flat_state(rng, 0.02)
+    bank.update(correction_of(rng, nav, 1), PSD)
+
+    found = []
+    for k in range(2, 9):
+        bank.weigh_jump(*jump_of(rng, nav, k))
+        found.append((bank.fix_factor, *bank.imu_factors))
+
+    assert found[0][0] < 2.0
+    assert found[-1][0] > 10.0
+    assert np.all(np.array(found)[:, 1:] < 2.0)
+
+
+def test_what_is_known_of_r_outlasts_an_inflation() -> None:
+    rng = np.random.default_rng(7)
+    bank, nav = NoiseMultipleModelBank(), flat_state(rng, 0.02)
+    bank.update(correction_of(rng, nav, 1), PSD)
+    for k in range(2, 9):
+        bank.weigh_jump(*jump_of(rng, nav, k))
+    before = bank.fix_factor
+
+    bank.restart(keep_weights=False)
+
+    assert bank.fix_factor > 0.5 * before
+    assert max(bank.imu_factors) <= 1.5
+
+
+def test_no_hypothesis_is_beyond_return() -> None:
+    rng = np.random.default_rng(8)
+    bank, nav = NoiseMultipleModelBank(), flat_state(rng, 0.02)
+    for k in range(1, 400):
+        bank.update(correction_of(rng, nav, 1 + k % 2), PSD)
+
+    assert bank._values[LOG_LIKELIHOOD].min() >= UNLIKELIEST
+    assert bank._values[LOG_LIKELIHOOD].max() == 0.0
