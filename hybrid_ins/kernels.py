@@ -202,8 +202,8 @@ def _compile_output() -> None:
         True,
     )
     clock = np.ones(clock_offset.N_CLOCK)
-    clock_offset.sensitivities(nav, clock, 0.0, H)
-    clock_offset.observe(clock, 0.0, zero, nav[:N_ERROR], zero, zero, turn, True)
+    clock_offset.sensitivities(nav, H)
+    clock_offset.observe(clock, 0.0, zero, np.zeros((3, 2)), turn, True)
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
     imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD, observe, sensitivities
+from hybrid_ins.core.clock_offset import age_mean_square, observe, sensitivities
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.iterated_update import update_and_linearise
@@ -19,6 +19,7 @@ from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
 from hybrid_ins.core.state import (
+    AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     DIAGONAL,
@@ -26,7 +27,6 @@ from hybrid_ins.core.state import (
     QUAT,
     SENSITIVITY,
     SLOW_VARIANCE,
-    VELOCITY,
 )
 from hybrid_ins.core.strapdown import rotation
 
@@ -120,17 +120,17 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             R[a, b] = white[a, b] * fix_factor
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval)
-    h, change = sensitivities(nav, clock, interval, H)
-    if variance > 0.0 and not is_position:
-        for a in range(m):
-            for b in range(m):
-                R[a, b] += VELOCITY_AGE_STD**2 * change[a] * change[b]
+    h, change = sensitivities(nav, H)
+    age = age_mean_square(clock) if variance > 0.0 and not is_position else 0.0
+    for a in range(m):
+        for b in range(m):
+            R[a, b] += age * change[a] * change[b]
     S, _ = innovation_covariance(packed, H, R)
     root = np.empty((m, m))
     for a in range(m):
-        result[SIGMA][a] = np.sqrt(R[a, a] + variance * h[a] * h[a])
+        result[SIGMA][a] = np.sqrt(R[a, a] + variance * h[a, 0] * h[a, 0])
         for b in range(m):
-            root[a, b] = S[a, b] + variance * h[a] * h[b]
+            root[a, b] = S[a, b] + variance * h[a, 0] * h[b, 0]
     factorise(root)
     nis, log_det = whiten(root, z.copy()), 0.0
     for a in range(m):
@@ -144,12 +144,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]
-    velocity_n = nav[VELOCITY].copy()
     dx, K, z_x, H_x, x, G = update_and_linearise(nav, z, H, R / weight)
-    s = nav[SENSITIVITY]
+    s, u = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
     for i in range(N_ERROR):
         for a in range(m):
-            s[i] -= K[i, a] * h[a]
+            s[i] -= K[i, a] * h[a, 0]
+            u[i] -= K[i, a] * h[a, 1]
     result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
     rotation(nav[QUAT], result[ATTITUDE])
     for i in range(N_ERROR):
@@ -164,6 +164,6 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         result[INNOVATION][a], result[LINEAR_Z][a] = z[a], z_x[a]
         for b in range(m):
             result[S_MATRIX][m * a + b] = S[a, b]
-            S[a, b] += (1.0 / weight - 1.0) * R[a, b]
-    observe(clock, interval, velocity_n, dx, z, h, S, is_position)
+            S[a, b] += (1.0 / weight - 1.0) * R[a, b] - age * change[a] * change[b]
+    observe(clock, interval, z, h, S, True)
     return True

@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import iterated_update
-from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.clock_offset import (
+    ClockOffsetObserver,
+    age_mean_square,
+    initial_sensitivity,
+    sensitivities,
+)
 from hybrid_ins.core.events import (
     ClockShift,
     CovarianceInflation,
@@ -51,6 +56,7 @@ from hybrid_ins.core.position_scatter import (
 )
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
+    AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     N_ERROR,
@@ -263,16 +269,18 @@ class MeasurementUpdate:
         if not np.isfinite(nav).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
+        of_age = np.zeros_like(R)
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
-            h = self.clock.sensitivity_of(nav, measurement.t_ns, H)
+            h, change = sensitivities(nav, H)
             if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
-                R = R + self.clock.velocity_age_covariance(nav, measurement.t_ns, H)
+                of_age = age_mean_square(self.clock.values) * np.outer(change, change)
+                R = R + of_age
         else:
-            h = H @ nav[SENSITIVITY]
+            h = H @ np.stack((nav[SENSITIVITY], nav[AGE_SENSITIVITY]), axis=1)
         of_clock = np.zeros_like(R)
         if nav[CLOCK_VARIANCE] > 0.0:
-            of_clock = nav[CLOCK_VARIANCE] * np.outer(h, h)
+            of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
         S, nis = innovation(nav, z, H, R + of_clock)
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
@@ -284,7 +292,8 @@ class MeasurementUpdate:
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
-        nav[SENSITIVITY] -= K @ h
+        nav[SENSITIVITY] -= K @ h[:, 0]
+        nav[AGE_SENSITIVITY] -= K @ h[:, 1]
         S = S - of_clock
         correction = Correction(
             measurement.t_ns,
@@ -312,8 +321,7 @@ class MeasurementUpdate:
             self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
             return verdict, False, found
-        informs = measurement.kind == PositionFix.kind
-        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R, informs)
+        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R - of_age)
         return verdict, self._learn_noise(nav, correction), found
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
@@ -323,5 +331,5 @@ class MeasurementUpdate:
             inject(nav, moved.dx)
             pack(moved.P, nav[COVARIANCE])
             nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY])
-            self.clock.on_moved_state(nav[VELOCITY])
+            nav[AGE_SENSITIVITY] = 0.0
         return moved is not None

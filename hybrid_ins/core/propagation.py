@@ -15,6 +15,8 @@ from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.error_model import process_noise, system_matrix
 from hybrid_ins.core.state import (
+    ACCELERATION,
+    AGE_SENSITIVITY,
     BIAS_A,
     BIAS_G,
     COVARIANCE,
@@ -34,6 +36,9 @@ from hybrid_ins.core.state import (
 )
 from hybrid_ins.core.strapdown import mechanise
 
+MEAN_TIME = 0.05  # s, over which the acceleration is averaged
+GRAVITY = 9.8  # m/s²: the mean acceleration needs it no better
+
 
 @kernel(fastmath={"contract"})
 def propagate_covariance(nav):  # type: ignore[no-untyped-def]
@@ -44,7 +49,7 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
 
         P <- Phi P Phi' + G Qc G' dt,   Phi = I + F dt
 
-    The sensitivity to the clock offset moves with it, s <- Phi s.
+    The sensitivities to the clock offset and to the age of velocities move with it, s <- Phi s.
     F is `error_model.system_matrix`, G Qc G' dt is `error_model.process_noise`, and the products
     are the generated `_covariance_step.covariance_step`.
     """
@@ -60,7 +65,12 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
     F = nav[SYSTEM].reshape(15, 15)
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
     q_v, q_eps, q_a, q_g = process_noise(C, nav[PSD], dt)
-    covariance_step(nav[COVARIANCE], nav[SENSITIVITY], F, dt, q_v, q_eps, q_a, q_g)
+    s, s_age = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
+    covariance_step(nav[COVARIANCE], s, s_age, F, dt, q_v, q_eps, q_a, q_g)
+    acceleration, share = nav[ACCELERATION], dt / (dt + MEAN_TIME)
+    acceleration[0] += share * (f_n[0] - acceleration[0])
+    acceleration[1] += share * (f_n[1] - acceleration[1])
+    acceleration[2] += share * (f_n[2] + GRAVITY - acceleration[2])
     nav[PENDING_DT] = 0.0
     for i in range(3):
         f_n[i] = 0.0

@@ -46,7 +46,10 @@ PENDING_F = slice(35, 38)
 PENDING_C = slice(38, 47)
 COVARIANCE = slice(47, 47 + N_ERROR * (N_ERROR + 1) // 2)
 SENSITIVITY = slice(COVARIANCE.stop, COVARIANCE.stop + N_ERROR)  # s = d(error)/d(clock offset)
-CLOCK_VARIANCE = SENSITIVITY.stop  # V [s²], of what the clock offset of fixes lacks
+# likewise to the age of velocities against positions
+AGE_SENSITIVITY = slice(SENSITIVITY.stop, SENSITIVITY.stop + N_ERROR)
+ACCELERATION = slice(AGE_SENSITIVITY.stop, AGE_SENSITIVITY.stop + 3)  # m/s², n, the recent mean
+CLOCK_VARIANCE = ACCELERATION.stop  # V [s²], of what the clock offset of fixes lacks
 SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `position_scatter`
 N_NAV = SLOW_VARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)

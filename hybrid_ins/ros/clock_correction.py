@@ -170,6 +170,9 @@ class ClockCorrection:
             return status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
         missing, sigma = found
         values |= {"time_offset_found": offset + missing, "sigma": sigma}
+        running = self._navigator.filter
+        if running is not None:
+            values["velocity_age"], values["velocity_age_sigma"] = running.clock.velocity_age
         fault = self._fault()
         searching = ", the search goes on" if self._navigator.phases.clock_open else ""
         text = fault or (

@@ -7,7 +7,16 @@ import pytest
 from support.analytic_motion import difference
 from support.runs import begin, stamped_early
 
-from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, MIN_STD, ClockOffsetObserver
+from hybrid_ins.core.clock_offset import (
+    AGE_TIME,
+    MARGIN,
+    MAX_STD,
+    MIN_STD,
+    P_PARAMETERS,
+    VELOCITY_AGE_STD,
+    ClockOffsetObserver,
+    sensitivities,
+)
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -16,6 +25,8 @@ from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.propagation import propagate_covariance
 from hybrid_ins.core.state import (
+    ACCELERATION,
+    AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     DP,
@@ -24,6 +35,7 @@ from hybrid_ins.core.state import (
     N_FLAT,
     N_NAV,
     SENSITIVITY,
+    VELOCITY,
     NavState,
     pack,
     total_std,
@@ -50,6 +62,11 @@ def correction(t_ns: int, velocity_n: np.ndarray, std: float) -> Correction:
     return Correction(t_ns, z, S, H, K, np.zeros(N_ERROR), np.eye(3), 1.0, nav, True)
 
 
+def inform(observer: ClockOffsetObserver, fix: Correction) -> None:
+    """Let an observer use a correction."""
+    observer.update(fix, sensitivities(fix.nav, fix.H)[0], fix.S)
+
+
 @pytest.mark.parametrize("std", [3.0, 1e-3, 1e-9])
 def test_sigma_stays_a_number_and_above_what_stamps_resolve(std: float) -> None:
     observer = ClockOffsetObserver(0.5)
@@ -57,7 +74,7 @@ def test_sigma_stays_a_number_and_above_what_stamps_resolve(std: float) -> None:
     for k in range(1, 2000):
         velocity_n = rng.normal(0.0, 10.0, 3)
         fix = correction(k * SECOND, velocity_n, std)
-        observer.update(fix, observer.sensitivity_of(fix.nav, fix.t_ns, fix.H), fix.S)
+        inform(observer, fix)
         assert observer.sigma >= MIN_STD
     assert np.isfinite(observer.residual)
 
@@ -66,7 +83,7 @@ def test_a_huge_sensitivity_leaves_numbers() -> None:
     observer = ClockOffsetObserver(0.5)
     for k, size in enumerate((1e8, 1e100, 1e8), 1):
         fix = correction(k * SECOND, np.ones(3), 1e-3)
-        observer.update(fix, np.full(3, size), fix.S)
+        observer.update(fix, np.full((3, 2), size), fix.S)
         assert observer.sigma >= MIN_STD
     assert np.isfinite(observer.residual)
 
@@ -94,7 +111,7 @@ def filtered(run: Run, speeds: bool) -> InsFilter:
 
 @pytest.mark.parametrize("speeds", [False, True])
 def test_sensitivity_is_the_derivative_of_the_filter_by_the_clock_offset(speeds: bool) -> None:
-    run = draw(Scenario("flight", rate=100.0, duration=20.0), 1)
+    run = draw(Scenario("flight", rate=100.0, duration=20.0, scored_from=0.6), 1)
     run = replace(run, fixes=run.fixes[1:-1])
     late = 2e-3
     right, wrong = filtered(run, speeds), filtered(stamped_early(run, late), speeds)
@@ -103,6 +120,38 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_the_clock_offset(speeds:
     by_difference = difference(right.nav, wrong.nav) / late
 
     assert np.linalg.norm((by_difference - s) / sigma) < 0.1 * np.linalg.norm(s / sigma)
+
+
+def test_the_other_sensitivity_is_the_derivative_by_the_age_of_velocities() -> None:
+    run = draw(Scenario("flight", rate=100.0, duration=20.0, scored_from=0.6), 1)
+    run = replace(run, fixes=run.fixes[1:-1])
+    older = 2e-3
+
+    def with_velocities(age: float) -> InsFilter:
+        ins = begin(run)
+        ins.submit(NoiseChange(ins.t_ns, FilterNoise(ins.noise.model, ins.noise.process)))
+        ins.ring.extend(run.samples)
+        velocities = [
+            VelocityFix(
+                int(run.samples["t_ns"][run.scored[k]]) - round(1e9 * age),
+                run.velocity_n[k],
+                0.01 * np.eye(3),
+                np.zeros(3),
+            )
+            for k in range(2, len(run.scored), 5)
+        ]
+        for fix in sorted([*run.fixes, *velocities], key=lambda fix: fix.t_ns):
+            ins.submit(fix)
+        ins.predict_block(run.samples[1:])
+        propagate_covariance(ins.nav)
+        return ins
+
+    right, wrong = with_velocities(0.0), with_velocities(older)
+    u, sigma = right.nav[AGE_SENSITIVITY], np.sqrt(np.diag(right.state.P))
+    by_difference = difference(right.nav, wrong.nav) / older
+
+    # the acceleration is a mean over 50 ms, in which it changes by a tenth
+    assert np.linalg.norm((by_difference - u) / sigma) < 0.25 * np.linalg.norm(u / sigma)
 
 
 def test_without_information_sigma_is_that_of_an_unknown_clock() -> None:
@@ -116,9 +165,9 @@ def test_without_information_sigma_is_that_of_an_unknown_clock() -> None:
     largest = 0.0
 
     def update(t: float, fix: Correction) -> None:
-        assert observer.values[2] * observer.values[4] >= observer.values[3] ** 2
-        h = observer.sensitivity_of(fix.nav, fix.t_ns, fix.H)
-        observer.update(fix, h, fix.S)
+        P = observer.values[P_PARAMETERS].reshape(3, 3)
+        assert np.linalg.eigvalsh(P).min() > -1e-12
+        inform(observer, fix)
 
     for t in range(1, 61):
         update(t, moving(t, rng, 0.1, 1.0))
@@ -148,22 +197,63 @@ def test_a_clock_that_drifts_is_followed() -> None:
     observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(2)
     for t in np.arange(1.0, 400.0):
         fix = moving(t, rng, 0.02 + 2e-4 * t, 0.3)
-        observer.update(fix, observer.sensitivity_of(fix.nav, fix.t_ns, fix.H), fix.S)
+        inform(observer, fix)
 
     assert observer.sigma < 0.01
     assert abs(observer.residual - 0.1) < 3.0 * observer.sigma
     assert observer.drift == pytest.approx(2e-4, abs=5e-5)
 
 
-def test_fixes_with_another_clock_do_not_inform() -> None:
+def test_rejected_fixes_do_not_inform() -> None:
     observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(3)
     for t in np.arange(1.0, 50.0):
-        fix = moving(t, rng, 0.1, 0.3)
-        h = observer.sensitivity_of(fix.nav, fix.t_ns, fix.H)
-        observer.update(fix, h, fix.S, informs=False)
+        inform(observer, replace(moving(t, rng, 0.1, 0.3), fused=False))
 
     assert observer.residual == 0.0
     assert observer.sigma >= 0.5
+
+
+@pytest.mark.parametrize("age", [-0.12, 0.0, 0.08])
+def test_the_age_of_velocities_is_no_offset_of_positions(age: float) -> None:
+    """
+    GIVEN velocities that are older than positions, which have drawn the state after them
+    THEN the offset is that of the positions, and the age is found beside it.
+    """
+    offset, rng = 0.05, np.random.default_rng(6)
+    observer = ClockOffsetObserver(0.5)
+    for t in np.arange(1.0, 300.0):
+        position = moving(t, rng, offset, 0.3)
+        nav, H = position.nav, np.eye(3, N_ERROR, 3)
+        nav[ACCELERATION] = rng.normal(0.0, 3.0, 3)
+        nav[SENSITIVITY][DP] = nav[AGE_SENSITIVITY][DP] = -rng.normal(0.0, 3.0, 3)
+        h, g = nav[VELOCITY] + nav[SENSITIVITY][DP], nav[AGE_SENSITIVITY][DP]
+        noise = rng.normal(0.0, 0.3, 3)
+        inform(observer, replace(position, z=h * offset + g * age + noise))
+        noise = rng.normal(0.0, 0.1, 3)
+        z = nav[ACCELERATION] * (offset + age) + noise
+        inform(observer, replace(position, z=z, H=H, S=0.1**2 * np.eye(3)))
+
+    found, sigma = observer.velocity_age
+    assert observer.sigma < 0.01
+    assert abs(observer.residual - offset) < 3.0 * observer.sigma
+    assert sigma < 0.5 * VELOCITY_AGE_STD
+    assert abs(found - age) < 3.0 * sigma
+
+
+def test_an_age_that_velocities_had_is_forgotten() -> None:
+    observer, rng = ClockOffsetObserver(MIN_STD), np.random.default_rng(7)
+    fix = moving(1.0, rng, 0.0, 0.1)
+    fix.nav[ACCELERATION] = 3.0
+    older = replace(fix, H=np.eye(3, N_ERROR, 3), z=np.full(3, -0.3))
+    for k in range(100):
+        inform(observer, replace(older, t_ns=fix.t_ns + k * SECOND // 10))
+    known = observer.velocity_age[1]
+    inform(observer, replace(fix, t_ns=fix.t_ns + round((10 + 5 * AGE_TIME) * SECOND)))
+
+    age, sigma = observer.velocity_age
+    assert known < 0.5 * VELOCITY_AGE_STD
+    assert abs(age) < 0.01
+    assert sigma == pytest.approx(MARGIN * VELOCITY_AGE_STD, rel=0.05)
 
 
 @pytest.mark.parametrize("by", [2e-3, 0.4])
@@ -171,7 +261,7 @@ def test_a_shift_leaves_what_is_not_linear_in_it(by: float) -> None:
     observer, rng = ClockOffsetObserver(0.5), np.random.default_rng(4)
     for t in np.arange(1.0, 100.0):
         fix = moving(t, rng, by, 0.3)
-        observer.update(fix, observer.sensitivity_of(fix.nav, fix.t_ns, fix.H), fix.S)
+        inform(observer, fix)
     before = observer.sigma
     observer.shift(by, fix.nav)
 
@@ -188,7 +278,7 @@ def test_what_is_not_known_of_the_clock_is_in_the_covariance() -> None:
     nees = {False: [], True: []}  # type: dict[bool, list[float]]
     for seed in range(12):
         offset = 0.15 * float(np.random.default_rng(seed).standard_normal())
-        run = draw(Scenario("flight", rate=50.0, duration=8.0, scored_from=0.5), seed)
+        run = draw(Scenario("flight", rate=50.0, duration=8.0, scored_from=0.6), seed)
         for considered, found in nees.items():
             ins = begin(stamped_early(run, offset), clock_std=0.15, consider_clock=considered)
             rows = np.empty((len(run.samples) - 1, N_NAV))

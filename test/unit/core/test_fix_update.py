@@ -17,6 +17,8 @@ from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.position_scatter import PositionScatter, Split
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.core.state import (
+    ACCELERATION,
+    AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     LAST_W,
@@ -53,7 +55,8 @@ def flat_state(rng: np.random.Generator) -> Array:
         P,
     ).to_flat()
     nav[SENSITIVITY] = initial_sensitivity(velocity_n) + rng.normal(0.0, 0.1, N_ERROR)
-    nav[LAST_W] = rng.normal(0.0, 0.3, 3)
+    nav[AGE_SENSITIVITY] = rng.normal(0.0, 1.0, N_ERROR)
+    nav[ACCELERATION], nav[LAST_W] = rng.normal(0.0, 3.0, 3), rng.normal(0.0, 0.3, 3)
     return nav
 
 

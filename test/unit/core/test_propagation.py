@@ -16,7 +16,9 @@ from support.reference_filter import (
 from hybrid_ins.core import propagation
 from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.error_model import process_noise, system_matrix
+from hybrid_ins.core.propagation import MEAN_TIME
 from hybrid_ins.core.state import (
+    ACCELERATION,
     COVARIANCE,
     N_ERROR,
     N_NAV,
@@ -45,19 +47,36 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
 
     packed = np.empty(120)
     pack(P, packed)
-    s = rng.normal(size=N_ERROR)
-    s_expected = (np.eye(N_ERROR) + F * dt) @ s
-    covariance_step(packed, s, F, dt, *process_noise(C.ravel(), psd, dt))
+    s, u = rng.normal(size=(2, N_ERROR))
+    s_expected, u_expected = ((np.eye(N_ERROR) + F * dt) @ vector for vector in (s, u))
+    covariance_step(packed, s, u, F, dt, *process_noise(C.ravel(), psd, dt))
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
     assert np.max(error) < 1e-14
     np.testing.assert_allclose(s, s_expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(u, u_expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_minute_equals_the_reference() -> None:
     """State and covariance to 1e-9 of their size after 6 000 steps of the compiled kernel."""
     assert difference_to_reference(100.0, 60.0) < 1e-9
+
+
+def test_the_mean_acceleration_is_that_of_the_motion() -> None:
+    truth = flight(200.0, 4.0)
+    nav, steps = start(truth), np.diff(truth.t)
+    found = []
+    for dt, reading in zip(steps, truth.readings[1:], strict=True):
+        propagation.step(nav, dt, *reading, 0.01)
+        found.append(nav[ACCELERATION].copy())
+    late = round(MEAN_TIME * 200.0)
+    expected = np.gradient(truth.velocity_n, truth.t, axis=0)[1:-late]
+
+    settled = slice(round(6 * MEAN_TIME * 200.0), None)
+    error = (np.array(found)[late:] - expected)[settled]
+    assert np.abs(error.mean(axis=0)).max() < 0.05
+    assert error.std() < 0.1 * expected[settled].std()
 
 
 def test_step_and_run_are_the_same() -> None:
