@@ -70,9 +70,8 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 Model = tuple[Array, Array, Array]  # z, H, R
-Fused = tuple[
-    Verdict, bool, float | None
-]  # whether the noise moved the state; see `_split_position`
+Fused = tuple[Verdict, bool, float | None]
+"""Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
 NO_SLOW_ERROR = np.empty(0)
 

@@ -154,13 +154,13 @@ class PositionFix:
     @property
     def claimed(self) -> Array:
         """R, (3, 3), or (2, 2) where the vertical component is not given."""
-        R = self.covariance_n
-        return np.ascontiguousarray(R if math.isfinite(self.lla[2]) else R[:2, :2])
+        return _given(self.covariance_n, self.lla)
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
         z, H = position_model(nav, self.lla, self.lever_b)
-        return _given(z, H, self.covariance_n)
+        R = self.claimed
+        return z[: len(R)], H[: len(R)], R
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,13 +179,13 @@ class VelocityFix:
     @property
     def claimed(self) -> Array:
         """R, (3, 3), or (2, 2) where the vertical component is not given."""
-        R = self.covariance_n
-        return np.ascontiguousarray(R if math.isfinite(self.velocity_n[2]) else R[:2, :2])
+        return _given(self.covariance_n, self.velocity_n)
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""
         z, H = velocity_model(nav, self.velocity_n, self.lever_b)
-        return _given(z, H, self.covariance_n)
+        R = self.claimed
+        return z[: len(R)], H[: len(R)], R
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,9 +225,6 @@ def clock_offset_ns(measurement: Measurement) -> int:
     return 0 if stamp_ns is None else measurement.t_ns - stamp_ns
 
 
-def _given(z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:
-    """Return the rows of a measurement whose innovation is a number."""
-    if math.isfinite(z.dot(z)):
-        return z, H, R
-    given = np.flatnonzero(np.isfinite(z))
-    return z[given], H[given], np.ascontiguousarray(R[np.ix_(given, given)])
+def _given(R: Array, measured: Array) -> Array:
+    """Return R, (3, 3), of a measurement, or (2, 2) where its vertical component is no number."""
+    return np.ascontiguousarray(R if math.isfinite(measured[2]) else R[:2, :2])

@@ -113,6 +113,8 @@ class NoiseMultipleModelBank(ShallowCopy):
     slow_std : float
         Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
         none.
+    estimates : ndarray, shape (N_ROWS, COUNT), or None
+        Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
 
     See Also
     --------
@@ -125,7 +127,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         self.fix_factor = 1.0
         self.slow_std = 0.0
         self._values = _START
-        self._estimates: Array | None = None  # (N_ROWS, COUNT), see `advance`
+        self.estimates: Array | None = None
         self._t_ns = 0
 
     def restart(self, *, keep_weights: bool) -> None:
@@ -134,7 +136,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
         Without: what is known of R stays all the same, whatever state it was learned with.
         """
-        self._estimates = None
+        self.estimates = None
         if not keep_weights:
             of_fixes = self._log_likelihood_of_fixes()
             self._values = self._values.copy()
@@ -210,10 +212,10 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def follow(self, correction: Correction, psd: Array) -> None:
         """Correct the hypotheses by a measurement that is no fix, and do not weigh them."""
-        if self._estimates is not None and 0.0 <= self._time_to(correction) <= MAX_INTERVAL:
+        if self.estimates is not None and 0.0 <= self._time_to(correction) <= MAX_INTERVAL:
             self._update(correction, psd, _HYPOTHESES_OF_IMU, False)
         else:
-            self._estimates = None
+            self.estimates = None
 
     def _time_to(self, correction: Correction) -> float:
         """Return the time since the last correction [s]."""
@@ -221,18 +223,18 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
-        before, T = self._estimates, self._time_to(correction)
+        before, T = self.estimates, self._time_to(correction)
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
             T, before = 0.0, np.zeros((N_ROWS, COUNT))
             before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
             self._values[PENDING_G] = _START[PENDING_G]
-        self._estimates = np.empty((N_ROWS, COUNT))
+        self.estimates = np.empty((N_ROWS, COUNT))
         self._t_ns = correction.t_ns
         have_risen = update_hypotheses(
             hypotheses,
             before,
-            self._estimates,
+            self.estimates,
             self._values,
             T,
             correction.nav,
@@ -251,15 +253,15 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
-        assert self._estimates is not None
+        assert self.estimates is not None
         values, weights = self._values, self._values[WEIGHTS]
         G = values[PENDING_G].reshape(N_ERROR, N_ERROR)
-        covariances, offsets = self._estimates[:OFFSETS], self._estimates[OFFSETS:]
+        covariances, offsets = self.estimates[:OFFSETS], self.estimates[OFFSETS:]
         mean = offsets @ weights
         deviation = offsets - mean[:, None]
         P = (covariances @ weights)[PLACES] + (weights * deviation) @ deviation.T
         dx = G @ mean
-        self._estimates = np.vstack((covariances, deviation))
+        self.estimates = np.vstack((covariances, deviation))
         values[LAST_VELOCITY] += dx[DV]
         return StateCorrection(dx, G @ P @ G.T)
 

@@ -255,9 +255,8 @@ def measure(quick: bool) -> Section:
         "CPU: of the process, in percent of a core; the ratio is that of the CPU times for a "
         "message answered, since a node that is starved answers less. Latency: stamp to "
         "publication.",
-        "The vehicle hovers, so that the search for the clock offset, on by default, is never "
-        "decided: its filters run all the time. A gnss.time_offset.std above 0 makes it "
-        "unnecessary.",
+        "The vehicle hovers, so that motion never confirms the given heading nor the clock "
+        "offset: the filters that check them run all the time.",
         f"IMU messages without odometry: {sum(lost.values())}.",
     ]
     return section

@@ -194,7 +194,7 @@ def live(
                 estimator.handle_fix(fix)
                 estimator.pop_reports()
                 running = estimator.navigator.filter
-                hypotheses = None if running is None else running.noise.factors._estimates
+                hypotheses = None if running is None else running.noise.factors.estimates
                 if k % EVERY == 0 and hypotheses is not None:
                     lla = sample(motion, [(running.t_ns - T0_NS) * 1e-9]).lla[0]
                     missing = offset - estimator.clock.offset
@@ -229,8 +229,8 @@ def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
     """Return a row of `Day` without its time; the true position, and clock offset still missing."""
     off = (lla - running.nav[LLA]) * curvature_scale(lla)
     factors = running.noise.factors
-    assert factors is not None and factors._estimates is not None
-    P = factors._estimates[:OFFSETS][PLACES]  # (15, 15, hypotheses)
+    assert factors is not None and factors.estimates is not None
+    P = factors.estimates[:OFFSETS][PLACES]  # (15, 15, hypotheses)
     std = np.sqrt(np.diagonal(P)).T  # (15, hypotheses)
     correlation = P.transpose(2, 0, 1) / (std.T[:, :, None] * std.T[:, None, :])
     s = running.nav[SENSITIVITY]
@@ -241,7 +241,7 @@ def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
         *running.noise.imu_factors,
         running.noise.fix_factor,
         float(np.abs(s).max()),
-        float(np.max(np.abs(factors._estimates[OFFSETS:]) / std)),
+        float(np.max(np.abs(factors.estimates[OFFSETS:]) / std)),
         float(np.linalg.eigvalsh(correlation).min()),
     )
 

@@ -41,12 +41,18 @@ def drives(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> Ite
                 yield load(data / name, feed)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def parser_of_drives(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the options that `drives` needs."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("names", nargs="*", metavar="NAME", help="parts of the drives' names")
     parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4], metavar="N")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = parser_of_drives(__doc__)
     parser.add_argument("--params-file", type=Path, metavar="FILE")
     args = parser.parse_args(argv)
     values = parameters.defaults()

@@ -9,18 +9,16 @@ dimensions: no filter that runs while the vehicle moves can know them.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from hybrid_ins import parameters
 from tools.vehicles.drives import Drive
-from tools.vehicles.evaluate import drives
+from tools.vehicles.evaluate import drives, parser_of_drives
 from tools.vehicles.judge import Score, score
 
 Exponents = tuple[int, int, int]
@@ -92,11 +90,7 @@ def search(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="parts of the drives' names")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4], metavar="N")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
-    args = parser.parse_args(argv)
+    args = parser_of_drives(__doc__).parse_args(argv)
     print(HEADER)
     starts = list(STARTS)
     for drive in drives(args.names, args.seeds, args.data):

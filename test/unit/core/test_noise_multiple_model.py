@@ -175,13 +175,13 @@ def correct_state(weights: Array, readable: list[Readable], moved: StateCorrecti
 
 def compare(bank: NoiseMultipleModelBank, readable: list[Readable]) -> None:
     """Check covariances and offsets, relative to the standard deviations."""
-    assert bank._estimates is not None
+    assert bank.estimates is not None
     G = bank._values[PENDING_G].reshape(N_ERROR, N_ERROR)
     for h, one in enumerate(readable):
-        P, scale = G @ bank._estimates[:OFFSETS, h][PLACES] @ G.T, np.sqrt(one.P.diagonal())
+        P, scale = G @ bank.estimates[:OFFSETS, h][PLACES] @ G.T, np.sqrt(one.P.diagonal())
         square = np.outer(scale, scale)
         np.testing.assert_allclose(P / square, one.P / square, atol=1e-11)
-        offset = G @ bank._estimates[OFFSETS:, h]
+        offset = G @ bank.estimates[OFFSETS:, h]
         np.testing.assert_allclose(offset / scale, one.offset / scale, atol=1e-11)
 
 
