@@ -59,6 +59,8 @@ class Receiver:
     claimed_std: tuple[float, float, float] = (0.01, 0.01, 0.02)  # m
     offset: float = 0.0  # s
     drift: float = 0.0  # s/s
+    velocity_std: float | None = None  # m/s; None: it reports no velocity
+    velocity_age: float = 0.0  # s, of a velocity behind the position with the same stamp
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class Recording:
     fix_t: Array  # (M,) s, when the fixes were true
     fix_stamp: Array  # (M,) s, as the receiver stamps them
     fix_lla: Array  # (M, 3)
+    fix_velocity_n: Array | None  # (M, 3) m/s
 
 
 def record(vehicle: Vehicle, seed: int) -> Recording:
@@ -117,7 +120,11 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
     error += gauss_markov(receiver.slow_std, decay, len(fix_t), rng)
     lla = at.lla + error / np.array([earth.curvature_scale(place) for place in at.lla])
     stamp = fix_t - receiver.offset - receiver.drift * fix_t
-    return Recording(vehicle, truth, imu, fix_t, stamp, lla)
+    velocity_n = None
+    if receiver.velocity_std is not None:
+        velocity_n = sample(motion, fix_t - receiver.velocity_age).velocity_n
+        velocity_n = velocity_n + receiver.velocity_std * rng.standard_normal((len(fix_t), 3))
+    return Recording(vehicle, truth, imu, fix_t, stamp, lla, velocity_n)
 
 
 def city_car(duration: float, seed: int, rest: float = 10.0) -> Motion:
@@ -274,6 +281,16 @@ MODEST = Receiver(5.0, (0.2, 0.2, 0.3), (0.8, 0.8, 1.5), 100.0, (1.0, 1.0, 2.0))
 CONSUMER = Receiver(1.0, (1.0, 1.0, 2.0), (1.5, 1.5, 3.0), 60.0, (2.0, 2.0, 4.0))
 ENGINE = Tone(31.0, 0.5, 0.02)
 SHAKEN = ImuErrors(tones=(ENGINE, Tone(47.3, 0.3, 0.01)))
+_FIXED_WING = Vehicle(
+    "fixed wing 50 Hz",
+    fixed_wing,
+    replace(MODEST, offset=-0.2),
+    ImuErrors(tones=(Tone(17.0, 2.0, 0.05), Tone(21.7, 1.5, 0.05))),
+    50.0,
+    60.0,
+    engine_time=15.0,
+)
+
 VEHICLES: dict[str, Vehicle] = {
     vehicle.name: vehicle
     for vehicle in (
@@ -284,14 +301,11 @@ VEHICLES: dict[str, Vehicle] = {
         ),
         Vehicle("car, clock -0.4 s", city_car, Receiver(offset=-0.4), SHAKEN, road_std=0.6),
         Vehicle("car, consumer", city_car, CONSUMER, SHAKEN, road_std=0.6),
-        Vehicle(
-            "fixed wing 50 Hz",
-            fixed_wing,
-            replace(MODEST, offset=-0.2),
-            ImuErrors(tones=(Tone(17.0, 2.0, 0.05), Tone(21.7, 1.5, 0.05))),
-            50.0,
-            60.0,
-            engine_time=15.0,
+        _FIXED_WING,
+        replace(
+            _FIXED_WING,
+            name="fixed wing, velocities 0.1 s old",
+            receiver=replace(_FIXED_WING.receiver, velocity_std=0.1, velocity_age=0.1),
         ),
         Vehicle(
             "slow rover",

@@ -1,5 +1,6 @@
 """Vehicles that are no quadrotor: valid fixes are used, and show motion."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,19 @@ def test_valid_fixes_of_a_car_are_used_at_every_turn() -> None:
     assert found.resets == 0
     assert found.rmse < 0.085
     assert found.nees < 2.0
+
+
+@pytest.mark.slow
+def test_velocities_older_than_positions_do_not_draw_the_clock() -> None:
+    """
+    GIVEN a fixed wing whose receiver's velocities are 0.1 s older than its positions
+    THEN the clock offset is that of the positions: it was -0.05 s, and the RMSE 2.1 m.
+    """
+    vehicle = replace(VEHICLES["fixed wing, velocities 0.1 s old"], duration=150.0)
+    found = score(from_simulation(record(vehicle, 1)), parameters.defaults())
+
+    assert found.offset == pytest.approx(-0.2, abs=0.03)
+    assert found.rmse < 1.5
 
 
 @pytest.mark.parametrize(("speed", "moves"), [(0.0, False), (0.1, False), (0.8, True)])

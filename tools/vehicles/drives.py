@@ -64,6 +64,8 @@ def from_simulation(recording: Recording, delay: float = 0.0) -> Drive:
     std = np.asarray(receiver.claimed_std)[[1, 0, 2]]
     step = max(1, round(0.1 * recording.vehicle.imu_rate))
     ns = _ns(truth.t)
+    velocity_n = recording.fix_velocity_n
+    velocity_enu = None if velocity_n is None else velocity_n[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
     return Drive(
         recording.vehicle.name,
         ns,
@@ -73,8 +75,8 @@ def from_simulation(recording: Recording, delay: float = 0.0) -> Drive:
         _ns(recording.fix_t + delay),
         recording.fix_lla,
         np.tile(std, (len(recording.fix_t), 1)),
-        None,
-        None,
+        velocity_enu,
+        None if velocity_enu is None else np.full(velocity_enu.shape, receiver.velocity_std),
         ns[::step],
         truth.lla[::step],
         ns[::step],
