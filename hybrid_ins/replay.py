@@ -38,7 +38,7 @@ from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.gps_fix_input import GpsFixInput
 from hybrid_ins.ros.imu_admission import NO_READING
 from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.message_types import OUTPUTS, to_message
+from hybrid_ins.ros.message_types import OUTPUTS, encode
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Report
 from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
@@ -286,8 +286,9 @@ class _Replay:
                 self._verdicts.append((known_ns, report))
 
     def _write_report(self, report: Report, log_ns: int) -> None:
-        message = to_message(report, new_message, f"/{parameters.NODE_NAME}")
-        self._out.write("/" + report.topic.lstrip("/"), message, log_ns)
+        data = encode(report, f"/{parameters.NODE_NAME}")
+        topic, type_name = "/" + report.topic.lstrip("/"), OUTPUTS[report.topic]
+        self._out.write_raw(topic, type_name, data, log_ns)
 
     def smooth(self, record: RunRecord) -> None:
         """Write the smoothed run, after `filter`."""

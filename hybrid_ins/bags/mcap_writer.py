@@ -139,14 +139,15 @@ class McapWriter:
             return
         parts = [_encoded(*self._undefined)]
         offset = len(parts[0])
-        entries: dict[int, list[tuple[int, int]]] = {}  # log times and offsets in the chunk
+        entries: dict[int, tuple[list[int], list[int]]] = {}  # log times and offsets in the chunk
         for channel, times, messages in self._pending:
-            offsets = range(offset, offset + len(messages), len(messages) // len(times))
-            entries.setdefault(channel, []).extend(zip(times, offsets, strict=True))
+            known_times, offsets = entries.setdefault(channel, ([], []))
+            known_times += times
+            offsets += range(offset, offset + len(messages), len(messages) // len(times))
             parts.append(messages)
             offset += len(messages)
         content = b"".join(parts)
-        tables = {channel: np.array(pairs, "<u8") for channel, pairs in entries.items()}
+        tables = {c: np.array(columns, "<u8").T.copy() for c, columns in entries.items()}
         first_ns = min(int(table[:, 0].min()) for table in tables.values())
         last_ns = max(int(table[:, 0].max()) for table in tables.values())
         chunk = _encoded(

@@ -1,10 +1,11 @@
 """
-CDR byte layouts of the messages that come and go at the IMU's rate: Imu in, Odometry out.
+CDR byte layouts: Imu messages and odometry in whole, and the parts that others consist of.
 
-Decoding and encoding them here, without message objects, costs about a microsecond each; the typed
-path of rclpy costs twenty times that. The layout is plain CDR (XCDR version 1), little endian: a
-4-byte encapsulation header, then the fields in the order of the message definition, each aligned to
-its own size counted from the end of that header. Only the frame names have a variable length.
+They come and go at the IMU's rate. Decoding and encoding them here, without message objects, costs
+about a microsecond each; the typed path of rclpy costs twenty times that. The layout is plain CDR
+(XCDR version 1), little endian: a 4-byte encapsulation header, then the fields in the order of the
+message definition, each aligned to its own size counted from the end of that header. Only texts and
+sequences have a variable length.
 
 References
 ----------
@@ -18,9 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR_LE, no options
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER = struct.Struct("<2sHiII")  # encapsulation, options, stamp, length of frame_id
 _HEADER_SIZE = 16
+_STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 _PADDING = (b"", bytes(3), bytes(2), bytes(1))  # up to a multiple of 4
 _IMU_BODY_SIZE = 37 * 8
@@ -132,15 +134,15 @@ class StampedEncoder:
     """
 
     def __init__(self, names: Sequence[str], count: int) -> None:
-        text = bytearray(_LITTLE_ENDIAN + bytes(8))
+        text = bytearray(LITTLE_ENDIAN + bytes(8))
         for name in names:
-            _put_text(text, name)
+            put_text(text, name)
         start = _body_start(len(text))
         # Four bytes ahead of the message bring its doubles to a multiple of eight.
         self._buffer = bytearray(4 + start + 8 * count)
         self._buffer[4 : 4 + len(text)] = text
         self._message = memoryview(self._buffer)[4:]
-        self._pack_stamp = struct.Struct("<iI").pack_into
+        self._pack_stamp = _STAMP.pack_into
         self.values: NDArray[np.float64] = np.frombuffer(
             self._buffer, "<f8", offset=4 + start, count=count
         )
@@ -303,6 +305,27 @@ def _text(name: bytes) -> str:
     return name.rstrip(b"\0").decode(errors="replace")
 
 
-def _put_text(buffer: bytearray, text: str) -> None:
+def stamped(t_ns: int, frame_id: str) -> bytearray:
+    """Begin a message with a header: stamp [ns] and frame."""
+    buffer = bytearray(LITTLE_ENDIAN + _STAMP.pack(*divmod(t_ns, 1_000_000_000)))
+    put_text(buffer, frame_id)
+    return buffer
+
+
+def put_text(buffer: bytearray, text: str) -> None:
+    """Append a string."""
     encoded = text.encode(errors="replace")
-    buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(len(encoded) + 1) + encoded + b"\0"
+    put_count(buffer, len(encoded) + 1)
+    buffer += encoded + b"\0"
+
+
+def put_count(buffer: bytearray, count: int) -> None:
+    """Append the length of what follows."""
+    buffer += _PADDING[len(buffer) % 4] + _COUNT.pack(count)
+
+
+def put_doubles(buffer: bytearray, *arrays: ArrayLike) -> None:
+    """Append arrays of doubles."""
+    buffer += bytes(_body_start(len(buffer)) - len(buffer))
+    for array in arrays:
+        buffer += np.asarray(array, "<f8").tobytes()

@@ -147,7 +147,7 @@ class LiveEstimator:
         self._geographic: GeographicServices | None = None
         self._warm_start = WarmStart(self.estimator, values)
         self._warm_start.load_at_start()
-        self._topics = OutputTopics(values, new_message, node.get_namespace(), node.get_name())
+        self._topics = OutputTopics(values, node.get_namespace(), node.get_name())
         self._transforms: Any = None
         self._transform_publisher: Any = None
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import (
     AccelWithCovarianceStamped,
     TwistWithCovarianceStamped,
@@ -25,7 +25,6 @@ MESSAGES = {
     "geometry_msgs/msg/AccelWithCovarianceStamped": AccelWithCovarianceStamped,
     "diagnostic_msgs/msg/DiagnosticStatus": DiagnosticStatus,
     "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
-    "diagnostic_msgs/msg/KeyValue": KeyValue,
 }
 
 

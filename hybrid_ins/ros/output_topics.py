@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from hybrid_ins import parameters
 from hybrid_ins.ros.cdr import OdometryEncoder
 from hybrid_ins.ros.interface import QUALITY
-from hybrid_ins.ros.message_types import NewMessage, to_message
+from hybrid_ins.ros.message_types import encode
 from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Diagnostics, Odometry, Report, Status
 
@@ -40,8 +40,6 @@ class OutputTopics:
     ----------
     values : mapping
         Checked parameters.
-    new_message : callable
-        See `to_message`.
     namespace, node_name : str
         Those of the node: names and hardware_id of statuses distinguish several vehicles.
 
@@ -54,14 +52,12 @@ class OutputTopics:
     def __init__(
         self,
         values: Mapping[str, Any],
-        new_message: NewMessage,
         namespace: str = "/",
         node_name: str = parameters.NODE_NAME,
     ) -> None:
         self._prefix = prefix_of(namespace)
         self._hardware_id = f"{namespace.rstrip('/')}/{node_name}"
         self.publishers: dict[str, Publisher] = {}
-        self._new_message = new_message
         self._map_encoder = OdometryEncoder(values["map_frame"], values["base_frame"])
         self._odom_encoder = OdometryEncoder(values["odom_frame"], values["base_frame"])
         self._odometry_due = RateLimiter(values["odometry_rate"])
@@ -115,12 +111,12 @@ class OutputTopics:
         report = Report("/diagnostics", Diagnostics(t_ns, statuses), t_ns)
         self.publishers["/diagnostics"].publish(self._message(report))
 
-    def _message(self, report: Report) -> Any:
+    def _message(self, report: Report) -> bytes:
         content = report.content
         if self._prefix and isinstance(content, Diagnostics):
             named = [s._replace(name=self._prefix + s.name) for s in content.statuses]
             report = replace(report, content=replace(content, statuses=named))
-        return to_message(report, self._new_message, self._hardware_id)
+        return encode(report, self._hardware_id)
 
 
 def prefix_of(namespace: str) -> str:

@@ -1,7 +1,7 @@
 """
 What the estimator publishes, as records: no messages, no bytes.
 
-`hybrid_ins.ros.message_types.to_message` turns a `Report` into a message of rclpy or of a bag.
+`hybrid_ins.ros.message_types.encode` turns a `Report` into a serialised message.
 """
 
 from __future__ import annotations

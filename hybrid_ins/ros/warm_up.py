@@ -12,9 +12,10 @@ import numpy as np
 from hybrid_ins import parameters
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.cdr import ImuFields
+from hybrid_ins.ros.conversions import NewMessage
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.message_types import NewMessage, to_message
+from hybrid_ins.ros.message_types import encode
 
 
 def warm_up(new: NewMessage, values: Mapping[str, Any]) -> None:
@@ -52,6 +53,6 @@ def warm_up(new: NewMessage, values: Mapping[str, Any]) -> None:
     stamps = 1_000_000_000 + 10_000_000 * np.arange(1, 6)
     handle_imu_block(estimator, stamps, np.tile([0.0, 0.0, 9.8], (5, 1)), np.zeros((5, 3)))
     for report in estimator.pop_reports():
-        to_message(report, new)
+        encode(report)
     if not estimator.reporter.ever_aligned:
         raise RuntimeError("the warm-up run did not reach the filter")
