@@ -210,6 +210,7 @@ def _compile_output() -> None:
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)
+    standstill.significant_speed(np.arange(4), np.zeros((4, 3)))
     imu_axes_fit.integrate_force(
         np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)), np.zeros((3, 2, 3))
     )

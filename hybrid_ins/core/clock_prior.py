@@ -16,6 +16,7 @@ References
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 RATIOS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # scales over the narrowest, all equally likely
@@ -37,10 +38,6 @@ class ClockPrior(NamedTuple):
     mean: float
     scale: float
 
-    def _scales(self) -> list[float]:
-        narrowest = max(self.scale, NARROWEST)
-        return [min(narrowest * ratio, max(WIDEST, narrowest)) for ratio in RATIOS]
-
     def posterior(self, estimate: float, variance: float) -> tuple[float, float]:
         """
         Return mean [s] and variance [s²] of the offset.
@@ -52,10 +49,12 @@ class ClockPrior(NamedTuple):
         """
         total, first, second = 0.0, 0.0, 0.0
         away = estimate - self.mean
-        for scale in self._scales():
-            sum_ = scale**2 + variance
-            weight = math.exp(max(-0.5 * away**2 / sum_, -600.0)) / math.sqrt(sum_)
-            share = scale**2 / sum_
+        exponent = -0.5 * away**2
+        for scale in _scales(self.scale):
+            square = scale**2
+            sum_ = square + variance
+            weight = math.exp(max(exponent / sum_, -600.0)) / math.sqrt(sum_)
+            share = square / sum_
             total += weight
             first += weight * share * away
             second += weight * (share * variance + (share * away) ** 2)
@@ -64,11 +63,18 @@ class ClockPrior(NamedTuple):
 
     def probability(self, low: float, high: float) -> float:
         """Return the probability of offsets between two [s], relative to the one in force."""
-        scales = self._scales()
+        scales = _scales(self.scale)
         return math.fsum(
             _normal_cdf((high - self.mean) / scale) - _normal_cdf((low - self.mean) / scale)
             for scale in scales
         ) / len(scales)
+
+
+@cache
+def _scales(narrowest: float) -> tuple[float, ...]:
+    """Return the standard deviations of the parts [s], by that of the narrowest."""
+    narrowest = max(narrowest, NARROWEST)
+    return tuple(min(narrowest * ratio, max(WIDEST, narrowest)) for ratio in RATIOS)
 
 
 def _normal_cdf(x: float) -> float:

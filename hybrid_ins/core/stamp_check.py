@@ -140,7 +140,7 @@ class MeasurementCheck:
         if not isinstance(measurement, PositionFix):
             return None
         last, self._last_lla = self._last_lla, measurement.lla
-        if last is not None and speed > MOVING and np.array_equal(last, measurement.lla):
+        if last is not None and speed > MOVING and (last == measurement.lla).all():
             return Verdict.rejected(measurement, "same position while moving")
         self.motion.observe(measurement.t_ns, measurement.lla)
         return None

@@ -15,13 +15,11 @@ References
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import radii
 from hybrid_ins.core.samples import readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
@@ -31,7 +29,7 @@ SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
 MEANS = 8  # per window
 FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
-MIN_FIXES = 4
+MIN_FIXES, MAX_FIXES = 4, 64  # of those
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
 SIGNIFICANT = 4.0  # standard deviations of the speed
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
@@ -116,26 +114,41 @@ class FixMotion:
 
     def __init__(self) -> None:
         self.speed = 0.0
-        self._fixes: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=64)
+        self._t_ns = np.empty(0, np.int64)
+        self._lla = np.empty((0, 3))
 
     def observe(self, t_ns: int, lla: NDArray[np.float64]) -> None:
         """Use a position fix: stamp [ns], latitude and longitude [rad] and height [m], (3,)."""
-        fixes = self._fixes
-        if fixes and t_ns <= fixes[-1][0]:
+        if len(self._t_ns) and t_ns <= self._t_ns[-1]:
             return
-        fixes.append((t_ns, lla))
-        while t_ns - fixes[0][0] > FIX_SPAN_NS:
-            fixes.popleft()
-        self.speed = 0.0
-        if len(fixes) < MIN_FIXES:
-            return
-        t = np.array([(stamp - t_ns) * 1e-9 for stamp, _ in fixes])
-        places = np.array([place[:2] - lla[:2] for _, place in fixes]) * curvature_scale(lla)[:2]
-        t -= t.mean()
-        places -= places.mean(axis=0)
-        slope = t @ places / (t @ t)
-        residual = places - t[:, None] * slope
-        variance = float(np.sum(residual**2)) / (2 * len(t) - 4) / float(t @ t)
-        speed = float(np.hypot(*slope))
-        if speed > max(MIN_SPEED, SIGNIFICANT * float(np.sqrt(variance))):
-            self.speed = speed
+        first = max(self._t_ns.searchsorted(t_ns - FIX_SPAN_NS), len(self._t_ns) + 1 - MAX_FIXES)
+        self._t_ns = np.concatenate((self._t_ns[first:], (t_ns,)))
+        self._lla = np.concatenate((self._lla[first:], (lla,)))
+        self.speed = significant_speed(self._t_ns, self._lla)
+
+
+@kernel()
+def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
+    """
+    Return the horizontal speed [m/s] of positions by a straight line; 0 where it is none.
+
+    Stamps (N,) [ns]; latitude, longitude [rad] and height [m], (N, 3).
+    """
+    count = len(t_ns)
+    if count < MIN_FIXES:
+        return 0.0
+    t, places, last = np.empty(count), np.empty((count, 2)), lla[count - 1]
+    meridian, transverse = radii(last[0])
+    north, east = meridian + last[2], (transverse + last[2]) * np.cos(last[0])
+    for k in range(count):
+        t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
+        places[k, 0], places[k, 1] = (lla[k, 0] - last[0]) * north, (lla[k, 1] - last[1]) * east
+    t -= t.mean()
+    square, residual, speed = np.sum(t * t), 0.0, 0.0
+    for axis in range(2):
+        place = places[:, axis] - places[:, axis].mean()
+        slope = np.sum(t * place) / square
+        residual += np.sum((place - t * slope) ** 2)
+        speed = np.hypot(speed, slope)
+    variance = residual / (2 * count - 4) / square
+    return speed if speed > max(MIN_SPEED, SIGNIFICANT * np.sqrt(variance)) else 0.0

@@ -154,12 +154,11 @@ class GnssInput:
                 f"latitude {lat:g}°: NED is singular at the poles",
             )
         covariance_enu = self._position_covariance(message)
-        sigma = np.sqrt(np.diag(covariance_enu))
-        if max(sigma[0], sigma[1]) > self.position_std_max:
+        sigma = math.sqrt(max(covariance_enu[0, 0], covariance_enu[1, 1]))
+        if sigma > self.position_std_max:
             return Refused(
                 "gnss: poor fix",
-                f"σ {max(sigma[0], sigma[1]):.1f} m exceeds gnss.position_std_max "
-                f"{self.position_std_max:g} m",
+                f"σ {sigma:.1f} m exceeds gnss.position_std_max {self.position_std_max:g} m",
             )
         return PositionFix(
             t_ns + round(self.time_offset * 1e9),
@@ -227,17 +226,18 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     definite: a zero or a negative variance means unknown, not perfect); otherwise no axis below
     ``std_min``, its correlations kept.
     """
-    if not np.all(np.isfinite(covariance)):
+    if not np.isfinite(covariance).all():
         return default
     covariance = 0.5 * covariance + 0.5 * covariance.T
-    diagonal = np.diagonal(covariance)
-    if np.count_nonzero(covariance) == 3 and diagonal.all():  # most receivers give no more
-        low, high = diagonal.min(), diagonal.max()
-        return default if low <= 1e-12 * high else np.diag(np.maximum(diagonal, std_min**2))
-    values, axes = np.linalg.eigh(covariance)
-    if values[0] <= 1e-12 * values[2] or values[2] <= 0.0:
+    diagonal = covariance.diagonal()
+    values = diagonal.tolist()
+    if 0.0 not in values and np.count_nonzero(covariance) == 3:  # most receivers give no more
+        is_known = min(values) > 1e-12 * max(values)
+        return np.diag(np.maximum(diagonal, std_min**2)) if is_known else default
+    variances, axes = np.linalg.eigh(covariance)
+    if variances[0] <= 1e-12 * variances[2] or variances[2] <= 0.0:
         return default
-    return np.asarray((axes * np.maximum(values, std_min**2)) @ axes.T)
+    return np.asarray((axes * np.maximum(variances, std_min**2)) @ axes.T)
 
 
 def fill_transform(

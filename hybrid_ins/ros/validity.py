@@ -57,7 +57,7 @@ class ValidityMonitor:
             return (Validity.LOST if self._had_estimate else Validity.WAITING,) * 3, []
         self._had_estimate = True
         sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
-        found = [float(np.max(sigma[:2])), float(np.max(sigma[3:5])), float(sigma[8])]
+        found = [float(sigma[:2].max()), float(sigma[3:5].max()), float(sigma[8])]
         held = Validity.COASTING if self._fixes.outage(t_ns) else Validity.GOOD
         return (
             tuple(
