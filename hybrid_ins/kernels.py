@@ -241,6 +241,7 @@ def _compile_calibration() -> None:
         _some_state(),
         np.zeros(1),
         np.zeros((1, 6)),
+        np.ones((1, 2)),
         np.empty(0),
         np.empty(0, np.int64),
         empty,

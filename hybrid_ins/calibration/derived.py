@@ -1,10 +1,9 @@
-"""What follows from the states of the fitted filter: IMU mount, biases, ordinary noise levels."""
+"""What follows from the states of the fitted filter: IMU mount, biases."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,11 @@ from hybrid_ins.core.rotations import (
     rotvec_from_quat,
     slerp,
 )
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.noise_regressor.reader import NoiseReader
 
 Array = NDArray[np.float64]
 
 REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: prior of the biases' change from start to start
 PRIOR_STARTS = 2.0  # number of recordings to which this prior is equivalent
-ORDINARY = 0.99  # share of the time in which the regressor reads less than the background
 
 
 def mean_rotation(quats_xyzw: Array) -> tuple[Array, float]:
@@ -95,38 +91,6 @@ def next_biases(after: Sequence[FilterPass]) -> tuple[tuple[Array, Array], tuple
         mean = np.sum(weight * bias, axis=0) / np.sum(weight, axis=0)
         found.append((mean, np.sqrt(between + 1.0 / np.sum(weight, axis=0))))
     return found[0], found[1]
-
-
-def ordinary_levels(
-    recordings: Sequence[Recording],
-    values: Mapping[str, Any],
-    log: Callable[[str, str], None] = lambda level, text: None,
-) -> Array | None:
-    """
-    Return the noise levels (6,) that the regressor rarely exceeds; None if it reads none.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    values : mapping
-        Checked parameters: the regressor and its refresh period.
-    log : callable
-        Given level and text of the regressor's messages.
-    """
-    reader = NoiseReader(values, np.eye(3), log)
-    levels = []
-    for recording in recordings:
-        samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
-        samples["t_ns"] = np.round((recording.t + 1.0) * 1e9)
-        samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
-        ring = ImuRing()
-        count = max(1, round(values["noise.refresh_period"] / recording.period))
-        for start in range(0, len(samples), count):
-            ring.extend(samples[start : start + count])
-            q = reader.read(ring, 0).q
-            if q is not None:
-                levels.append(q)
-    return np.quantile(levels, ORDINARY, axis=0) if levels else None
 
 
 def _heading_std(after: FilterPass) -> Array:

@@ -164,6 +164,7 @@ def run_filter(
     offset: float,
     lever_b: Array,
     psd: Array,
+    noise: Array,
     gnss_scale: float,
     nominal: Nominal,
     yaw: float,
@@ -182,6 +183,8 @@ def run_filter(
         Antenna relative to the IMU [m].
     psd : ndarray, shape (12,)
         Diagonal of Qc.
+    noise : ndarray, shape (N, 2)
+        Factors on those of accelerometer and gyroscope, at each sample.
     gnss_scale : float
         Factor on the covariances of the measurements.
     nominal : Nominal
@@ -200,6 +203,7 @@ def run_filter(
         nav,
         recording.t[first:],
         recording.samples[first:],
+        noise[first:],
         recording.aid_t + offset,
         recording.aid_kind,
         recording.aid,

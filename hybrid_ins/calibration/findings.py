@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET, NO_OFFSET, observe_clock, observe_delay
 from hybrid_ins.calibration.derived import (
-    ORDINARY,
     courses,
     mean_rotation,
     next_biases,
-    ordinary_levels,
     rotations_to_truth,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
-from hybrid_ins.calibration.fit import KEPT, SIGNIFICANT, Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.fit import KEPT, Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.loudness import ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.misfit import misfits
+from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
@@ -153,8 +153,9 @@ def calibrate(
         max(values["imu.gyroscope_bias_walk"], 1e-8),
         *conversions.first_biases(values),
     )
+    read = [read_levels(recording, values, log) for recording in recordings]
     fitted = fit(
-        recordings,
+        with_loudness(recordings, read),
         nominal,
         own_offsets=own_offsets,
         search=search,
@@ -189,10 +190,10 @@ def calibrate(
         found.values.update(changed)
         found.add(*row, *changed)
     add_biases(found, after, nominal, C_new_old)
-    add_noise(found, fitted, period)
-    levels = ordinary_levels(recordings, found.values, log)
-    if levels is not None:
-        add_background(found, levels)
+    levels = ordinary_levels(read)
+    for row, changed in noise_findings(fitted, period, levels, values):
+        found.values.update(changed)
+        found.add(*row, *changed)
     add_fix_scatter(found, fitted)
     reasons = misfits(fitted, after, nominal, levels, period)
     if reasons:
@@ -309,56 +310,6 @@ def add_biases(
             found.values[f"{name}_std"] = [
                 float(f"{s:.2g}") for s in np.sqrt((FLIP @ C_new_old) ** 2 @ std**2)
             ]
-
-
-def add_noise(found: Findings, fitted: Fit, period: float) -> None:
-    """Add noise variances and bias random walks."""
-    for name, parameter, label, scale, unit in (
-        ("psd_a", "noise.q_accelerometer", "accelerometer noise", 1.0 / period, "(m/s²)²"),
-        ("psd_g", "noise.q_gyroscope", "gyroscope noise", 1.0 / period, "(rad/s)²"),
-        ("walk_a", "imu.accelerometer_bias_walk", "accelerometer bias walk", 1.0, "m/s²/√s"),
-        ("walk_g", "imu.gyroscope_bias_walk", "gyroscope bias walk", 1.0, "rad/s/√s"),
-    ):
-        log_value, sigma = fitted.value(name), fitted.sigma(name)
-        prior = next(p for p in fitted.prior if p.name == name)
-        value = math.exp(log_value) * scale
-        if sigma < 0.35 * prior.std:
-            verdict, note = "identified", ""
-        elif sigma < 0.75 * prior.std:
-            verdict, note = "weak", "order of magnitude only"
-            if abs(log_value - prior.mean) < SIGNIFICANT * sigma:
-                note, value = KEPT, math.exp(prior.mean) * scale
-        else:
-            verdict = "not identifiable"
-            note = (
-                "smaller than the other errors"
-                if name.startswith("psd")
-                else f"needs more than {fitted.recordings[0].t[-1]:.0f} s"
-            )
-            value = math.exp(prior.mean) * scale
-        found.values[parameter] = float(f"{value:.3g}")
-        spread = f"×/÷ {math.exp(min(sigma, 9.0)):.1f}"
-        found.add(label, f"{value:.2g} {unit}", spread, verdict, note, parameter)
-
-
-def add_background(found: Findings, levels: Array) -> None:
-    """Add the levels (6,) that the regressor rarely exceeds in motion whose noise is now known."""
-    for sensor, unit, background in (
-        ("accelerometer", "(m/s²)²", levels[:3]),
-        ("gyroscope", "(rad/s)²", levels[3:]),
-    ):
-        name = f"noise.background_{sensor}"
-        found.values[name] = [float(f"{level:.3g}") for level in background]
-        text = ", ".join(f"{level:.2g}" for level in background)
-        found.add(
-            f"{sensor} background",
-            f"[{text}] {unit}",
-            "",
-            "identified",
-            f"noise.model {found.values['noise.model']} reads less for {100.0 * ORDINARY:g} % of "
-            "the time",
-            name,
-        )
 
 
 def add_fix_scatter(found: Findings, fitted: Fit) -> None:

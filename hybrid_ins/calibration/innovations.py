@@ -26,7 +26,7 @@ from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.propagation import propagate_covariance, step
-from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV
+from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ POSITION, VELOCITY = 0, 1
 
 @kernel(nogil=True)
 def innovations(  # type: ignore[no-untyped-def]
-    nav, t, samples, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, states
+    nav, t, samples, noise, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, states
 ):
     """
     Run the filter from ``nav`` over samples and aiding measurements, up to the last of these.
@@ -46,6 +46,8 @@ def innovations(  # type: ignore[no-untyped-def]
         Flat state at the first sample, its noise densities set; overwritten.
     t, samples : ndarray, shape (N,), (N, 6)
         Time [s], specific force [m/s²] and angular rate [rad/s], b.
+    noise : ndarray, shape (N, 2)
+        Factors on the noise densities of accelerometer and gyroscope that ``nav`` has at first.
     aid_t, aid_kind, aid, aid_R : ndarray, shape (M,), (M,), (M, 3), (M, 3, 3)
         Measurements in order of time [s, IMU clock]: positions [rad, rad, m] or velocities
         [m/s, NED]; a component that is NaN is left out.
@@ -67,6 +69,7 @@ def innovations(  # type: ignore[no-untyped-def]
     count, n, i, k, now = aid_t.shape[0], t.shape[0], 1, 0, t[0]
     nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
     f, w = nav[LAST_F], nav[LAST_W]
+    psd = nav[PSD][:6].copy()
     while k < count and aid_t[k] < now:
         k += 1
     while i < n and k < count:
@@ -75,6 +78,7 @@ def innovations(  # type: ignore[no-untyped-def]
         if then > now:
             # Between two samples the reading is interpolated linearly.
             s, a = samples[i], (then - now) / (t[i] - now)
+            nav[PSD][:3], nav[PSD][3:6] = psd[:3] * noise[i, 0], psd[3:] * noise[i, 1]
             step(
                 nav,
                 then - now,

@@ -28,7 +28,8 @@ from hybrid_ins.calibration.recording import Recording
 
 Array = NDArray[np.float64]
 
-SHARED = ("lever_x", "lever_y", "lever_z", "psd_a", "psd_g", "walk_a", "walk_g", "gnss_scale")
+LEVER = ("lever_x", "lever_y", "lever_z")
+FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
 YAWS = 12  # headings that the coarse search starts with
 COARSE_YAW_STD = 0.3  # rad, of each
 YAW_STD = 0.15  # rad, of the chosen one
@@ -83,11 +84,12 @@ class Likelihood:
         lever = nominal.lever_b
         self.prior = (
             *(Prior(name, nominal.time_offset, 1.0, 0.004) for name in offsets),
-            *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(SHARED[:3])),
+            *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(LEVER)),
             Prior("psd_a", math.log(nominal.psd_a), 2.0 * LN10, 0.1),
             Prior("psd_g", math.log(nominal.psd_g), 2.0 * LN10, 0.1),
             Prior("walk_a", math.log(nominal.walk_a), 0.7 * LN10, 0.2),
             Prior("walk_g", math.log(nominal.walk_g), 0.7 * LN10, 0.2),
+            *(Prior(name, 0.0, 1.0, 0.05) for name in FOLLOW),
             Prior("gnss_scale", 0.0, 1.0, 0.05),
         )
         self.names = tuple(p.name for p in self.prior)
@@ -122,12 +124,14 @@ class Likelihood:
             ),
             3,
         )
-        lever = np.array([self.value(x, name) for name in SHARED[:3]])
+        lever = np.array([self.value(x, name) for name in LEVER])
+        recording = self.recordings[k]
         return run_filter(
-            self.recordings[k],
+            recording,
             self.value(x, offset_name(k, self.names)),
             lever,
             psd,
+            recording.noise(*(self.value(x, name) for name in FOLLOW)),
             math.exp(self.value(x, "gnss_scale")),
             self.nominal,
             yaw,
@@ -151,7 +155,15 @@ class Likelihood:
             def run(start: tuple[float, float], recording: Recording = recording) -> FilterPass:
                 offset, yaw = start
                 return run_filter(
-                    recording, offset, nominal.lever_b, psd, 1.0, nominal, yaw, COARSE_YAW_STD
+                    recording,
+                    offset,
+                    nominal.lever_b,
+                    psd,
+                    recording.noise(0.0, 0.0),
+                    1.0,
+                    nominal,
+                    yaw,
+                    COARSE_YAW_STD,
                 )
 
             self._by_yaw[k] = np.reshape(
@@ -236,6 +248,12 @@ class Likelihood:
         return np.array([(v - p.mean) / p.std for v, p in zip(x, self.prior, strict=True)])
 
     def gradient(self, slopes: Sequence[Array], x: Array) -> Array:
-        """Return the gradient (n,) of the log-posterior from those of the measurements."""
-        total = np.sum(np.vstack(slopes), axis=0)
+        """
+        Return the gradient (n,) of the log-posterior from those of the measurements.
+
+        Differences over a step are the slopes at its middle; the information leads back from there.
+        """
+        rows = np.vstack(slopes)
+        middle = 0.5 * np.array([p.step for p in self.prior])
+        total = np.sum(rows, axis=0) + middle * np.sum(rows**2, axis=0)
         return np.asarray(total - self._from_prior(x) / [p.std for p in self.prior])

@@ -46,11 +46,18 @@ class Recording:
     body_velocity: tuple[BodyVelocity, ...] = ()  # of wheels; stamps since the first sample
     delay: Array = field(default_factory=lambda: np.empty(0))  # (L,) s, IMU's stamp at the arrival
     # of a fix, less its own
+    loudness: Array = field(default_factory=lambda: np.zeros((1, 2)))  # (N, 2) or (1, 2): logarithm
+    # of the noise that accelerometer and gyroscope seem to have, relative to its mean
 
     @property
     def period(self) -> float:
         """Median time between IMU samples [s]."""
         return float(np.median(np.diff(self.t)))
+
+    def noise(self, follow_a: float, follow_g: float) -> Array:
+        """Return factors (N, 2) on the noise densities, these powers of the loudness."""
+        factors = np.exp(np.array([follow_a, follow_g]) * self.loudness)
+        return np.ascontiguousarray(np.broadcast_to(factors, (len(self.t), 2)))
 
     def with_measurements_between(self, first: float, last: float) -> Recording:
         """Return the recording with the GNSS measurements of an interval of their clock [s]."""

@@ -27,7 +27,7 @@ from hybrid_ins.calibration.filter_pass import (
 )
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
-from hybrid_ins.calibration.likelihood import YAW_STD
+from hybrid_ins.calibration.likelihood import FOLLOW, YAW_STD
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.smoother import Smoother
@@ -67,15 +67,18 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     fused = np.flatnonzero(np.isfinite(passed.nis))
     stamps = EPOCH_NS + np.rint((recording.aid_t + offset) * 1e9).astype(np.int64)
     scale = np.exp(fitted.value("gnss_scale"))
+    noise = recording.noise(*map(fitted.value, FOLLOW))
+    sample = np.searchsorted(recording.t[:-1], recording.aid_t + offset)
     updates = []
     for row in fused:
+        there = psd * np.repeat([*noise[sample[row]], 1.0, 1.0], 3)
         make = PositionFix if recording.aid_kind[row] == POSITION else VelocityFix
         measurement = make(
             int(stamps[row]), recording.aid[row], recording.aid_R[row] * scale, lever_b
         )
         size = float(np.isfinite(recording.aid[row]).sum())
         outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
-        updates.append(Update(int(stamps[row]), psd, measurement, outlying))
+        updates.append(Update(int(stamps[row]), there, measurement, outlying))
     gap_ns = round(LONG_STEP * recording.period * 1e9)
     smoother = Smoother(start, samples, updates, INTERVAL, gap_ns, {}, {})
     t_ns, rows = map(np.concatenate, zip(*smoother.smooth(), strict=True))

@@ -31,10 +31,12 @@ from hybrid_ins.worker_processes import worker_processes
 DESCRIPTION = """\
 Estimate from recordings of IMU and GNSS: the offset between their clocks, the lever arm of the
 antenna, the IMU's mount, biases and noise levels, each with its uncertainty and whether the motion
-made it observable. The recordings are then replayed with and without what was found, some fixes
-withheld: parameters that do not fit, or are worse at these fixes, are not written. Writes a
-parameter file for ins_node and ins_replay. Record half a minute or more with curves, acceleration
-and braking."""
+made it observable. The noise may go with what noise.model reads in the samples. The random walk of
+a bias is written as the root of its mean square over what the recordings allow, so that the
+uncertainty stated in an outage holds. The recordings are then replayed with and without what was
+found, some fixes withheld: parameters that do not fit, or are worse at these fixes, are not
+written. Writes a parameter file for ins_node and ins_replay. Record half a minute or more with
+curves, acceleration and braking."""
 
 WORTH_A_PROCESS = 150.0
 """Seconds of recordings whose replay takes about as long as the start of a process."""

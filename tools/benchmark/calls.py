@@ -141,14 +141,28 @@ def _runs_at_once(run: Run, repetitions: int) -> list[float]:
     aid = np.array([fix.lla for fix in run.fixes])
     R = np.array([fix.covariance_n for fix in run.fixes])
     kind = np.full(len(aid), POSITION)
-    count = len(aid)
+    count, noise = len(aid), np.ones((len(samples), 2))
 
     def fly(_: int) -> None:
         nav = run.start.to_flat()
         nav[PSD] = psd(run)
         z, S, nis = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count)
         innovations(
-            nav, t, samples, aid_t, kind, aid, R, LEVER, 0.01 - 1e-6, 0.0, z, S, nis, empty_states()
+            nav,
+            t,
+            samples,
+            noise,
+            aid_t,
+            kind,
+            aid,
+            R,
+            LEVER,
+            0.01 - 1e-6,
+            0.0,
+            z,
+            S,
+            nis,
+            empty_states(),
         )
 
     fly(0)

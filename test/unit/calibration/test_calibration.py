@@ -15,7 +15,7 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.clock import observe_delay
-from hybrid_ins.calibration.derived import courses, next_biases, ordinary_levels
+from hybrid_ins.calibration.derived import courses, next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.findings import Calibration, Findings, add_lever_arm, calibrate
 from hybrid_ins.calibration.innovations import (
@@ -25,6 +25,7 @@ from hybrid_ins.calibration.innovations import (
     innovations,
     log_likelihood,
 )
+from hybrid_ins.calibration.loudness import ordinary_levels, read_levels
 from hybrid_ins.calibration.recording import Recording, antenna_is_base
 from hybrid_ins.calibration.report import table
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
@@ -78,6 +79,7 @@ def run_pass(run: Recording, nav: Array, tail: float = 0.0) -> tuple[Array, Arra
         nav,
         run.t,
         run.samples,
+        np.ones((len(run.t), 2)),
         run.aid_t,
         run.aid_kind,
         run.aid,
@@ -270,9 +272,9 @@ def test_biases_that_differ_from_start_to_start_are_known_no_better_than_that() 
 def test_the_levels_of_ordinary_motion_become_the_background(found: Calibration) -> None:
     run = a_run(0.23, seed=1, duration=20.0)
     values = parameters.defaults()
-    quiet = ordinary_levels([run], values)
+    quiet = ordinary_levels([read_levels(run, values)])
     run.samples[:, 5] += 0.2 * np.random.default_rng(0).standard_normal(len(run.t))
-    shaken = ordinary_levels([run], values)
+    shaken = ordinary_levels([read_levels(run, values)])
 
     # White noise of 0.2 rad/s about the yaw axis is what is read there.
     assert quiet is not None and shaken is not None
