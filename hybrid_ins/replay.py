@@ -220,7 +220,7 @@ class _Replay:
         with progress.bar("replay", len(self._imu.log_ns), "sample", unit_scale=True) as bar:
             for topic, log_ns, data in self._bag.raw(*self._handlers, *self._carried):
                 if topic in self._handlers:
-                    stop = int(np.searchsorted(self._imu.log_ns, log_ns, side="right"))
+                    stop = int(self._imu.log_ns.searchsorted(log_ns, side="right"))
                     self._handle_imu(start, max(start, stop))
                     bar.update(max(start, stop) - start)
                     start = max(start, stop)
@@ -258,8 +258,9 @@ class _Replay:
 
     def _handle_block(self, rows: slice) -> None:
         imu = self._imu
-        complete = imu.has_reading[rows]
-        for _ in range(len(complete) - np.count_nonzero(complete)):
+        given = imu.has_reading[rows]
+        complete = slice(None) if given.all() else given
+        for _ in range(np.count_nonzero(~given)):
             self._estimator.inputs.count_and_warn("imu/data", NO_READING)
         for stamps_ns, *by_frame in handle_imu_block(
             self._estimator,

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
+from hybrid_ins.core.rotations import cross
 from hybrid_ins.core.slip import SlipEstimator
 from hybrid_ins.core.state import BIAS_G, covariance
 
@@ -177,7 +178,7 @@ class ConstraintObserver:
         speed = float(forward @ velocity_b)
         J = np.zeros((2, 3))
         J[0, 0], J[1, 1] = -speed, speed
-        J[:, 2] = axes @ np.cross(rate_b - nav[BIAS_G], forward)
+        J[:, 2] = axes @ cross(rate_b - nav[BIAS_G], forward)
         H = axes @ by_error
         return -axes @ velocity_b, J, H @ covariance(nav) @ H.T, speed
 
@@ -205,9 +206,11 @@ class ConstraintObserver:
 
 
 def _log_density(z: Array, S: Array) -> tuple[float, float]:
-    """Return the logarithm of a normal density, but for a constant, and the NIS."""
-    nis = float(z @ np.linalg.solve(S, z))
-    return -0.5 * (nis + math.log(np.linalg.det(S))), nis
+    """Return the logarithm of a normal density of z (2,), but for a constant, and the NIS."""
+    (x, y), ((a, b), (_, c)) = z.tolist(), S.tolist()
+    determinant = a * c - b * b
+    nis = (c * x * x - 2.0 * b * x * y + a * y * y) / determinant
+    return -0.5 * (nis + math.log(determinant)), nis
 
 
 def _faded(total: float, gain: float, share: float) -> float:

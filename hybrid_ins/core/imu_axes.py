@@ -12,7 +12,7 @@ window: the fixes' noise hides less there, and the gyroscope's bias explains les
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Generator
 
 import numpy as np
@@ -43,6 +43,7 @@ WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
 LONG_WINDOW = 60.0  # s, where nothing is found in those
 LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
 FEWEST = 8  # changes of velocity
+MAX_FIXES = 1024  # that are kept
 FITS, FITS_OTHER = 0.01, 0.3  # shares of the changes' squares left over as given, by other axes
 NOISE = 0.25  # correlation of successive errors, up to which they are the fixes' noise
 BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more than noise
@@ -97,7 +98,7 @@ class ImuAxesCheck:
         self._last: NDArray[np.void] | None = None
         self._sums = np.zeros(6)  # at the last sample
         self._grid = np.empty((0, 7))  # s since the first sample, integrals of the readings
-        self._fixes: deque[tuple[int, Array]] = deque(maxlen=1024)
+        self._fix_ns, self._fix_lla = np.empty(0, np.int64), np.empty((0, 3))
         self._start_ns = self._next_ns = self._rare_ns = 0
         self._checked: Counter[str] = Counter()
         self._work: Generator[None, None, AxesFault | bool] | None = None
@@ -136,8 +137,9 @@ class ImuAxesCheck:
 
     def add_fix(self, t_ns: int, lla: Array) -> None:
         """Add a position fix: stamp [ns], latitude, longitude [rad] and height [m], (3,)."""
-        if not self._fixes or t_ns > self._fixes[-1][0]:
-            self._fixes.append((t_ns, lla))
+        if not len(self._fix_ns) or t_ns > self._fix_ns[-1]:
+            self._fix_ns = np.concatenate((self._fix_ns[1 - MAX_FIXES :], (t_ns,)))
+            self._fix_lla = np.concatenate((self._fix_lla[1 - MAX_FIXES :], (lla,)))
 
     def advance(self, t_ns: int) -> None:
         """Do a share of the work that is due at a stamp [ns]: some milliseconds at most."""
@@ -249,11 +251,10 @@ class ImuAxesCheck:
 
     def _motions_of(self, window: float, shortest: int) -> list[Motion]:
         """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""
-        grid, fixes = self._grid[-round((window + 2.0) / STEP) :], self._fixes
-        if len(grid) < SHORTEST / STEP or len(fixes) < 3:
+        grid = self._grid[-round((window + 2.0) / STEP) :]
+        if len(grid) < SHORTEST / STEP or len(self._fix_ns) < 3:
             return []
-        fix_t = np.array([(t_ns - self._start_ns) * 1e-9 for t_ns, _ in fixes])
-        lla = np.array([place for _, place in fixes])
+        fix_t, lla = (self._fix_ns - self._start_ns) * 1e-9, self._fix_lla
         reach = CLOCK_OFFSETS[-1]
         begin = max(grid[0, 0] + reach, grid[-1, 0] - window)
         inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)

@@ -212,7 +212,7 @@ class InsFilter:
         start, end = 0, int(stamps[-1])
         while self._pending and self._pending[0].t_ns <= end:
             event = self._pending.pop(0)
-            stop = int(np.searchsorted(stamps, event.t_ns, side="right"))
+            stop = int(stamps.searchsorted(event.t_ns, side="right"))
             self._run(samples[start:stop], rows[start:stop])
             if event.t_ns > self.t_ns:
                 self._run(interpolate(self.t_ns, self.sample, samples[stop], event.t_ns), NO_ROWS)
@@ -284,7 +284,7 @@ class InsFilter:
         dt = steps * 1e-9
         readings = readings_of(samples)
         start = 0
-        for k in np.flatnonzero(steps > self.long_step_ns).tolist():
+        for k in (steps > self.long_step_ns).nonzero()[0].tolist():
             propagation.run(self.nav, dt[start:k], readings[start:k], interval, rows[start:k])
             gap.bridge(self.nav, readings[k], dt[k], interval)
             self.noise.restart(keep_weights=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import earth_rate_n
 from hybrid_ins.core.measurements import IMU
-from hybrid_ins.core.rotations import matrix_from_quat, skew
+from hybrid_ins.core.rotations import cross, matrix_from_quat, skew
 from hybrid_ins.core.state import B_G, BIAS_G, DV, EPS, LLA, N_ERROR, QUAT, VELOCITY
 
 Array = NDArray[np.float64]
@@ -103,4 +103,4 @@ def point_velocity(nav: Array, rate_b: Array, point_b: Array) -> tuple[Array, Ar
     by_error[:, DV] = C_bn
     by_error[:, EPS] = -C_bn @ skew(velocity_n)
     by_error[:, B_G] = skew(point_b)
-    return C_bn @ velocity_n + np.cross(rate_eb, point_b), by_error
+    return C_bn @ velocity_n + cross(rate_eb, point_b), by_error

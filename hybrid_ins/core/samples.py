@@ -142,7 +142,7 @@ class ImuRing:
         while True:
             tail = self.latest(n)
             if len(tail) < n or tail["t_ns"][0] <= t_ns:
-                return tail[np.searchsorted(tail["t_ns"], t_ns, side="right") :]
+                return tail[tail["t_ns"].searchsorted(t_ns, side="right") :]
             n *= 4
 
     def clear(self) -> None:
