@@ -202,8 +202,10 @@ def _compile_output() -> None:
         True,
     )
     clock = np.ones(clock_offset.N_CLOCK)
-    clock_offset.sensitivities(nav, H)
-    clock_offset.observe(clock, 0.0, zero, np.zeros((3, 2)), turn, True)
+    h, gain = clock_offset.sensitivities(nav, H)[0], np.zeros((N_ERROR, 3))
+    clock_offset.correct_sensitivities(nav, H, gain, h, np.zeros(N_ERROR), True)
+    clock_offset.noise_information(nav, H, gain, turn, True)
+    clock_offset.observe(clock, 0.0, zero, h, turn, 0.0, True)
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
     imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)

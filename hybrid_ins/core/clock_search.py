@@ -91,11 +91,11 @@ class ClockSearch(MultipleModelBank):
             make_filter,
             replace(settings, clock_std=OFFSET_STD, clock_prior=None),
             np.kron(probabilities(self._prior), headings),
+            MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
-        self._lag_ns = MAX_OFFSET_NS + STEP_NS
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._weighed_from_ns = self._first_ns + WARM_UP_NS

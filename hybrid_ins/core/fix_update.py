@@ -10,7 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid_ins.core.clock_offset import age_mean_square, observe, sensitivities
+from hybrid_ins.core.clock_offset import (
+    age_mean_square,
+    correct_sensitivities,
+    noise_information,
+    observe,
+    sensitivities,
+)
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.iterated_update import update_and_linearise
@@ -19,13 +25,11 @@ from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
 from hybrid_ins.core.state import (
-    AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     DIAGONAL,
     N_ERROR,
     QUAT,
-    SENSITIVITY,
     SLOW_VARIANCE,
 )
 from hybrid_ins.core.strapdown import rotation
@@ -145,11 +149,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     for i in range(len(before)):
         before[i] = nav[i]
     dx, K, z_x, H_x, x, G = update_and_linearise(nav, z, H, R / weight)
-    s, u = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
-    for i in range(N_ERROR):
-        for a in range(m):
-            s[i] -= K[i, a] * h[a, 0]
-            u[i] -= K[i, a] * h[a, 1]
+    correct_sensitivities(nav, H, K, h, dx, is_position)
     result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
     rotation(nav[QUAT], result[ATTITUDE])
     for i in range(N_ERROR):
@@ -165,5 +165,5 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         for b in range(m):
             result[S_MATRIX][m * a + b] = S[a, b]
             S[a, b] += (1.0 / weight - 1.0) * R[a, b] - age * change[a] * change[b]
-    observe(clock, interval, z, h, S, True)
+    observe(clock, interval, z, h, S, noise_information(nav, H, K, S, is_position), True)
     return True

@@ -134,7 +134,7 @@ class InsFilter:
         self.nav = initial.to_flat()
         self.nav[LAST_F], self.nav[LAST_W] = sample[:3], sample[3:]
         self.nav[PSD] = noise.psd()
-        self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n)
+        self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
         self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns)

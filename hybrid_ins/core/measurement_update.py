@@ -17,7 +17,9 @@ from hybrid_ins.core import iterated_update
 from hybrid_ins.core.clock_offset import (
     ClockOffsetObserver,
     age_mean_square,
+    correct_sensitivities,
     initial_sensitivity,
+    noise_information,
     sensitivities,
 )
 from hybrid_ins.core.events import (
@@ -56,6 +58,7 @@ from hybrid_ins.core.position_scatter import (
 )
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
+    ACCELERATION,
     AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
@@ -291,8 +294,8 @@ class MeasurementUpdate:
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
-        nav[SENSITIVITY] -= K @ h[:, 0]
-        nav[AGE_SENSITIVITY] -= K @ h[:, 1]
+        is_position = measurement.kind == PositionFix.kind
+        correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
         correction = Correction(
             measurement.t_ns,
@@ -320,7 +323,8 @@ class MeasurementUpdate:
             self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
             return verdict, False, found
-        self.clock.update(correction, h, S + (1.0 / verdict.weight - 1.0) * R - of_age)
+        S = S + (1.0 / verdict.weight - 1.0) * R - of_age
+        self.clock.update(correction, h, S, noise_information(nav, H, K, S, is_position))
         return verdict, self._learn_noise(nav, correction), found
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
@@ -329,6 +333,5 @@ class MeasurementUpdate:
         if moved is not None:
             inject(nav, moved.dx)
             pack(moved.P, nav[COVARIANCE])
-            nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY])
-            nav[AGE_SENSITIVITY] = 0.0
+            nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
         return moved is not None

@@ -73,8 +73,8 @@ class MultipleModelBank:
         For those.
     prior : ndarray, optional
         Probability of each state; by default all are equally likely.
-    lag : float
-        The filters stay behind the IMU by that much [s], so that no measurement is late to them.
+    lag_ns : int
+        The filters stay behind the IMU by that much [ns], so that no measurement is late to them.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class MultipleModelBank:
         make_filter: FilterFactory,
         settings: FilterSettings,
         prior: Array | None = None,
-        lag: float = 0.0,
+        lag_ns: int = 0,
     ) -> None:
         self.filters = [make_filter(state, settings) for state in states]
         self.log_weights = np.log(np.full(len(states), 1.0) if prior is None else prior)
@@ -104,7 +104,7 @@ class MultipleModelBank:
         self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
-        self._lag_ns = int(lag * 1e9)
+        self._lag_ns = lag_ns
         self._block_ns = 0  # they follow it in steps of at least that
         self._behind: list[InsFilter] = []  # that have not taken ``_block`` yet
         self._block = np.empty(0, SAMPLE_DTYPE)

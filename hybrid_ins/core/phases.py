@@ -23,7 +23,9 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import NavState
 
 PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
-CHECK_LAG = 0.5  # s, of a check of the heading behind the IMU: a late fix costs a rewind of each
+CHECK_LAG_NS = (
+    500_000_000  # of a check of the heading behind the IMU: a late fix costs a rewind of each
+)
 
 
 class FilterParts(Protocol):
@@ -91,7 +93,7 @@ def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Se
     begin = _factory(parts, ring, start.t_ns, start.sample, period)
     if start.given:
         known = heading_check.prior(len(start.states))
-        check = MultipleModelBank(start.states, begin, parts.settings, known, CHECK_LAG)
+        check = MultipleModelBank(start.states, begin, parts.settings, known, CHECK_LAG_NS)
         return Running(begin(start.states[0], parts.settings), check)
     return Searching(MultipleModelBank(start.states, begin, parts.settings))
 

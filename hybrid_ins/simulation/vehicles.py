@@ -162,6 +162,25 @@ def streets(duration: float, seed: int, rest: float) -> tuple[Array, Array, Arra
     return t, speed, rng.uniform(-np.pi, np.pi) + integral(smoothed(course_rate, 1.0))
 
 
+def motorway(duration: float, seed: int, rest: float = 10.0) -> Motion:
+    """Stand, then drive fast through wide bends: hardly any change of velocity."""
+    t = time_grid(duration)
+    rng = np.random.default_rng(seed)
+    speed, course_rate = np.zeros_like(t), np.zeros_like(t)
+    begin = rest + 7.5
+    while begin < duration:
+        leg = rng.uniform(15.0, 40.0)
+        _set(speed, t, begin, leg, rng.uniform(24.0, 34.0))
+        _set(course_rate, t, begin + 10.0, leg, rng.choice([-1, 0, 1]) * rng.uniform(0.003, 0.02))
+        begin += leg
+    speed = smoothed(speed, 15.0)
+    course = rng.uniform(-np.pi, np.pi) + integral(smoothed(course_rate, 4.0))
+    slope = slope_along(speed)
+    velocity_n = velocity_of(speed, course, speed * np.tan(slope))
+    roll = -0.01 * speed * np.gradient(course, t)
+    return motion_through(t, velocity_n, np.stack((roll, slope, course), axis=-1), START_LLA)
+
+
 def slope_along(speed: Array) -> Array:
     """Return the slope [rad] of a gently rolling road, (N,), by the speed along it [m/s]."""
     return 0.03 * np.sin(2.0 * np.pi * integral(speed) / 400.0)
@@ -301,6 +320,13 @@ VEHICLES: dict[str, Vehicle] = {
         ),
         Vehicle("car, clock -0.4 s", city_car, Receiver(offset=-0.4), SHAKEN, road_std=0.6),
         Vehicle("car, consumer", city_car, CONSUMER, SHAKEN, road_std=0.6),
+        Vehicle(
+            "car on a motorway, clock -0.1 s",
+            motorway,
+            Receiver(5.0, offset=-0.1),
+            SHAKEN,
+            road_std=0.6,
+        ),
         _FIXED_WING,
         replace(
             _FIXED_WING,

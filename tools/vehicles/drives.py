@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hybrid_ins.core.rotations import rpy_from_quat
+from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Array, Stamps
 from hybrid_ins.simulation.vehicles import Recording
 
@@ -65,7 +66,7 @@ def from_simulation(recording: Recording, delay: float = 0.0) -> Drive:
     step = max(1, round(0.1 * recording.vehicle.imu_rate))
     ns = _ns(truth.t)
     velocity_n = recording.fix_velocity_n
-    velocity_enu = None if velocity_n is None else velocity_n[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+    velocity_enu = None if velocity_n is None else velocity_n @ SWAP
     return Drive(
         recording.vehicle.name,
         ns,

@@ -1,6 +1,7 @@
 """The clock offset's observer: the sensitivity is the filter's own, and sigma stays usable."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,21 +16,24 @@ from hybrid_ins.core.clock_offset import (
     P_PARAMETERS,
     VELOCITY_AGE_STD,
     ClockOffsetObserver,
+    initial_sensitivity,
     sensitivities,
 )
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import curvature_scale, normal_gravity
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.propagation import propagate_covariance
+from hybrid_ins.core.propagation import propagate_covariance, step
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
     DP,
+    DV,
+    LAST_F,
     LLA,
     N_ERROR,
     N_FLAT,
@@ -41,6 +45,8 @@ from hybrid_ins.core.state import (
     total_std,
     unpack_total,
 )
+from hybrid_ins.simulation.motions import START_LLA, Motion, motion_through, time_grid
+from hybrid_ins.simulation.sensors import ImuErrors
 from tools.paper.runs import Run, Scenario, draw
 
 SECOND = 1_000_000_000
@@ -64,7 +70,7 @@ def correction(t_ns: int, velocity_n: np.ndarray, std: float) -> Correction:
 
 def inform(observer: ClockOffsetObserver, fix: Correction) -> None:
     """Let an observer use a correction."""
-    observer.update(fix, sensitivities(fix.nav, fix.H)[0], fix.S)
+    observer.update(fix, sensitivities(fix.nav, fix.H)[0], fix.S, 0.0)
 
 
 @pytest.mark.parametrize("std", [3.0, 1e-3, 1e-9])
@@ -83,7 +89,7 @@ def test_a_huge_sensitivity_leaves_numbers() -> None:
     observer = ClockOffsetObserver(0.5)
     for k, size in enumerate((1e8, 1e100, 1e8), 1):
         fix = correction(k * SECOND, np.ones(3), 1e-3)
-        observer.update(fix, np.full((3, 2), size), fix.S)
+        observer.update(fix, np.full((3, 2), size), fix.S, 0.0)
         assert observer.sigma >= MIN_STD
     assert np.isfinite(observer.residual)
 
@@ -152,6 +158,94 @@ def test_the_other_sensitivity_is_the_derivative_by_the_age_of_velocities() -> N
 
     # the acceleration is a mean over 50 ms, in which it changes by a tenth
     assert np.linalg.norm((by_difference - u) / sigma) < 0.25 * np.linalg.norm(u / sigma)
+
+
+def cruise(duration: float, seed: int) -> Motion:
+    """Go straight, at a speed that hardly changes."""
+    t = time_grid(duration)
+    velocity_n = np.stack((30.0 + 0.2 * np.sin(0.2 * t + seed), 0.0 * t, 0.0 * t), axis=-1)
+    return motion_through(t, velocity_n, np.zeros((len(t), 3)), START_LLA)
+
+
+def test_noise_of_the_imu_is_no_motion_that_shows_the_clock() -> None:
+    """
+    GIVEN a vehicle that cruises, with an IMU so noisy that the state follows each fix
+    THEN the offset that is found is as far off as its standard deviation says.
+
+    The velocity's noise was taken for changes of the motion: 0.00 ± 0.01 s for 0.2 s.
+    """
+    noisy = ImuErrors(accelerometer_std=20.0, gyroscope_std=0.02)
+    scene = Scenario("cruise", cruise, 100.0, 60.0, 0.6, errors=noisy)
+    offset, squares = 0.2, []
+    for seed in range(8):
+        run = stamped_early(draw(scene, seed), offset)
+        ins = begin(run, q=np.repeat([20.0**2, 0.02**2], 3), clock_std=0.2)
+        ins.ring.extend(run.samples)
+        for fix in run.fixes:
+            ins.submit(fix)
+        ins.predict_block(run.samples[1:])
+        squares.append(((ins.clock.residual - offset) / ins.clock.sigma) ** 2)
+
+    assert np.mean(squares) < 2.0
+
+
+def test_the_share_of_motion_is_that_of_what_exceeds_noise() -> None:
+    """Half of the information is of noise: no offset is drawn to zero, and sigma is right."""
+    rng, offset, estimates = np.random.default_rng(8), 0.1, []
+    for _ in range(200):
+        observer = ClockOffsetObserver(MAX_STD)
+        for t in range(1, 61):
+            fix = moving(t, rng, offset, 1.0)
+            h = fix.nav[VELOCITY] + rng.normal(0.0, 10.0, 3)
+            h = np.stack((h, np.zeros(3)), axis=1)
+            observer.update(fix, h, fix.S, 3.0 * 10.0**2)
+        estimates.append((observer.residual, observer.sigma, observer.share_of_motion))
+    found, sigma, share = np.array(estimates).T
+
+    assert np.mean(share) == pytest.approx(0.5, abs=0.05)
+    assert np.mean(found) == pytest.approx(offset, abs=0.01)
+    assert 0.7 < np.std(found) * MARGIN / np.mean(sigma) < 1.4
+
+
+def test_a_state_that_was_read_off_late_fixes_stays_as_late() -> None:
+    velocity_n, acceleration_n = np.array([8.0, -3.0, 0.5]), np.array([2.0, 1.0, -0.5])
+    state = NavState(
+        np.array([0.5, 0.6, 0.0]),
+        velocity_n,
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(N_ERROR),
+    )
+    nav = state.to_flat()
+    gravity = normal_gravity(0.5, 0.0)[1]
+    f = acceleration_n - [0.0, 0.0, gravity]
+    nav[LAST_F] = f
+    nav[SENSITIVITY] = initial_sensitivity(velocity_n, acceleration_n)
+    for _ in range(20):
+        step(nav, 0.01, *f, 0.0, 0.0, 0.0, 0.0)
+
+    h = sensitivities(nav, np.eye(3, N_ERROR))[0][:, 0]
+    assert np.linalg.norm(h) < 0.02 * np.linalg.norm(0.2 * acceleration_n)
+
+
+def test_a_state_that_the_noise_has_moved_is_one_read_off_the_fixes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = draw(Scenario("flight", rate=50.0, duration=10.0, scored_from=0.6), 1)
+    nowhere = SimpleNamespace(dx=np.zeros(N_ERROR), P=np.eye(N_ERROR))
+    monkeypatch.setattr(FilterNoise, "learn_correction", lambda self, correction: nowhere)
+    ins = begin(run)
+    ins.ring.extend(run.samples)
+    for fix in run.fixes:
+        ins.submit(fix)
+    last = int(np.searchsorted(run.samples["t_ns"], run.fixes[-1].t_ns, side="right"))
+    ins.predict_block(run.samples[1:last])
+
+    s, nav = ins.nav[SENSITIVITY], ins.nav
+    assert np.linalg.norm(nav[ACCELERATION]) > 0.1
+    np.testing.assert_allclose(s[DV], -nav[ACCELERATION], atol=0.2)
+    np.testing.assert_allclose(s[DP], -nav[VELOCITY], atol=0.2)
 
 
 def test_without_information_sigma_is_that_of_an_unknown_clock() -> None:

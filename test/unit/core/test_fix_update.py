@@ -54,7 +54,7 @@ def flat_state(rng: np.random.Generator) -> Array:
         rng.normal(0.0, 0.005, 3),
         P,
     ).to_flat()
-    nav[SENSITIVITY] = initial_sensitivity(velocity_n) + rng.normal(0.0, 0.1, N_ERROR)
+    nav[SENSITIVITY] = initial_sensitivity(velocity_n, np.zeros(3)) + rng.normal(0.0, 0.1, N_ERROR)
     nav[AGE_SENSITIVITY] = rng.normal(0.0, 1.0, N_ERROR)
     nav[ACCELERATION], nav[LAST_W] = rng.normal(0.0, 3.0, 3), rng.normal(0.0, 0.3, 3)
     return nav
