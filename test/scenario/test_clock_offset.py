@@ -21,7 +21,8 @@ SCENE = Scenario("flight", rate=100.0, duration=45.0)
 def test_offset_is_told_with_its_uncertainty(offset: float) -> None:
     ins, _ = fly(stamped_early(draw(SCENE, 1), offset))
     assert ins.clock.residual == pytest.approx(offset, abs=0.02)
-    assert ins.clock.sigma < 0.01
+    assert abs(ins.clock.residual - offset) < 3.0 * ins.clock.sigma
+    assert ins.clock.sigma < 0.0125
 
 
 def test_looking_for_it_leaves_the_state_alone_to_the_last_bit(
