@@ -235,7 +235,7 @@ def test_age_of_a_late_fix_is_reported() -> None:
 def test_velocity_and_position_of_one_stamp_are_fused_in_one_order() -> None:
     truth = flight()
     position = fix(truth, SECOND, (0.1, 0.2, -0.1))
-    velocity = VelocityFix(SECOND, truth.velocity_n[100], 0.01 * np.eye(3), NO_LEVER)
+    velocity = VelocityFix(SECOND, truth.velocity_n[100].copy(), 0.01 * np.eye(3), NO_LEVER)
     results = []
     for pair in ((position, velocity), (velocity, position)):
         for late in (False, True):
