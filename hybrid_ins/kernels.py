@@ -19,6 +19,7 @@ import numpy as np
 from hybrid_ins import kernel_cache
 from hybrid_ins.core import (
     clock_offset,
+    clock_sensitivity,
     fix_update,
     imu_axes_fit,
     imu_health,
@@ -202,9 +203,9 @@ def _compile_output() -> None:
         True,
     )
     clock = np.ones(clock_offset.N_CLOCK)
-    h, gain = clock_offset.sensitivities(nav, H)[0], np.zeros((N_ERROR, 3))
-    clock_offset.correct_sensitivities(nav, H, gain, h, np.zeros(N_ERROR), True)
-    clock_offset.noise_information(nav, H, gain, turn, True)
+    h, gain = clock_sensitivity.sensitivities(nav, H)[0], np.zeros((N_ERROR, 3))
+    clock_sensitivity.correct_sensitivities(nav, H, gain, h, np.zeros(N_ERROR), True)
+    clock_sensitivity.noise_information(nav, H, gain, turn, True)
     clock_offset.observe(clock, 0.0, zero, h, turn, 0.0, True)
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))

@@ -1,26 +1,17 @@
 """
 Clock offset of fixes, estimated beside the filter from its innovations.
 
-A fix that was valid a time tau after its stamp is displaced by v tau. The filter follows part of
-that: its state has the error s tau, and an innovation the mean h tau with h = H s + v (of a
-velocity: H s + a). For the filter tau is a constant, so its sensitivity s = d(error)/d(tau) obeys
-the filter's own equations, [1]_::
+A fix that was valid a time tau after its stamp leaves an innovation with the mean h tau, and a
+velocity that is delta younger than the position with the same stamp one of h tau + g delta
+(`clock_sensitivity`). Regressing the innovations on h and g is what a filter with tau and delta
+among its states would do; the filter itself is not changed by it. Without delta, velocities a tenth
+of a second older than positions drew tau by 0.04 s on a simulated multirotor and by 0.15 s on a
+fixed wing.
 
-    s <- Phi s              with every step of the covariance (`propagation`)
-    s <- s - K h            with every correction, h = H s where the measurement has no clock
-
-The s that these give is as stable as the filter is. Regressing the innovations on h is what a
-filter with tau among its states would do; the filter itself is not changed by it.
-
-Receivers deliver velocities of another age than positions: their clock offset is tau + delta. The
-filter has a sensitivity to delta likewise, u, and an innovation the mean h tau + g delta, where
-g = H u, of a velocity H u + a. Without delta, velocities a tenth of a second older than positions
-drew tau by 0.04 s on a simulated multirotor and by 0.15 s on a fixed wing.
-
-The v and a of an INS are noisy. Where a vehicle cruises with precise fixes and a shaken IMU, h is
-mostly noise, and a regression on it would find a tau near zero with far too small a sigma, [3]_.
-So h counts by the share of motion in the information of late, which makes it the mean of the true
-h given the noisy one; see `noise_information`.
+Where a vehicle cruises with precise fixes and a shaken IMU, h is mostly noise of the INS velocity,
+and the regression would find a tau near zero with far too small a sigma, [1]_. So h counts by the
+share of motion in the information of late, which makes it the mean of the true h given the noisy
+one; see `clock_sensitivity.noise_information`.
 
 The regression has three parameters, tau, its drift, and delta. Without information their variances
 grow no larger than those of a clock of which nothing is known.
@@ -31,11 +22,9 @@ While tau is estimated, the mean square of delta is part of R of velocities.
 
 References
 ----------
-.. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
-       Control 14, 1969.
+.. [1] W. A. Fuller, *Measurement Error Models*, 1987, sections 1.1 and 1.2 (attenuation).
 .. [2] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
        Control Systems 3, 1966.
-.. [3] W. A. Fuller, *Measurement Error Models*, 1987, sections 1.1 and 1.2 (attenuation).
 """
 
 from __future__ import annotations
@@ -48,21 +37,9 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.linalg import factorise, solve, whiten
+from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.propagation import MEAN_TIME
-from hybrid_ins.core.state import (
-    ACCELERATION,
-    AGE_SENSITIVITY,
-    DP,
-    DV,
-    N_ERROR,
-    PSD,
-    QUAT,
-    SENSITIVITY,
-    VELOCITY,
-)
-from hybrid_ins.core.strapdown import rotation
+from hybrid_ins.core.state import SENSITIVITY
 
 Array = NDArray[np.float64]
 
@@ -74,7 +51,6 @@ VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
 AGE_TIME = 5.0  # s, in which it changes: receivers filter velocities, it follows the motion
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
 SHARE_TIME = 10.0  # s, over which the share of motion in the information is averaged
-OF_CORRECTIONS = 4.0  # variance of v in h against that of its corrections: 1.6 to 3.9 in 12 motions
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
 MARGIN = 1.2  # factor on σ: innovations are not quite white. Without it, the largest error in a
 # quarter of an hour of smooth driving with metre fixes was 3.1 and 3.4 σ
@@ -188,11 +164,11 @@ class ClockOffsetObserver:
         correction : Correction
             What the fix did to the state.
         h : ndarray, shape (m, 2)
-            `sensitivities` of its innovation.
+            `clock_sensitivity.sensitivities` of its innovation.
         S : ndarray, shape (m, m)
             Covariance of the innovation, with R as it was fused but for the age of a velocity.
         of_noise : float
-            `noise_information`.
+            `clock_sensitivity.noise_information`.
         """
         since = self.interval(correction.t_ns)
         observe(self.values, since, correction.z, h, S, of_noise, correction.fused)
@@ -224,13 +200,6 @@ class ClockOffsetObserver:
         return np.asarray(by * nav[SENSITIVITY])
 
 
-def initial_sensitivity(velocity_n: Array, acceleration_n: Array) -> Array:
-    """Return the sensitivity, shape (15,), of a state that was read off the fixes."""
-    s = np.zeros(N_ERROR)
-    s[DP], s[DV] = -velocity_n, -acceleration_n
-    return s
-
-
 @register_jitable
 def variance_factor(clock):  # type: ignore[no-untyped-def]
     """Return the factor by which the variances in ``clock``, (N_CLOCK,), are too small."""
@@ -248,118 +217,6 @@ def share_of_motion(clock):  # type: ignore[no-untyped-def]
 def age_mean_square(clock):  # type: ignore[no-untyped-def]
     """Return the mean square [s²] of the age of velocities."""
     return clock[AGE] ** 2 + clock[P_AGE] * variance_factor(clock)
-
-
-@kernel()
-def sensitivities(nav, H):  # type: ignore[no-untyped-def]
-    """
-    Return how an innovation of fixes changes with the clock offset and with the age of velocities.
-
-    Parameters
-    ----------
-    nav : ndarray, shape (N_FLAT,)
-        Flat state before the correction.
-    H : ndarray, shape (m, 15)
-        Measurement matrix.
-
-    Returns
-    -------
-    h : ndarray, shape (m, 2)
-        H s + v and H u of a position, H s + a and H u + a of a velocity.
-    change : ndarray, shape (m,)
-        a of a velocity: how it changes with its stamp.
-    """
-    m = H.shape[0]
-    s, u = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
-    velocity, acceleration = nav[VELOCITY], nav[ACCELERATION]
-    h, change = np.zeros((m, 2)), np.zeros(m)
-    for a in range(m):
-        for i in range(N_ERROR):
-            h[a, 0] += H[a, i] * s[i]
-            h[a, 1] += H[a, i] * u[i]
-        for i in range(3):
-            h[a, 0] += H[a, i] * velocity[i]
-            change[a] += H[a, 3 + i] * acceleration[i]
-        h[a, 0] += change[a]
-        h[a, 1] += change[a]
-    return h, change
-
-
-@kernel()
-def correct_sensitivities(nav, H, K, h, dx, by_position):  # type: ignore[no-untyped-def]
-    """
-    Correct s and u with the state: s <- s - K h, where v in h is the corrected velocity.
-
-    Parameters
-    ----------
-    nav : ndarray, shape (N_FLAT,)
-        Flat state; its sensitivities are overwritten.
-    H, K : ndarray, shape (m, 15), (15, m)
-        Measurement matrix and gain.
-    h : ndarray, shape (m, 2)
-        `sensitivities` before the correction, or H s and H u where the measurement has no clock.
-    dx : ndarray, shape (15,)
-        Correction of the state.
-    by_position : bool
-        A fix of the position corrects, so that h contains v.
-    """
-    s, u = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
-    for a in range(H.shape[0]):
-        to_offset = h[a, 0]
-        if by_position:
-            for i in range(3):
-                to_offset += H[a, i] * dx[3 + i]
-        for i in range(N_ERROR):
-            s[i] -= K[i, a] * to_offset
-            u[i] -= K[i, a] * h[a, 1]
-
-
-@kernel()
-def noise_information(nav, H, K, S, is_position):  # type: ignore[no-untyped-def]
-    """
-    Return how much an innovation would say of the clock offset if nothing moved.
-
-    Parameters
-    ----------
-    nav : ndarray, shape (N_FLAT,)
-        Flat state.
-    H, K, S : ndarray, shape (m, 15), (15, m), (m, m)
-        Measurement matrix, gain and covariance of the innovation.
-    is_position : bool
-        Otherwise of a velocity.
-
-    Returns
-    -------
-    float
-        trace(S^-1 N) [1/s²], where N is the covariance of the error of h: the variance of the
-        velocity that a position corrects, or of the mean acceleration.
-    """
-    m = H.shape[0]
-    root, N, half = S.copy(), np.zeros((m, m)), np.zeros((m, m))
-    factorise(root)
-    if is_position:
-        for a in range(m):
-            for b in range(m):
-                for c in range(m):
-                    for i in range(3):
-                        half[a, b] += H[a, i] * K[3 + i, c] * (root[c, b] if b <= c else 0.0)
-        for a in range(m):
-            for b in range(m):
-                for c in range(m):
-                    N[a, b] += OF_CORRECTIONS * half[a, c] * half[b, c]
-    else:
-        C, q = np.empty(9), nav[PSD]
-        rotation(nav[QUAT], C)
-        for a in range(m):
-            for b in range(m):
-                for i in range(3):
-                    N[a, b] += C[3 * a + i] * C[3 * b + i] * q[i] / MEAN_TIME
-    total = 0.0
-    for a in range(m):
-        column = N[a].copy()
-        solve(root, column)
-        total += column[a]
-    return total
 
 
 @register_jitable
@@ -402,9 +259,9 @@ def observe(clock, interval, z, h, S, of_noise, informs):  # type: ignore[no-unt
     interval : float
         Time since the last correction [s]; infinite without one.
     z, h, S : ndarray, shape (m,), (m, 2), (m, m)
-        Innovation, its `sensitivities`, and its covariance.
+        Innovation, its `clock_sensitivity.sensitivities`, and its covariance.
     of_noise : float
-        Its `noise_information`.
+        Its `clock_sensitivity.noise_information`.
     informs : bool
         The fix was fused.
     """

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid_ins.core.clock_offset import (
-    age_mean_square,
+from hybrid_ins.core.clock_offset import age_mean_square, observe
+from hybrid_ins.core.clock_sensitivity import (
     correct_sensitivities,
     noise_information,
-    observe,
     sensitivities,
 )
 from hybrid_ins.core.compilation import kernel

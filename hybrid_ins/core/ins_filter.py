@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, propagation
-from hybrid_ins.core.clock_offset import MAX_STD, ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.clock_offset import MAX_STD, ClockOffsetObserver
 from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart

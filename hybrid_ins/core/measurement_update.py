@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import iterated_update
-from hybrid_ins.core.clock_offset import (
-    ClockOffsetObserver,
-    age_mean_square,
+from hybrid_ins.core.clock_offset import ClockOffsetObserver, age_mean_square
+from hybrid_ins.core.clock_sensitivity import (
     correct_sensitivities,
     initial_sensitivity,
     noise_information,

@@ -16,9 +16,8 @@ from hybrid_ins.core.clock_offset import (
     P_PARAMETERS,
     VELOCITY_AGE_STD,
     ClockOffsetObserver,
-    initial_sensitivity,
-    sensitivities,
 )
+from hybrid_ins.core.clock_sensitivity import initial_sensitivity, sensitivities
 from hybrid_ins.core.earth import curvature_scale, normal_gravity
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid_ins.core.clock_offset import ClockOffsetObserver, initial_sensitivity
+from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.measurement_update import MeasurementUpdate
