@@ -78,7 +78,8 @@ def innovations(  # type: ignore[no-untyped-def]
         if then > now:
             # Between two samples the reading is interpolated linearly.
             s, a = samples[i], (then - now) / (t[i] - now)
-            nav[PSD][:3], nav[PSD][3:6] = psd[:3] * noise[i, 0], psd[3:] * noise[i, 1]
+            for axis in range(6):
+                nav[PSD][axis] = psd[axis] * noise[i, axis // 3]
             step(
                 nav,
                 then - now,

@@ -126,11 +126,6 @@ class ClockOffsetObserver:
         return self.values.item(AGE), math.sqrt(variance)
 
     @property
-    def share_of_motion(self) -> float:
-        """Share of what innovations have lately said of the clock that is not noise of the IMU."""
-        return float(share_of_motion(self.values))
-
-    @property
     def missing(self) -> tuple[float, float]:
         """Offset still to be added [s] by innovations and prior, and its variance [s²]."""
         variance = self.sigma**2

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.linalg import factorise, solve
+from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.propagation import MEAN_TIME
 from hybrid_ins.core.state import (
     ACCELERATION,
@@ -139,28 +139,22 @@ def noise_information(nav, H, K, S, is_position):  # type: ignore[no-untyped-def
         velocity that a position corrects, or of the mean acceleration.
     """
     m = H.shape[0]
-    root, N, half = S.copy(), np.zeros((m, m)), np.zeros((m, m))
+    root, error, total = S.copy(), np.zeros((3, m)), 0.0  # error' error is N
     factorise(root)
     if is_position:
         for a in range(m):
-            for b in range(m):
-                for c in range(m):
-                    for i in range(3):
-                        half[a, b] += H[a, i] * K[3 + i, c] * (root[c, b] if b <= c else 0.0)
-        for a in range(m):
-            for b in range(m):
-                for c in range(m):
-                    N[a, b] += OF_CORRECTIONS * half[a, c] * half[b, c]
+            for c in range(m):
+                correction = 0.0
+                for i in range(3):
+                    correction += H[a, i] * K[3 + i, c]
+                for b in range(c + 1):
+                    error[b, a] += np.sqrt(OF_CORRECTIONS) * correction * root[c, b]
     else:
         C, q = np.empty(9), nav[PSD]
         rotation(nav[QUAT], C)
         for a in range(m):
-            for b in range(m):
-                for i in range(3):
-                    N[a, b] += C[3 * a + i] * C[3 * b + i] * q[i] / MEAN_TIME
-    total = 0.0
-    for a in range(m):
-        column = N[a].copy()
-        solve(root, column)
-        total += column[a]
+            for i in range(3):
+                error[i, a] = C[3 * a + i] * np.sqrt(q[i] / MEAN_TIME)
+    for i in range(3):
+        total += whiten(root, error[i])
     return total

@@ -167,7 +167,8 @@ class LocalFrame:
         return self.C_en.T @ C_en(lla)
 
 
-def curvature_scale(lla: NDArray[np.float64]) -> NDArray[np.float64]:
+@register_jitable
+def curvature_scale(lla):  # type: ignore[no-untyped-def]
     """
     Metres of north, east and down per unit of latitude, longitude and height, shape (3,).
 

@@ -293,7 +293,7 @@ class MeasurementUpdate:
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
-        is_position = measurement.kind == PositionFix.kind
+        is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
         correction = Correction(

@@ -23,9 +23,7 @@ from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import NavState
 
 PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
-CHECK_LAG_NS = (
-    500_000_000  # of a check of the heading behind the IMU: a late fix costs a rewind of each
-)
+CHECK_LAG_NS = 500_000_000  # of a check of the heading: a late fix costs a rewind of each filter
 
 
 class FilterParts(Protocol):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.earth import radii
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.samples import readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
@@ -138,8 +138,7 @@ def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
     if count < MIN_FIXES:
         return 0.0
     t, places, last = np.empty(count), np.empty((count, 2)), lla[count - 1]
-    meridian, transverse = radii(last[0])
-    north, east = meridian + last[2], (transverse + last[2]) * np.cos(last[0])
+    north, east, _ = curvature_scale(last)
     for k in range(count):
         t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
         places[k, 0], places[k, 1] = (lla[k, 0] - last[0]) * north, (lla[k, 1] - last[1]) * east

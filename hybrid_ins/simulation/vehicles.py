@@ -129,11 +129,7 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
 
 def city_car(duration: float, seed: int, rest: float = 10.0) -> Motion:
     """Stand, then drive streets that cross at right angles, with stops."""
-    t, speed, course = streets(duration, seed, rest)
-    slope = slope_along(speed)
-    velocity_n = velocity_of(speed, course, speed * np.tan(slope))
-    roll = -0.01 * speed * np.gradient(course, t)  # the body leans out of the turn
-    return motion_through(t, velocity_n, np.stack((roll, slope, course), axis=-1), START_LLA)
+    return along_road(*streets(duration, seed, rest))
 
 
 def streets(duration: float, seed: int, rest: float) -> tuple[Array, Array, Array]:
@@ -175,9 +171,14 @@ def motorway(duration: float, seed: int, rest: float = 10.0) -> Motion:
         begin += leg
     speed = smoothed(speed, 15.0)
     course = rng.uniform(-np.pi, np.pi) + integral(smoothed(course_rate, 4.0))
+    return along_road(t, speed, course)
+
+
+def along_road(t: Array, speed: Array, course: Array) -> Motion:
+    """Return a car's motion over a gently rolling road, by speed [m/s] and course [rad], (N,)."""
     slope = slope_along(speed)
     velocity_n = velocity_of(speed, course, speed * np.tan(slope))
-    roll = -0.01 * speed * np.gradient(course, t)
+    roll = -0.01 * speed * np.gradient(course, t)  # the body leans out of the turn
     return motion_through(t, velocity_n, np.stack((roll, slope, course), axis=-1), START_LLA)
 
 
