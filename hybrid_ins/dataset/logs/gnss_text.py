@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -172,13 +173,23 @@ def _quantities(names: list[str]) -> dict[str, int]:
     """Return the column of each quantity."""
     plain = [re.sub(r"[^a-z_]", "", re.sub(UNIT, "", name.lower())) for name in names]
     at: dict[str, int] = {}
-    for what, pattern in NAMES.items():
-        for column, name in enumerate(plain):
-            if re.fullmatch(pattern, name) or re.fullmatch(pattern, name.replace("_", "")):
-                at.setdefault(what, column)
+    for column, name in enumerate(plain):
+        for what in _quantities_of(name):
+            at.setdefault(what, column)
     if at.get("date", at.get("clock")) == at.get("clock"):  # one column alone is no date and time
         at.pop("clock", None)
     return at
+
+
+@lru_cache(1024)  # lines of numbers are asked for, too: all of their words are ""
+def _quantities_of(name: str) -> tuple[str, ...]:
+    """Return what a column's name can mean, in lower case and without its unit."""
+    bare = name.replace("_", "")
+    return tuple(
+        what
+        for what, pattern in NAMES.items()
+        if re.fullmatch(pattern, name) or re.fullmatch(pattern, bare)
+    )
 
 
 def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
