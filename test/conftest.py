@@ -1,6 +1,7 @@
 """What the tests share: the recorded flights, a ROS domain of their own, child processes."""
 
 import fcntl
+import gc
 import os
 import signal
 import tempfile
@@ -33,6 +34,12 @@ os.environ.update(isolated_ros())
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the live tests first: they wait for each other while the rest keeps a processor busy."""
     items.sort(key=lambda item: item.get_closest_marker("live") is None)
+
+
+def pytest_collection_finish() -> None:
+    """Exempt what was imported from garbage collection: it stays, and there is much of it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

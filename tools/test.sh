@@ -22,6 +22,9 @@ fi
 bash tools/setup.sh "${extras[@]}"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
 export PATH=$PWD/.venv/bin:$PATH
+# Hundreds of processes import the package: what they compile is kept, also where a container image
+# says otherwise.
+export PYTHONDONTWRITEBYTECODE=
 
 status=0
 ruff format --check --quiet || {
