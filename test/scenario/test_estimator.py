@@ -6,14 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from support.drive import Drive
+from support.drive import GIVEN, KNOWN, Drive
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.ros.reports import Diagnostics
-
-GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": math.pi / 2 - 0.7}
 
 
 def test_reset_aligns_anew_and_keeps_the_map() -> None:
@@ -102,7 +100,7 @@ def test_a_flood_of_fixes_is_cut_and_told() -> None:
 
 
 def test_changes_while_it_runs_keep_the_state() -> None:
-    drive = Drive(**GIVEN)
+    drive = Drive(**KNOWN)
     drive.play(0.0, 20.0)
     for changes in (
         {"noise.mode": "constant"},
@@ -138,7 +136,7 @@ def test_clocks_that_jump_begin_anew_said_once(jump: float) -> None:
 
 
 def test_accelerations_of_zero_are_no_free_fall() -> None:
-    drive = Drive(**GIVEN)
+    drive = Drive(**KNOWN)
     drive.play(0.0, 20.0)
     before = drive.odometry.copy()
 
@@ -172,7 +170,7 @@ def test_an_unusable_imu_ends_dead_reckoning_and_its_biases_are_remembered() -> 
 
 
 def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:
-    drive = Drive(**GIVEN)
+    drive = Drive(**KNOWN)
     drive.play(0.0, 30.0)
     stuck = drive.fix_lla.copy()
     drive.fix_lla[150:165] = stuck[150]
@@ -201,7 +199,7 @@ def test_a_filter_that_just_started_reckons_from_its_first_fix() -> None:
 
 @pytest.mark.slow
 def test_an_outage_after_the_clock_went_back_is_one() -> None:
-    drive = Drive(**GIVEN)
+    drive = Drive(**KNOWN)
     drive.play(0.0, 10.0)
     drive.shift_ns = -3600 * 10**9
     drive.play(10.0, 20.0)
@@ -212,7 +210,7 @@ def test_an_outage_after_the_clock_went_back_is_one() -> None:
 
 
 def test_an_outage_says_how_long_and_how_far() -> None:
-    drive = Drive(**GIVEN)
+    drive = Drive(**KNOWN)
     drive.play(0.0, 30.0)
     drive.play(30.0, 40.0, with_fixes=False)
     status = drive.status("filter")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.drive import Drive
+from support.drive import KNOWN, Drive
 
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.ros.conversions import set_stamp
@@ -69,7 +69,7 @@ def test_usable_fixes_are_not_blamed() -> None:
 
 def test_wrong_axes_are_an_error_and_no_clock_offset() -> None:
     """
-    GIVEN an IMU whose x and y axes are exchanged
+    KNOWN an IMU whose x and y axes are exchanged
     WHEN it flies
     THEN log and diagnostics name the axes, and no line blames the clock before.
     """
@@ -141,7 +141,7 @@ def test_fixes_that_wait_for_the_filter_do_not_make_the_input_suspect() -> None:
 
 
 def test_the_input_is_suspect_while_something_is_new() -> None:
-    drive = Drive()
+    drive = Drive(**KNOWN)
     drive.play(0.0, 8.0)
     drive.play(8.0, 8.1, force=lambda f: f * np.nan)
     drive.play(8.1, 10.0)
@@ -155,7 +155,7 @@ def test_the_input_is_suspect_while_something_is_new() -> None:
 
 
 def test_the_filtered_position_has_a_fix_only_with_gnss() -> None:
-    drive = Drive()
+    drive = Drive(**KNOWN)
     drive.play(0.0, 12.0)
     drive.estimator.pop_reports()
 

@@ -16,6 +16,10 @@ from hybrid_ins.ros.trajectory import Trajectory
 from hybrid_ins.simulation.motions import quadrotor_flight
 
 EPOCH_NS = 1_700_000_000_000_000_000
+GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": np.pi / 2 - 0.7}
+"""The heading is given; the clock is searched for."""
+KNOWN = {**GIVEN, "gnss.time_offset.estimate": False}
+"""The clock is given, too: one filter from the start on, in a third of the time."""
 
 
 class Drive:

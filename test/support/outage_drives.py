@@ -12,6 +12,7 @@ from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.outages import every_vehicle
 
 CALIBRATED: dict[str, Any] = {
+    "gnss.time_offset.estimate": False,
     "imu.gyroscope_bias_std": [0.004],
     "imu.accelerometer_bias_std": [0.08],
     "noise.mode": "constant",

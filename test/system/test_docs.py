@@ -21,6 +21,7 @@ from support.paths import ROOT
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.cli import replay, simulate
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.interface import SUBSCRIBED
 from hybrid_ins.ros.message_types import OUTPUTS
@@ -228,13 +229,9 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     """Return what a replay of a simulated flight publishes, by topic."""
     folder = tmp_path_factory.mktemp("viewers")
     flight, estimate = str(folder / "flight"), str(folder / "estimate")
-    for command in (
-        ["ins_simulate", flight, "--duration", "20", "--imu-rate", "100"],
-        ["ins_replay", flight, estimate],
-    ):
-        subprocess.run(
-            [program(command[0]), *command[1:]], check=True, timeout=240, stdout=subprocess.DEVNULL
-        )
+    assert simulate.main([flight, "--duration", "10", "--imu-rate", "100", "--heading", "0"]) == 0
+    known = ["-p", "alignment.heading_source:=parameter", "-p", "gnss.time_offset.estimate:=false"]
+    assert replay.main([flight, estimate, *known]) == 0
     messages: dict[str, list[Any]] = {}
     store = get_typestore(Stores.ROS2_JAZZY)
     with AnyReader([Path(estimate)], default_typestore=store) as reader:

@@ -212,6 +212,7 @@ def test_replay_draws_what_it_made(tmp_path: Path, capsys: pytest.CaptureFixture
     flown, out, picture = (str(tmp_path / name) for name in ("flown", "out", "run.png"))
     options = ["--duration", "8", "--imu-rate", "100", "--heading", "0"]
     given = ["-p", "alignment.heading_source:=parameter", "-p", "alignment.yaw:=1.5708"]
+    given += ["-p", "gnss.time_offset.estimate:=false"]
     assert simulate.main([flown, *options]) == 0
 
     assert replay.main([flown, out, *given, "--plot", picture]) == 0

@@ -34,6 +34,7 @@ def flown():
             **parameters.defaults(),
             "alignment.heading_source": "parameter",
             "alignment.yaw": np.pi / 2,
+            "gnss.time_offset.estimate": False,
         },
         lambda level, text: None,
     )
