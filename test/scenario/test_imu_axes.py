@@ -44,7 +44,7 @@ def readings(motion: Motion, duration: float, offset: float = 0.0) -> Readings:
 def drives() -> dict[str, Readings]:
     return {
         CAR: readings(city_car(90.0, 1), 90.0),
-        QUADROTOR: readings(quadrotor_flight(60.0, 3), 60.0),
+        QUADROTOR: readings(quadrotor_flight(40.0, 3), 40.0),
     }
 
 

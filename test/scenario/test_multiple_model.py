@@ -188,7 +188,7 @@ def standing(run: Run) -> Run:
 
 
 def test_while_nothing_moves_nothing_is_said() -> None:
-    estimator = estimating(standing(draw(SCENE, 1)))
+    estimator = estimating(until(standing(draw(SCENE, 1)), 25.0))
 
     assert offset(estimator) == 0.0
     assert found(estimator)[1] > 0.2

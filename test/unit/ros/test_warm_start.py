@@ -61,14 +61,22 @@ class Parked:
         return saved.heading, saved.heading_std
 
 
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    """What a run has left that knew the heading."""
-    path = tmp_path / "state.yaml"
+@pytest.fixture(scope="module")
+def left(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return what a run has left that knew the heading."""
+    path = tmp_path_factory.mktemp("run") / "state.yaml"
     known = {"alignment.heading_source": "parameter", "alignment.yaw": math.radians(30.0)}
     run = Parked(path, **known, **{"alignment.yaw_std": 0.01})
     run.wait(8.0)
     assert run.warm_start.save() == f"saved to {path}"
+    return path.read_bytes()
+
+
+@pytest.fixture
+def file(left: bytes, tmp_path: Path) -> Path:
+    """A file of that run, of the test's own."""
+    path = tmp_path / "state.yaml"
+    path.write_bytes(left)
     return path
 
 
