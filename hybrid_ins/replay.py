@@ -43,7 +43,7 @@ from hybrid_ins.ros.rate_limiter import RateLimiter
 from hybrid_ins.ros.reports import Report
 from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
 
-SMOOTHED = ("gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
+SMOOTHED = ("odometry", "gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
 VERDICT = "gnss/verdict"
 TRUTH = "/truth/"
 BLOCK = 256  # odometry messages that are written at a time
@@ -101,12 +101,16 @@ def replay_bag(
         BagWriter(target, overwrite, inputs=[source], keep_partial=keep_partial) as out,
     ):
         estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
-        if not estimator.reporter.ever_aligned:
+        reporter, waiting = estimator.reporter, estimator.status.waiting_for
+        if not (reporter.ever_aligned if smooth else reporter.ever_located):
             out.discard()
             raise InputError(
-                f"{source}: the filter never started: it waited for {estimator.status.waiting_for};"
-                f" {target} is not written"
+                f"{source}: the filter never started: it waited for {waiting}; "
+                f"{target} is not written"
             )
+        if not reporter.ever_aligned:
+            text = f"{source}: the heading was never known: it needs {waiting}; /odometry holds "
+            (log or log_message)("warn", f"{text}positions at 10 Hz, /odometry/local nothing")
         return Replayed(estimator, (bag.end_ns - bag.start_ns) * 1e-9)
 
 

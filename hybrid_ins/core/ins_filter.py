@@ -337,12 +337,12 @@ class InsFilter:
         return True
 
 
-def state_at_imu(behind: InsFilter) -> Array:
-    """Return the flat state at the ring's last sample, of a filter that may be behind it."""
+def state_at_imu(behind: InsFilter, nav: Array) -> Array:
+    """Return a flat state of a filter that may be behind the IMU at the ring's last sample."""
     samples = behind.ring.after(behind.t_ns)
     if not len(samples):
-        return behind.nav
-    nav = behind.nav.copy()
+        return nav
+    nav = nav.copy()
     dt = steps_since(behind.t_ns, samples["t_ns"]) * 1e-9
     propagation.run(nav, dt, readings_of(samples), behind.covariance_interval, NO_ROWS)
     return nav

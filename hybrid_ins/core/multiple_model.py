@@ -25,13 +25,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import Change
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
-from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.rotations import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_multiply,
+    rotvec_from_quat,
+)
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL, EPS, QUAT, NavState, covariance, pack
+from hybrid_ins.core.state import (
+    BIAS_A,
+    BIAS_G,
+    COVARIANCE,
+    DIAGONAL,
+    EPS,
+    LLA,
+    PLACES,
+    QUAT,
+    VELOCITY,
+    NavState,
+    covariance,
+    pack,
+)
 
 Array = NDArray[np.float64]
 FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
@@ -230,6 +249,30 @@ class MultipleModelBank:
         weights /= weights.sum()
         mean = float(weights @ means)
         return mean, math.sqrt(weights @ (variances + (means - mean) ** 2))
+
+    def mixture(self) -> Array:
+        """
+        Return the flat state, shape (N_FLAT,), of the best, its P that of the mixture about it.
+
+        P = Σ w_k (P_k + d_k d_kᵀ), where d_k is the best's error if hypothesis k is right; [1]_,
+        section 1.4.16.
+        """
+        best, weights = self.best.nav, np.exp(self.log_weights)
+        navs = np.stack([hypothesis.nav for hypothesis in self.filters])
+        turns = quat_multiply(navs[:, QUAT], quat_conjugate(best[QUAT]))
+        d = np.hstack(
+            (
+                (navs[:, LLA] - best[LLA]) * curvature_scale(best[LLA]),
+                navs[:, VELOCITY] - best[VELOCITY],
+                -rotvec_from_quat(turns),
+                navs[:, BIAS_A] - best[BIAS_A],
+                navs[:, BIAS_G] - best[BIAS_G],
+            )
+        )
+        P = np.tensordot(weights, navs[:, COVARIANCE], 1)[PLACES] + (d.T * weights) @ d
+        nav: Array = best.copy()
+        pack(P / weights.sum(), nav[COVARIANCE])
+        return nav
 
     def decide(self) -> Decision | None:
         """Return the one filter that the mixture has become, its P including all; or None."""

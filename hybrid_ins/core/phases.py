@@ -17,10 +17,12 @@ from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, state_at_imu
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import NavState
+
+Array = NDArray[np.float64]
 
 PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
 CHECK_LAG_NS = 500_000_000  # of a check of the heading: a late fix costs a rewind of each filter
@@ -52,6 +54,7 @@ class Aligning:
 
     filter: ClassVar[InsFilter | None] = None
     best: ClassVar[InsFilter | None] = None
+    nav: ClassVar[Array | None] = None
     bank: ClassVar[MultipleModelBank | None] = None
 
 
@@ -68,6 +71,11 @@ class Searching:
         """The likeliest filter: its position is good already."""
         return self.bank.best
 
+    @property
+    def nav(self) -> Array:
+        """Its flat state at the last IMU sample; P includes the other filters."""
+        return state_at_imu(self.best, self.bank.mixture())
+
 
 @dataclass(frozen=True, slots=True)
 class Running:
@@ -80,6 +88,11 @@ class Running:
     def best(self) -> InsFilter:
         """The filter."""
         return self.filter
+
+    @property
+    def nav(self) -> Array:
+        """Its flat state."""
+        return self.filter.nav
 
 
 Phase = Aligning | Searching | Running
@@ -100,7 +113,7 @@ def search_clock(
     filters: Sequence[InsFilter],
     parts: FilterParts,
     ring: ImuRing,
-    prior: NDArray[np.float64] | None = None,
+    prior: Array | None = None,
 ) -> ClockSearch:
     """Return filters under several clock offsets around filters of one time and one offset."""
     first = filters[0]
@@ -109,7 +122,7 @@ def search_clock(
 
 
 def _factory(
-    parts: FilterParts, ring: ImuRing, t_ns: int, sample: NDArray[np.float64], period: float
+    parts: FilterParts, ring: ImuRing, t_ns: int, sample: Array, period: float
 ) -> FilterFactory:
     """Return what starts a filter at an IMU sample."""
 

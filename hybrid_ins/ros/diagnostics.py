@@ -128,6 +128,9 @@ def _alignment_status(navigator: Navigator, waiting: str) -> Status:
         heading_std = math.degrees(bank.heading()[1])
         values["sigma_heading_deg"] = min(heading_std, LARGEST_HEADING_STD)
         values["hypotheses"] = len(bank.filters)
+    nav = navigator.phase.nav
+    if nav is not None:
+        values["sigma_position_horizontal"] = float(math.hypot(*total_std(nav)[:2]))
     return status("filter", 1, f"aligning, {state}: it needs {waiting}", values)
 
 

@@ -134,7 +134,8 @@ PUBLISHED = (
         ODOMETRY,
         OUTPUT,
         "pose of `base_link` in `map`, twist in `base_link`, full covariances; at the IMU's rate, "
-        "or at `odometry_rate`",
+        "or at `odometry_rate`. From the second fix until the heading is known it comes at 10 Hz "
+        "at most, with large variances of the heading and of the twist, in the vehicle's axes",
     ),
     Topic(
         "odometry/local",

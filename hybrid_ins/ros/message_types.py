@@ -10,12 +10,20 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hybrid_ins.ros.cdr import LITTLE_ENDIAN, put_count, put_doubles, put_text, stamped
+from hybrid_ins.ros.cdr import (
+    LITTLE_ENDIAN,
+    OdometryEncoder,
+    put_count,
+    put_doubles,
+    put_text,
+    stamped,
+)
 from hybrid_ins.ros.conversions import STATUS_FIX, STATUS_NO_FIX, fill_transform
 from hybrid_ins.ros.interface import PUBLISHED, TRANSFORMS
 from hybrid_ins.ros.odom_frame import map_from_odom
 from hybrid_ins.ros.reports import (
     Diagnostics,
+    MapOdometry,
     Odometry,
     Position,
     Report,
@@ -49,6 +57,9 @@ def encode(report: Report, hardware_id: str = "") -> bytes:
         for status in content.statuses:
             _put_status(message, status, hardware_id)
         return bytes(message)
+    if isinstance(content, MapOdometry):
+        encoder = OdometryEncoder(content.frame_id, content.child_frame_id)
+        return encoder.encode_values(content.t_ns, content.values)
     message = stamped(content.t_ns, content.frame_id)
     if isinstance(content, Position):
         message.append((STATUS_FIX if content.has_fix else STATUS_NO_FIX) & 0xFF)

@@ -51,15 +51,20 @@ class OdometrySource:
         rate_variance : ndarray, shape (3,)
             Of one gyroscope reading [(rad/s)²], b.
         """
-        assert self.map is not None
-        in_map, in_odom = np.empty(output.N_ODOMETRY), np.empty(output.N_ODOMETRY)
-        output.odometry_values(nav, self.map.origin_e, self.map.C_me, arm_b, rate_variance, in_map)
+        in_map, in_odom = self.in_map(nav, arm_b, rate_variance), np.empty(output.N_ODOMETRY)
         if not math.isfinite(in_map.item(3) + in_map.item(7)):
             return None
         dt = (t_ns - self._last_ns) * 1e-9 if self._last_ns else 0.0
         self._last_ns = t_ns
         odom_frame.advance(self._odom, dt, in_map, in_odom)
         return Odometry(t_ns, in_map, in_odom)
+
+    def in_map(self, nav: Array, arm_b: Array, rate_variance: Array) -> Array:
+        """Return the numbers (85,) of an Odometry message in ``map``; see `make`."""
+        assert self.map is not None
+        values = np.empty(output.N_ODOMETRY)
+        output.odometry_values(nav, self.map.origin_e, self.map.C_me, arm_b, rate_variance, values)
+        return values
 
     def make_block(
         self, t_ns: NDArray[np.int64], rows: Array, arm_b: Array, rate_variance: Array

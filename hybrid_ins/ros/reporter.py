@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.ins_filter import state_at_imu
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import (
@@ -26,7 +25,17 @@ from hybrid_ins.core.state import total_std
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
 from hybrid_ins.ros.input_log import InputLog, is_logged
-from hybrid_ins.ros.reports import Diagnostics, ImuBiases, Position, Report, Status, Vector
+from hybrid_ins.ros.odometry import OdometrySource
+from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.reports import (
+    Diagnostics,
+    ImuBiases,
+    MapOdometry,
+    Position,
+    Report,
+    Status,
+    Vector,
+)
 
 Array = NDArray[np.float64]
 
@@ -45,6 +54,7 @@ class Reporter:
         Checked parameters.
     navigator : Navigator
     inputs : InputLog
+    odometry : OdometrySource
 
     Attributes
     ----------
@@ -52,17 +62,25 @@ class Reporter:
         Measurements that the filter fused.
     fused_ns : int
         Stamp of the last of them, or of the alignment [ns]; 0 after a restart.
-    ever_aligned : bool
-        The filter ran at some time.
+    ever_located, ever_aligned : bool
+        There was odometry at some time; the heading was known, too.
     """
 
-    def __init__(self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog) -> None:
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        inputs: InputLog,
+        odometry: OdometrySource,
+    ) -> None:
         self._base_frame, self._map_frame = values["base_frame"], values["map_frame"]
         self._navigator = navigator
         self._inputs = inputs
+        self._odometry = odometry
+        self._odometry_due = RateLimiter(values["odometry_rate"])
         self._reports: list[Report] = []
         self.fixes_fused = 0
-        self.ever_aligned = False
+        self.ever_located = self.ever_aligned = False
         self.restart()
 
     def restart(self) -> None:
@@ -128,18 +146,30 @@ class Reporter:
 
         ``arm_b``, shape (3,), is the IMU relative to the base frame's origin [m], b.
         """
-        running = self._navigator.phase.best
-        if running is None:
+        phase = self._navigator.phase
+        if phase.best is None or phase.nav is None:
             return
-        if not self._announced and self._navigator.filter is not None:
-            self._announced = self.ever_aligned = True
+        nav, levels = phase.nav, phase.best.noise.levels()
+        if phase.filter is None:
+            self._report_odometry(t_ns, nav, arm_b, levels[3:])
+        elif not self._announced:
+            self._announced = self.ever_located = self.ever_aligned = True
             self.fused_ns = self.fused_ns or t_ns
-            sigma = math.degrees(total_std(running.nav)[8])
+            sigma = math.degrees(total_std(nav)[8])
             self._inputs.log("info", f"aligned: heading known to {sigma:.1f}°")
         has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER
-        self._reports += state_reports(
-            t_ns, state_at_imu(running), running.noise.levels(), arm_b, self._base_frame, has_fix
-        )
+        self._reports += state_reports(t_ns, nav, levels, arm_b, self._base_frame, has_fix)
+
+    def _report_odometry(self, t_ns: int, nav: Array, arm_b: Array, rate_variance: Array) -> None:
+        """Report odometry while the heading is searched for; `Estimator` returns it after that."""
+        if self._odometry.map is None or not self._odometry_due.is_due(t_ns):
+            return
+        values = self._odometry.in_map(nav, arm_b, rate_variance)
+        if not np.isfinite(values).all():
+            return
+        self.ever_located = True
+        odometry = MapOdometry(t_ns, self._map_frame, self._base_frame, values)
+        self._reports.append(Report("odometry", odometry, t_ns))
 
     def is_diagnostics_due(self, t_ns: int) -> bool:
         """Return whether to send diagnostics at a stamp [ns]."""

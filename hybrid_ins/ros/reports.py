@@ -33,6 +33,16 @@ class OdometryBlock(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class MapOdometry:
+    """A nav_msgs/Odometry in map, of a vehicle whose heading is not known yet."""
+
+    t_ns: int
+    frame_id: str
+    child_frame_id: str
+    values: Array  # (85,) pose in map, twist in the base frame
+
+
+@dataclass(frozen=True, slots=True)
 class Position:
     """A sensor_msgs/NavSatFix; its status is FIX or, without GNSS, NO_FIX."""
 
@@ -83,7 +93,7 @@ class Diagnostics:
     statuses: Sequence[Status]
 
 
-Content = Position | Vector | ImuBiases | Status | Diagnostics
+Content = MapOdometry | Position | Vector | ImuBiases | Status | Diagnostics
 
 
 @dataclass(frozen=True, slots=True)

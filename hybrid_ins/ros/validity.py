@@ -52,20 +52,20 @@ class ValidityMonitor:
 
     def judge(self, t_ns: int) -> tuple[tuple[Validity, ...], list[float]]:
         """Return the validity of position, velocity and heading at a stamp [ns], and any σ."""
-        running = self._navigator.filter
-        if running is None:
-            return (Validity.LOST if self._had_estimate else Validity.WAITING,) * 3, []
-        self._had_estimate = True
-        sigma = np.sqrt(running.nav[COVARIANCE][DIAGONAL])
+        phase = self._navigator.phase
+        self._had_estimate |= phase.filter is not None
+        missing = Validity.LOST if self._had_estimate else Validity.WAITING
+        if phase.nav is None:
+            return (missing,) * 3, []
+        sigma = np.sqrt(phase.nav[COVARIANCE][DIAGONAL])
         found = [float(sigma[:2].max()), float(sigma[3:5].max()), float(sigma[8])]
         held = Validity.COASTING if self._fixes.outage(t_ns) else Validity.GOOD
-        return (
-            tuple(
-                held if s <= limit else Validity.LOST
-                for s, limit in zip(found, self._limits, strict=True)
-            ),
-            found,
-        )
+        judged = [
+            held if s <= limit else missing for s, limit in zip(found, self._limits, strict=True)
+        ]
+        if phase.filter is None:
+            judged[2] = missing  # the filters do not agree yet
+        return tuple(judged), found
 
     def status(self, t_ns: int) -> Status:
         """Return the status at a stamp [ns]."""

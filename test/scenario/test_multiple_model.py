@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,9 +21,14 @@ from support.runs import stamped_early, through_estimator
 
 from hybrid_ins.core import clock_search, multiple_model
 from hybrid_ins.core.clock_search import SPEED_STD, TILT_STD, ClockSearch, state_at_offset
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.multiple_model import N_HEADINGS
-from hybrid_ins.core.state import DP, DV, EPS, NavState
+from hybrid_ins.core.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.kalman import inject
+from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.phases import Searching
+from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.core.state import DP, DV, EPS, NAVIGATION, NavState, covariance
+from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.estimator import Estimator
 from tools.paper.runs import Run, draw
 
@@ -108,6 +114,59 @@ def test_the_position_that_is_published_meanwhile_is_that_of_its_stamp() -> None
     ) * curvature_scale(run.lla[0])[:2]
     speed = np.linalg.norm(run.velocity_n[np.searchsorted(stamps, last.t_ns)])
     assert np.hypot(north, east) < 0.3 * speed
+
+
+def test_before_the_heading_is_known_odometry_has_a_position_that_is_right() -> None:
+    nees = []
+    for seed in range(6):
+        # GIVEN a flight whose heading and clock are unknown
+        run = until(draw(replace(SCENE, scored_from=0.0), seed), 9.0)
+        estimator = estimating(run, **AUTO)
+        assert isinstance(estimator.navigator.phase, Searching)
+        # THEN there is odometry from the second fix on, ten times a second
+        reports = [r.content for r in estimator.pop_reports() if r.topic == "odometry"]
+        stamps = np.array([odometry.t_ns for odometry in reports])
+        assert stamps[0] - run.fixes[0].t_ns < 1.1 * SECOND
+        np.testing.assert_allclose(np.diff(stamps), 0.1 * SECOND, rtol=0.0, atol=0.011 * SECOND)
+        # AND its position is right within its covariance
+        truth = np.array([np.interp(stamps, run.samples["t_ns"][run.scored], x) for x in run.lla.T])
+        found = np.array([odometry.values for odometry in reports])
+        pose_covariance = found[:, 7:43].reshape(-1, 6, 6)
+        error = found[:, :3] - LocalFrame(estimator.odometry.map.datum_lla).position(truth.T) @ SWAP
+        nees.append(
+            np.einsum("ni,nij,nj->n", error, np.linalg.inv(pose_covariance[:, :3, :3]), error) / 3.0
+        )
+        # AND the variance of the heading says that it is not known
+        assert (pose_covariance[:, 5, 5] > 0.5**2).mean() > 0.8
+    assert 0.2 < np.mean(nees) < 1.5
+
+
+def test_the_mixture_is_a_second_moment_about_the_likeliest_hypothesis() -> None:
+    # GIVEN hypotheses of which two are errors d away from the best
+    rng = np.random.default_rng(3)
+    best = NavState(
+        np.array([0.6, 0.2, 30.0]), np.array([3.0, -2.0, 0.5]), quat_from_rpy(0.3, -0.2, 1.0),
+        np.zeros(3), np.zeros(3), np.diag(rng.uniform(0.5, 1.0, 15)),
+    )  # fmt: skip
+    errors = np.repeat([2.0, 1.0, 0.4, 0.1, 0.01], 3) * rng.normal(size=(2, 15))
+    states = [best]
+    for d in errors:
+        nav = best.to_flat()
+        inject(nav, d)
+        states.append(replace(NavState.from_flat(nav), P=2.0 * best.P))
+    weights = np.array([0.5, 0.3, 0.2])
+    bank = MultipleModelBank(
+        states,
+        lambda state, _: SimpleNamespace(nav=state.to_flat()),  # type: ignore[arg-type,return-value]
+        FilterSettings(max_delay=1.0),
+        weights,
+    )
+    # WHEN they are one state
+    nav = bank.mixture()
+    # THEN it is the best's, and its covariance is that of all about it
+    np.testing.assert_array_equal(nav[NAVIGATION], best.to_flat()[NAVIGATION])
+    expected = 1.5 * best.P + 0.3 * np.outer(errors[0], errors[0]) + 0.2 * np.outer(*errors[[1, 1]])
+    np.testing.assert_allclose(covariance(nav), expected, rtol=0.0, atol=1e-6)
 
 
 def test_fixes_in_quick_succession_are_not_given_to_all_hypotheses() -> None:

@@ -12,6 +12,7 @@ import pytest
 from support.paths import ROOT
 
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from tools.processes import program
 
@@ -208,6 +209,23 @@ def test_a_conversion_or_simulation_replaces_bags_only(
     assert "holds other files than those of one bag" in capsys.readouterr().err
 
     assert (tmp_path / name).read_text() == "a,b\n1,2\n"
+
+
+def test_a_replay_of_a_vehicle_that_stands_has_its_position(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, out = str(tmp_path / "bag"), str(tmp_path / "out")
+    motion = ["--trajectory", "static", "--duration", "8", "--imu-rate", "100"]
+    assert status_of("ins_simulate", [bag, *motion]) == 0
+
+    assert status_of("ins_replay", [bag, out]) == 0
+
+    assert "the heading was never known: it needs motion that shows" in capsys.readouterr().err
+    with BagReader(Path(out)) as reader:
+        assert reader.count("/odometry") > 60
+        assert reader.count("/odometry/local") == 0
+    assert status_of("ins_replay", [bag, f"{out}2", "--smooth"]) == 2
+    assert "never started" in capsys.readouterr().err
 
 
 @pytest.mark.slow

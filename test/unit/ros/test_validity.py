@@ -11,6 +11,8 @@ from hybrid_ins.core.state import COVARIANCE, DIAGONAL, N_FLAT
 from hybrid_ins.ros.validity import Validity, ValidityMonitor
 
 GOOD, COASTING, LOST = Validity.GOOD, Validity.COASTING, Validity.LOST
+WAITING = Validity.WAITING
+NO_PHASE = SimpleNamespace(filter=None, nav=None)
 SECOND = 1_000_000_000
 
 
@@ -29,7 +31,8 @@ def monitor(
     sigma = np.repeat([position, velocity, heading, 0.1, 0.1], 3)
     packed = nav[COVARIANCE]
     packed[DIAGONAL] = sigma**2
-    navigator = SimpleNamespace(filter=SimpleNamespace(nav=nav))
+    phase = SimpleNamespace(filter=SimpleNamespace(nav=nav), nav=nav)
+    navigator = SimpleNamespace(phase=phase)
     return ValidityMonitor(parameters.defaults(), navigator, Fixes(fixes_until))  # type: ignore[arg-type]
 
 
@@ -56,18 +59,31 @@ def test_each_part_is_judged_by_its_sigma_and_the_fixes(
 
 def test_before_the_first_alignment_all_waits_and_after_it_all_is_lost() -> None:
     watched = monitor(1.0, 0.1, 0.1, 99.0)
-    running, watched._navigator.filter = watched._navigator.filter, None
+    running, watched._navigator.phase = watched._navigator.phase, NO_PHASE  # type: ignore[assignment,misc]
 
     waiting = watched.status(100 * SECOND)
     assert waiting.text == "position waiting, velocity waiting, heading waiting"
     assert waiting.level == 1
     assert not any(key.startswith("sigma") for key, _ in waiting.values)
 
-    watched._navigator.filter = running
+    watched._navigator.phase = running  # type: ignore[misc]
     watched.judge(100 * SECOND)
-    watched._navigator.filter = None
+    watched._navigator.phase = NO_PHASE  # type: ignore[assignment,misc]
     assert watched.judge(100 * SECOND)[0] == (LOST, LOST, LOST)
     assert watched.status(100 * SECOND).level == 2
+
+
+def test_while_the_heading_is_searched_for_the_position_is_good_and_the_heading_waits() -> None:
+    watched = monitor(1.0, 5.0, 0.1, 99.0)
+    running = watched._navigator.phase
+    searching = SimpleNamespace(filter=None, nav=running.nav)
+
+    watched._navigator.phase = searching  # type: ignore[assignment,misc]
+    assert watched.judge(100 * SECOND)[0] == (GOOD, WAITING, WAITING)
+    watched._navigator.phase = running  # type: ignore[misc]
+    assert watched.judge(100 * SECOND)[0] == (GOOD, LOST, GOOD)
+    watched._navigator.phase = searching  # type: ignore[assignment,misc]
+    assert watched.judge(100 * SECOND)[0] == (GOOD, LOST, LOST)
 
 
 def test_only_changes_are_reported() -> None:
