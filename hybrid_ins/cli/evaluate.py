@@ -32,7 +32,7 @@ covariances (NEES, NIS with 95 % bands), and the error at the end of outages.
 The estimate is interpolated to the epochs of the truth. Truth epochs at the stamp of a fix are not
 scored: the filter was given these positions. Truth and GNSS share a clock; its offset to the IMU
 clock is read from gnss/verdict. The datums of the bags may differ. Without --skip, scoring begins
-with the first estimate: none before it knows its heading."""
+with the first estimate whose heading is known."""
 
 EXAMPLE = "ins_evaluate flight_estimate --truth flight.mcap --plot flight.png"
 

@@ -28,7 +28,6 @@ _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
 _CHUNK = 10_000  # messages decoded at once
 _FIGURE = re.compile(r"[-+]?\d+(?:\.\d+)?")
-_HEADING_KNOWN = 0.5  # rad, σ: above that the filter still searches for the heading
 _LASTING = 10  # s, of diagnostics that the user should know of
 
 
@@ -63,7 +62,7 @@ def read_run(
     with BagReader(estimate_path) as reader:
         bag = _Bag(reader, topics)
         estimate, frames = _trajectory(bag, topics.odometry, "--odometry", topics.datum, notes)
-        estimate = _of_known_heading(estimate, notes)
+        estimate = _of_known_heading(reader, topics.odometry, estimate, notes)
         truth = truth_frames = None
         if truth_path is None and reader.count(topics.truth):
             truth, truth_frames = _trajectory(
@@ -146,18 +145,23 @@ def _trajectory(
     return trajectory, (first.header.frame_id, first.child_frame_id)
 
 
-def _of_known_heading(estimate: Trajectory, notes: list[str]) -> Trajectory:
-    """Return the epochs at which the heading is known, or all if it never is; `notes` says so."""
-    if estimate.attitude_cov is None:
+def _of_known_heading(
+    bag: BagReader, topic: str, estimate: Trajectory, notes: list[str]
+) -> Trajectory:
+    """
+    Return the epochs from the first one on ``odometry/local`` on; `notes` says what was left out.
+
+    While the filter searches for its heading it publishes on ``odometry`` only.
+    """
+    local = f"{_absolute(topic)}/local"
+    _, _, first = next(bag.messages(local), (None, None, None)) if bag.count(local) else [None] * 3
+    if first is None:
         return estimate
-    unknown = estimate.attitude_cov[:, 2, 2] > _HEADING_KNOWN**2
-    if unknown.all() or not unknown.any():
+    known = estimate.stamp_ns >= ns_of(first.header.stamp)
+    if known.all() or not known.any():
         return estimate
-    notes.append(
-        f"{np.count_nonzero(unknown)} epochs are not scored: the filter did not know its heading "
-        f"yet (σ above {math.degrees(_HEADING_KNOWN):.0f}°)"
-    )
-    return estimate.rows(~unknown)
+    notes.append(f"{np.count_nonzero(~known)} epochs before the heading was known: not scored")
+    return estimate.rows(known)
 
 
 def _odometry_rows(bag: BagReader, topic: str) -> tuple[Stamps, Array]:

@@ -9,6 +9,7 @@ import pytest
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
+from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.ros.conversions import stamp_ns
 
 DUE = "/imu/bias", "/q/accelerometer", "/q/gyroscope", "/gnss/filtered", "/diagnostics"
@@ -44,6 +45,22 @@ def test_output_has_the_log_time_at_which_it_was_known(
             assert np.abs(log_ns - stamps).max() <= 100_000_000, topic
             inside = np.diff(log_ns[((log_ns - start_ns) * 1e-9 > 16.0)])
             assert inside.max() <= 1_100_000_000, topic
+
+
+def test_a_search_for_the_heading_is_published_and_not_scored(flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    assert replay.main([str(flight), str(out)]) == 0
+
+    with BagReader(out) as bag:
+        published, local = (
+            np.array([stamp_ns(m.header.stamp) for _, _, m in bag.messages(topic)])
+            for topic in ("/odometry", "/odometry/local")
+        )
+    assert published[0] < local[0] - 2_000_000_000
+    assert (np.diff(published) > 0).all()
+    run = read_run(out)
+    assert run.estimate.stamp_ns[0] == local[0]
+    assert any("before the heading was known: not scored" in note for note in run.notes)
 
 
 def test_a_replayed_track_is_exported(
