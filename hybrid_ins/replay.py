@@ -109,8 +109,11 @@ def replay_bag(
                 f"{target} is not written"
             )
         if not reporter.ever_aligned:
-            text = f"{source}: the heading was never known: it needs {waiting}; /odometry holds "
-            (log or log_message)("warn", f"{text}positions at 10 Hz, /odometry/local nothing")
+            (log or log_message)(
+                "warn",
+                f"{source}: the heading was never known: it needs {waiting}; /odometry holds "
+                "positions at 10 Hz, /odometry/local nothing",
+            )
         return Replayed(estimator, (bag.end_ns - bag.start_ns) * 1e-9)
 
 

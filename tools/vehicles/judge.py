@@ -26,6 +26,7 @@ from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.ros.reports import MapOdometry, Report
 from hybrid_ins.ros.trajectory import Array
 from tools.vehicles.aiding import Aiding
 from tools.vehicles.drives import Drive
@@ -33,6 +34,7 @@ from tools.vehicles.drives import Drive
 SETTLED = 30.0  # s after the start of the motion, from which errors count
 FAR, LASTING = 2.0, 5.0  # times three sigma, s: silently wrong
 LONGEST_GAP = 0.6  # s, of the odometry: nothing is claimed in a longer one
+DOUBT = 1.5, math.radians(10.0)  # m, rad: of real drives the truth is known no better
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,18 @@ class Score:
 
 
 class Judged(Estimator):
-    """Keeps what it says of the fixes."""
+    """
+    Keeps what it says of the fixes, and odometry of the search for the heading.
+
+    Attributes
+    ----------
+    search : list of MapOdometry
+    """
 
     def __init__(self, values: Mapping[str, Any], log: Any = lambda level, text: None) -> None:
         self.rows: list[tuple[bool, float, int, bool]] = []
         self.offsets: list[tuple[int, float]] = []  # IMU's time [ns], offset in force [s]
+        self.search: list[MapOdometry] = []
         super().__init__(values, log)
 
     def on_event(self, event: Event) -> None:
@@ -72,6 +81,12 @@ class Judged(Estimator):
         """See `Estimator`."""
         super().handle_fix(message, received_ns)
         self.offsets.append((self.navigator.last_ns, self.clock.offset))
+
+    def pop_reports(self) -> Sequence[Report]:
+        """See `Estimator`."""
+        reports = super().pop_reports()
+        self.search += [r.content for r in reports if isinstance(r.content, MapOdometry)]
+        return reports
 
 
 def run(
@@ -137,74 +152,93 @@ def run(
             estimator.handle_velocity(velocity)
         estimator.pop_reports()
     advance(len(drive.imu_ns))
+    estimator.pop_reports()
     if not done:
         return estimator, np.empty(0, np.int64), np.empty((0, 85))
     return estimator, np.concatenate([t for t, _ in done]), np.concatenate([v for _, v in done])
 
 
 def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text: None) -> Score:
-    """Run and judge."""
+    """Run and judge: `Score.silent` all odometry, the rest from when the heading is known."""
     estimator, t_ns, rows = run(drive, values, log)
+    if not drive.absolute and estimator.offsets:
+        drive = replace(drive, truth_ns=_at_offset_in_force(drive, estimator.offsets))
+    search_ns = np.array([found.t_ns for found in estimator.search], np.int64)
+    everything = np.concatenate([*[f.values[None] for f in estimator.search], rows])
+    silent = _silently_wrong(drive, np.concatenate((search_ns, t_ns)), everything)
     nan = math.nan
     if len(t_ns) < 2:
-        return Score(nan, nan, 0.0, nan, nan, nan, nan, 0.0, 0.0, nan, 0, 0.0, nan)
-    aligned = (int(t_ns[0]) - drive.motion_ns) * 1e-9
-    if not drive.absolute:
-        drive = replace(drive, truth_ns=_at_offset_in_force(drive, estimator.offsets))
-    truth = LocalFrame(drive.fix_lla[0]).position(drive.truth_lla) @ SWAP
-    wanted = (drive.truth_ns >= t_ns[0]) & (drive.truth_ns <= t_ns[-1])
+        return Score(nan, nan, 0.0, nan, nan, nan, nan, 0.0, silent, nan, 0, 0.0, nan)
+    seen, horizontal, up, P = _position_errors(drive, t_ns, rows)
     counts = drive.truth_ns >= drive.motion_ns + round(SETTLED * 1e9)
-    at = np.clip(np.searchsorted(t_ns, drive.truth_ns), 1, len(t_ns) - 1)
-    gap = (t_ns[at] - t_ns[at - 1]) * 1e-9
-    share = (drive.truth_ns - t_ns[at - 1]) / np.maximum(t_ns[at] - t_ns[at - 1], 1)
-    wanted &= gap < LONGEST_GAP
-    place = rows[at - 1, :3] + share[:, None] * (rows[at, :3] - rows[at - 1, :3])
-    error = place - truth
-    P = rows[at, 7:43].reshape(-1, 6, 6)[:, :2, :2]
-    horizontal = np.linalg.norm(error[:, :2], axis=1)
-    nees = np.einsum("ki,ki->k", error[:, :2], np.linalg.solve(P, error[:, :2, None])[..., 0])
-    used = wanted & counts
-    sigma = np.sqrt(np.maximum(np.trace(P, axis1=1, axis2=2), 1e-12))
-    allowance = 0.0 if drive.absolute else 1.5
-    wrong = wanted & (horizontal > 3.0 * FAR * sigma + allowance)
-    silent = _lasting(drive.truth_ns, wrong)
-    heading, at_start = nan, nan
-    if len(drive.truth_yaw):
-        seen = (drive.truth_yaw_ns >= t_ns[0]) & (drive.truth_yaw_ns <= t_ns[-1])
-        k = np.clip(np.searchsorted(t_ns, drive.truth_yaw_ns), 0, len(t_ns) - 1)
-        seen &= t_ns[k] - drive.truth_yaw_ns < LONGEST_GAP * 1e9
-        k = k[seen]
-        if len(k):
-            C = matrix_from_quat(rows[k, 3:7])
-            yaw = 0.5 * np.pi - np.arctan2(C[:, 1, 0], C[:, 0, 0])
-            off = np.abs((yaw - drive.truth_yaw[seen] + np.pi) % (2.0 * np.pi) - np.pi)
-            std = np.sqrt(rows[k, 7 + 35])
-            moving = drive.truth_yaw_ns[seen] >= drive.motion_ns + round(SETTLED * 1e9)
-            at_start = math.degrees(float(off[0]))
-            if np.any(moving):
-                heading = math.degrees(float(np.sqrt(np.mean(off[moving] ** 2))))
-            margin = 0.0 if drive.absolute else math.radians(10.0)
-            silent = max(
-                silent,
-                _lasting(drive.truth_yaw_ns[seen], off > 3.0 * FAR * std + margin),
-            )
+    used = seen & counts
+    nees = np.einsum("ki,ki->k", horizontal, np.linalg.solve(P, horizontal[..., None])[..., 0])
+    distance = np.linalg.norm(horizontal, axis=1)
+    yaw_ns, off, _ = _heading_errors(drive, t_ns, rows)
+    moving = yaw_ns >= drive.motion_ns + round(SETTLED * 1e9)
     verdicts = estimator.rows
     nis = [row[1] / row[2] for row in verdicts if row[2] and math.isfinite(row[1])]
     return Score(
-        aligned,
-        at_start,
+        (int(t_ns[0]) - drive.motion_ns) * 1e-9,
+        math.degrees(float(off[0])) if len(off) else nan,
         float(np.mean([row[0] for row in verdicts])) if verdicts else nan,
-        _rms(horizontal[used]),
-        _rms(error[used, 2]),
+        _rms(distance[used]),
+        _rms(up[used]),
         float(np.mean(nees[used])) / 2.0 if np.any(used) else nan,
         float(np.mean(nis)) if nis else nan,
         float(np.sum(used)) / max(1, int(np.sum(counts))),
         silent,
-        float(horizontal[used].max(initial=0.0)),
+        float(distance[used].max(initial=0.0)),
         sum(row[3] for row in verdicts),
         estimator.clock.offset,
-        heading,
+        math.degrees(_rms(off[moving])),
     )
+
+
+def _position_errors(
+    drive: Drive, t_ns: NDArray[np.int64], rows: Array
+) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    """
+    Return errors at the truth's K epochs.
+
+    Whether there is odometry (K,), the horizontal error (K, 2) and that upwards (K,) [m], and the
+    covariance of the first (K, 2, 2).
+    """
+    truth = LocalFrame(drive.fix_lla[0]).position(drive.truth_lla) @ SWAP
+    at = np.clip(np.searchsorted(t_ns, drive.truth_ns), 1, len(t_ns) - 1)
+    gap = (t_ns[at] - t_ns[at - 1]) * 1e-9
+    share = (drive.truth_ns - t_ns[at - 1]) / np.maximum(t_ns[at] - t_ns[at - 1], 1)
+    seen = (drive.truth_ns >= t_ns[0]) & (drive.truth_ns <= t_ns[-1]) & (gap < LONGEST_GAP)
+    error = rows[at - 1, :3] + share[:, None] * (rows[at, :3] - rows[at - 1, :3]) - truth
+    P = rows[at, 7:43].reshape(-1, 6, 6)[:, :2, :2]
+    return seen, error[:, :2], error[:, 2], P
+
+
+def _heading_errors(
+    drive: Drive, t_ns: NDArray[np.int64], rows: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return stamps [ns] of the truth's headings, the error and its σ [rad], each (L,)."""
+    seen = (drive.truth_yaw_ns >= t_ns[0]) & (drive.truth_yaw_ns <= t_ns[-1])
+    k = np.clip(np.searchsorted(t_ns, drive.truth_yaw_ns), 0, len(t_ns) - 1)
+    seen &= t_ns[k] - drive.truth_yaw_ns < LONGEST_GAP * 1e9
+    k = k[seen]
+    C = matrix_from_quat(rows[k, 3:7])
+    yaw = 0.5 * np.pi - np.arctan2(C[:, 1, 0], C[:, 0, 0])
+    off = np.abs((yaw - drive.truth_yaw[seen] + np.pi) % (2.0 * np.pi) - np.pi)
+    return drive.truth_yaw_ns[seen], off, np.sqrt(rows[k, 7 + 35])
+
+
+def _silently_wrong(drive: Drive, t_ns: NDArray[np.int64], rows: Array) -> float:
+    """Return for how long [s] the position or the heading is wrong by far more than claimed."""
+    if len(t_ns) < 2:
+        return 0.0
+    metres, radians = (0.0, 0.0) if drive.absolute else DOUBT
+    seen, horizontal, _, P = _position_errors(drive, t_ns, rows)
+    sigma = np.sqrt(np.maximum(np.trace(P, axis1=1, axis2=2), 1e-12))
+    distance = np.linalg.norm(horizontal, axis=1)
+    silent = _lasting(drive.truth_ns, seen & (distance > 3.0 * FAR * sigma + metres))
+    yaw_ns, off, std = _heading_errors(drive, t_ns, rows)
+    return max(silent, _lasting(yaw_ns, off > 3.0 * FAR * std + radians))
 
 
 def _at_offset_in_force(drive: Drive, offsets: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
