@@ -259,6 +259,8 @@ class MultipleModelBank:
         """
         best, weights = self.best.nav, np.exp(self.log_weights)
         navs = np.stack([hypothesis.nav for hypothesis in self.filters])
+        sound = np.isfinite(navs).all(axis=1)  # others have weights next to nothing
+        navs, weights = navs[sound], weights[sound]
         turns = quat_multiply(navs[:, QUAT], quat_conjugate(best[QUAT]))
         d = np.hstack(
             (

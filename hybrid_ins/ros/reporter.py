@@ -21,7 +21,7 @@ from hybrid_ins.core.navigator_events import (
     HeadingCorrected,
     Restarted,
 )
-from hybrid_ins.core.state import total_std
+from hybrid_ins.core.state import DV, QUAT, VELOCITY, total_std
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
 from hybrid_ins.ros.input_log import InputLog, is_logged
@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 
 DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
 RESTARTS_LOGGED = 10  # of one cause, before only each tenfold number is logged
+NOT_UNIT = 1e-3  # of a quaternion: rates turned it too far for one step
 UNKNOWN = 0  # covariance type of a NavSatFix
 
 
@@ -78,6 +79,7 @@ class Reporter:
         self._inputs = inputs
         self._odometry = odometry
         self._odometry_due = RateLimiter(values["odometry_rate"])
+        self._max_speed = values["gnss.max_speed"]
         self._reports: list[Report] = []
         self.fixes_fused = 0
         self.ever_located = self.ever_aligned = False
@@ -151,6 +153,8 @@ class Reporter:
             return
         nav, levels = phase.nav, phase.best.noise.levels()
         if phase.filter is None:
+            if not self._is_plausible(nav):
+                return
             self._report_odometry(t_ns, nav, arm_b, levels[3:])
         elif not self._announced:
             self._announced = self.ever_located = self.ever_aligned = True
@@ -160,14 +164,19 @@ class Reporter:
         has_fix = (t_ns - self.fused_ns) * 1e-9 <= diagnostics.DEAD_RECKONING_AFTER
         self._reports += state_reports(t_ns, nav, levels, arm_b, self._base_frame, has_fix)
 
+    def _is_plausible(self, nav: Array) -> bool:
+        """Return whether the state of a search may be published: nobody has checked its IMU yet."""
+        sigma = total_std(nav)
+        fastest = max(float(np.abs(nav[VELOCITY]).max()), float(sigma[DV].max()))
+        is_rotation = abs(float(nav[QUAT] @ nav[QUAT]) - 1.0) < NOT_UNIT
+        return bool(np.isfinite(sigma).all()) and fastest < self._max_speed and is_rotation
+
     def _report_odometry(self, t_ns: int, nav: Array, arm_b: Array, rate_variance: Array) -> None:
         """Report odometry while the heading is searched for; `Estimator` returns it after that."""
         if self._odometry.map is None or not self._odometry_due.is_due(t_ns):
             return
-        values = self._odometry.in_map(nav, arm_b, rate_variance)
-        if not np.isfinite(values).all():
-            return
         self.ever_located = True
+        values = self._odometry.in_map(nav, arm_b, rate_variance)
         odometry = MapOdometry(t_ns, self._map_frame, self._base_frame, values)
         self._reports.append(Report("odometry", odometry, t_ns))
 

@@ -293,8 +293,8 @@ def _set(values: Array, t: Array, begin: float, length: float, value: float) -> 
     values[(t >= begin) & (t < begin + length)] = value
 
 
-def _quadrotor(duration: float, seed: int) -> Motion:
-    return quadrotor_flight(duration, seed, rest=10.0)
+def _quadrotor(duration: float, seed: int, rest: float = 10.0) -> Motion:
+    return quadrotor_flight(duration, seed, rest=rest)
 
 
 MODEST = Receiver(5.0, (0.2, 0.2, 0.3), (0.8, 0.8, 1.5), 100.0, (1.0, 1.0, 2.0))

@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def draw(seed: int) -> tuple[dict[str, Any], Vehicle]:
     )
     vehicle = replace(
         known,
-        motion=lambda duration, seed: known.motion(duration, seed, rest),  # type: ignore[call-arg]
+        motion=partial(known.motion, rest=rest),
         receiver=receiver,
         errors=errors,
         imu_rate=float(rng.choice([50.0, 100.0, 200.0])),
