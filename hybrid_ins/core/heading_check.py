@@ -4,7 +4,8 @@ Check of a given heading by motion: filters under other headings beside the one 
 A heading that was given (by hand, by a magnetometer, by the course) may be wrong by far more than
 its standard deviation, and a filter that starts with it does not find out: it explains the
 innovations by biases and tilt. So it is one hypothesis among others, [1]_, until the motion has
-shown which is right.
+shown which is right. Long before one of the others is known to be right the given one may be known
+to be wrong: the state is then that of all others together.
 
 References
 ----------
@@ -20,12 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import yaw_of
-from hybrid_ins.core.state import NavState
+from hybrid_ins.core.ins_filter import InsFilter, state_at_imu
+from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.navigator_events import HeadingCorrected
+from hybrid_ins.core.state import QUAT, NavState
 
 Array = NDArray[np.float64]
 
 WRONG = 0.1  # prior probability that a given heading is wrong
 SIGNIFICANT = 3.0  # standard deviations
+EXCLUDED = 0.01  # probability of a heading that is given up
 GROSS = 0.5  # rad; the filter corrects a smaller error by itself
 
 
@@ -39,3 +44,22 @@ def is_contradicted(state: NavState, found: NavState) -> bool:
     turn = math.remainder(yaw_of(found.quat_xyzw) - yaw_of(state.quat_xyzw), 2.0 * math.pi)
     std = math.sqrt(state.P[8, 8] + found.P[8, 8])
     return abs(turn) > max(GROSS, SIGNIFICANT * std)
+
+
+def correction(running: InsFilter, bank: MultipleModelBank) -> HeadingCorrected | None:
+    """
+    Return what the motion shows of the heading if it excludes that of a filter; else None.
+
+    Parameters
+    ----------
+    running : InsFilter
+        At the last IMU sample.
+    bank : MultipleModelBank
+        The filters beside it, which may be behind.
+    """
+    best = yaw_of(state_at_imu(bank.best, bank.best.nav)[QUAT])
+    own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.state.P[8, 8])
+    if bank.probability(own - best, max(GROSS, SIGNIFICANT * std)) > EXCLUDED:
+        return None
+    mean, sigma = bank.heading()
+    return HeadingCorrected(own, best + mean, sigma)

@@ -130,6 +130,7 @@ class MultipleModelBank:
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale = 1.0
+        self._told: set[tuple[str, int]] = set()  # of those that wait: their verdicts are known
         self._since: dict[object, int] = {}  # ns, when a condition became true that still is
 
     @property
@@ -167,6 +168,16 @@ class MultipleModelBank:
         for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True):
             hypothesis.submit(shifted[offset_ns])
         return True
+
+    def take_over(self, running: InsFilter) -> list[Measurement]:
+        """
+        Go on without a filter that ran beside: what it has judged is not told again.
+
+        Returns what neither has judged nor will.
+        """
+        left = {(m.kind, m.t_ns): m for m in running.withdraw()}
+        self._told = self._waiting.keys() - left.keys()
+        return [measurement for key, measurement in left.items() if key not in self._waiting]
 
     def advance(self, ring: ImuRing, now_ns: int) -> list[Verdict]:
         """
@@ -213,7 +224,9 @@ class MultipleModelBank:
         weighed = []
         for key in [key for key in self._waiting if all(key in d for d in self._decided)]:
             verdicts = [decided.pop(key) for decided in self._decided]
-            weighed.append(replace(verdicts[self._best], measurement=self._waiting.pop(key)))
+            verdict = replace(verdicts[self._best], measurement=self._waiting.pop(key))
+            if key not in self._told:
+                weighed.append(verdict)
             self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
@@ -237,11 +250,22 @@ class MultipleModelBank:
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
-        navs = np.stack([hypothesis.nav for hypothesis in self.filters])
-        C = matrix_from_quat(navs[:, QUAT]) @ matrix_from_quat(self.best.nav[QUAT]).T
-        means = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
-        mean, std = self._mixture(means, navs[:, COVARIANCE][:, DIAGONAL[EPS][2]])
+        variances = np.array([h.nav[COVARIANCE][DIAGONAL[EPS][2]] for h in self.filters])
+        mean, std = self._mixture(self._headings(), variances)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
+
+    def _headings(self) -> Array:
+        """Return the headings [rad] of the hypotheses relative to the best's, (-pi, pi]."""
+        quats = np.stack([hypothesis.nav[QUAT] for hypothesis in self.filters])
+        C = matrix_from_quat(quats) @ matrix_from_quat(self.best.nav[QUAT]).T
+        turns: Array = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
+        return turns
+
+    def probability(self, heading: float, within: float) -> float:
+        """Return that of the headings within so much [rad] of one relative to the best's."""
+        weights = np.exp(self.log_weights)
+        off = np.abs((self._headings() - heading + math.pi) % (2.0 * math.pi) - math.pi)
+        return float(weights[off < within].sum() / weights.sum())
 
     def _mixture(self, means: Array, variances: Array) -> tuple[float, float]:
         """Mean and standard deviation of a quantity of which each hypothesis has its own."""

@@ -7,6 +7,7 @@ The phase of a navigator with its transitions, and the filters that run in it.
     Searching -> Running     the hypotheses agree
     Running -> Running       a search for the clock offset begins or is given up; it or the check of
                              a given heading has an outcome
+    Running -> Searching     the motion excludes a given heading, and does not show which is right
     any -> Aligning          `PhaseMachine.align`
 """
 
@@ -23,7 +24,7 @@ from hybrid_ins.core.clock_search import OFFSET_KNOWN, ClockSearch
 from hybrid_ins.core.events import Change, ScatterInForce
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.heading_check import is_contradicted
+from hybrid_ins.core.heading_check import correction, is_contradicted
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.multiple_model import MultipleModelBank
@@ -196,13 +197,26 @@ class PhaseMachine:
         if self.phase.bank is not None:
             self.phase.bank.end_block()
             found = self.decide()
-            if self.phase.bank is not None:
+            self._give_up_wrong_heading()
+            if self.filter is not None and self.phase.bank is not None:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
         if self.clock_open:
             bank = search_clock([self.phase.filter], self._parts, self._ring)
             self._enter(Running(self.phase.filter, bank))
         return False
+
+    def _give_up_wrong_heading(self) -> None:
+        """Search for the heading again if the motion excludes the given one."""
+        bank, running = self.phase.bank, self.filter
+        if bank is None or running is None or not bank.heading_open:
+            return
+        corrected = correction(running, bank)
+        if corrected is not None:
+            self._events.append(corrected)
+            for measurement in bank.take_over(running):
+                self._events.append(Verdict.rejected(measurement, "aligning"))
+            self._enter(Searching(bank))
 
     def advance_search(self) -> None:
         """Let one or some of the filters beside the running one follow."""

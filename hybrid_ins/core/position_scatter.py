@@ -13,6 +13,10 @@ learned fades, and starts as a prior about the given share. A receiver that scat
 claims has a share above 1. The factor on R that the innovations show (`noise_multiple_model`) is
 found sooner and is coarser; the share contains it, so R is multiplied by the larger of the two.
 
+Positions that scatter as much as is claimed do not show that nothing else is wrong with them: the
+errors of a receiver without corrections, from orbits, atmosphere and reflections, last for minutes,
+[1]_. Of claims of a metre and more at least a share of the variance is therefore slow.
+
 The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
 to the covariance of the position that is reported, not to that of the filter. From fix to fix it
 changes, as a random walk of position; where the claimed variance falls by more than a factor,
@@ -55,6 +59,8 @@ SMALLEST = 0.03  # share of the claimed variance
 SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
+LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
+CORRECTED_STD, UNCORRECTED_STD = 0.3, 1.0  # m: claims with corrections, and without
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
 BETTER_SOLUTION = 0.25  # of the slow error's variance
@@ -134,7 +140,7 @@ class PositionScatter(ShallowCopy):
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
         if share > self._largest_expected:
             share = max(share / fix_factor, self._largest_expected)
-        slow = max(1.0 - share, 0.0) * claimed.diagonal()
+        slow = max(1.0 - share, _least_slow(claimed)) * claimed.diagonal()
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
         unclaimed = slow_std**2 > 0.5 * (claimed.item(0, 0) + claimed.item(1, 1))
@@ -156,6 +162,13 @@ class PositionScatter(ShallowCopy):
         self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL * max(1.0, self.learned))
         mean = self._sum / self._count
         self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
+
+
+def _least_slow(claimed: Array) -> float:
+    """Return the share of a claimed covariance (m, m) that is slow at the least."""
+    std = math.sqrt(0.5 * (claimed.item(0, 0) + claimed.item(1, 1)))
+    uncorrected = (std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
+    return LEAST_SLOW * min(max(uncorrected, 0.0), 1.0)
 
 
 @kernel()

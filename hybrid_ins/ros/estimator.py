@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, RestartCause, Restarted
+from hybrid_ins.core.navigator_events import (
+    ClockOffsetFound,
+    Event,
+    HeadingCorrected,
+    RestartCause,
+    Restarted,
+)
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros import conversions, wording
 from hybrid_ins.ros.aids import Aids
@@ -282,7 +288,9 @@ class Estimator:
         self._review.on_event(event)
         if isinstance(event, Verdict):
             self.aids.on_verdict(event)
-        elif isinstance(event, Restarted):
+        elif isinstance(event, Restarted) or (
+            isinstance(event, HeadingCorrected) and self.navigator.filter is None
+        ):
             self._restart()
         elif isinstance(event, ClockOffsetFound):
             self.clock.on_found(event)

@@ -7,14 +7,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from support.scenes import Scene, make_navigator, play, scene
+from support.scenes import Scene, heading_std, make_navigator, play, scene, stamp
 
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import HeadingCorrected
-from hybrid_ins.core.phases import Running
+from hybrid_ins.core.phases import Running, Searching
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight, static
+from hybrid_ins.simulation.vehicles import slow_rover
 
 QUARTER = 0.26  # rad, as large a σ as a compass has
 
@@ -49,7 +51,36 @@ def test_a_wrong_heading_is_named_and_replaced(kind: str, wrong: float) -> None:
 
     assert run.errors(navigator, 60.0)[2] < 0.15
     assert len(corrections(run)) == 1 or wrong < 3.0  # the filter corrects less by itself
-    assert all(event.sigma < 0.2 for event in corrections(run))
+
+
+def test_a_heading_is_given_up_before_another_one_is_known() -> None:
+    """GIVEN a slow rover and a wrong heading WHEN the motion excludes it THEN none is claimed."""
+    run = scene(slow_rover(60.0, 2, 5.0), seed=2, fix_rate=2.0, fix_std=(0.4, 0.4, 0.6))
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0) + math.pi, yaw_std=0.1)
+    searched: list[float] = []
+    claimed: list[float] = []  # heading error over its σ, of one filter after the search began
+
+    def after(t: float) -> None:
+        if round(t * 100.0) % 10:
+            return
+        navigator.continue_search()
+        if isinstance(navigator.phase, Searching):
+            searched.append(t)
+        elif searched:
+            claimed.append(run.errors(navigator, t)[2] / heading_std(navigator))
+
+    play(run, navigator, after=after)
+
+    assert len(searched) > 50
+    assert len(claimed) > 50 and max(claimed) < 4.0
+    [found] = corrections(run)
+    wrong = run.yaw(searched[0]) + math.pi
+    assert math.remainder(found.before - wrong, 2.0 * math.pi) == pytest.approx(0.0, abs=0.3)
+    assert 0.1 < found.sigma < 2.0
+    # AND each fix is told of once, also those that its filter and the others were given
+    told = [v.measurement.t_ns for v in run.verdicts if v.measurement.sensor == GNSS]
+    assert len(told) == len(set(told))
+    assert set(told) >= {stamp(t) for t in run.fix_t if 2.0 < t < 58.0}
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -57,6 +57,20 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
     return found
 
 
+@pytest.mark.parametrize(("claimed", "least"), [(0.1, 0.0), (0.3, 0.0), (0.65, 0.25), (3.0, 0.5)])
+def test_metres_without_corrections_are_slow_in_part_whatever_they_scatter(
+    claimed: float, least: float
+) -> None:
+    covariance = claimed**2 * np.diag([1.0, 1.0, 4.0])
+
+    split = PositionScatter().split(covariance, SECOND, 0.0)
+    assert split.share == 1.0
+    np.testing.assert_allclose(split.slow_variance, least * covariance.diagonal(), atol=1e-12)
+    # A receiver that scatters by less shows a larger slow part.
+    split = PositionScatter(given=0.2).split(covariance, SECOND, 0.0)
+    assert (split.slow_variance >= (1.0 - split.share) * covariance.diagonal()).all()
+
+
 @pytest.mark.parametrize("walk", [0.02, 0.2])
 @pytest.mark.parametrize(("scatter", "claimed"), [(0.4, 1.0), (0.6, 3.0)])
 def test_a_scatter_below_the_claim_is_learned(scatter: float, claimed: float, walk: float) -> None:
