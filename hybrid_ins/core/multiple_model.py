@@ -70,6 +70,19 @@ def heading_grid() -> Array:
     return 2.0 * math.pi * np.arange(N_HEADINGS) / N_HEADINGS
 
 
+def _errors(nav: Array, others: Array) -> Array:
+    """Return the errors (N, 15) of a flat state if others (N, N_FLAT) are right."""
+    return np.hstack(
+        (
+            (others[:, LLA] - nav[LLA]) * curvature_scale(nav[LLA]),
+            others[:, VELOCITY] - nav[VELOCITY],
+            -rotvec_from_quat(quat_multiply(others[:, QUAT], quat_conjugate(nav[QUAT]))),
+            others[:, BIAS_A] - nav[BIAS_A],
+            others[:, BIAS_G] - nav[BIAS_G],
+        )
+    )
+
+
 class Decision(NamedTuple):
     """The one filter that a mixture has become."""
 
@@ -285,16 +298,7 @@ class MultipleModelBank:
         navs = np.stack([hypothesis.nav for hypothesis in self.filters])
         sound = np.isfinite(navs).all(axis=1)  # others have weights next to nothing
         navs, weights = navs[sound], weights[sound]
-        turns = quat_multiply(navs[:, QUAT], quat_conjugate(best[QUAT]))
-        d = np.hstack(
-            (
-                (navs[:, LLA] - best[LLA]) * curvature_scale(best[LLA]),
-                navs[:, VELOCITY] - best[VELOCITY],
-                -rotvec_from_quat(turns),
-                navs[:, BIAS_A] - best[BIAS_A],
-                navs[:, BIAS_G] - best[BIAS_G],
-            )
-        )
+        d = _errors(best, navs)
         P = np.tensordot(weights, navs[:, COVARIANCE], 1)[PLACES] + (d.T * weights) @ d
         nav: Array = best.copy()
         pack(P / weights.sum(), nav[COVARIANCE])
