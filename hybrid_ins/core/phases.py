@@ -19,12 +19,12 @@ from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, state_at_imu
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
-from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.samples import ImuRing, sample_period
 from hybrid_ins.core.state import NavState
 
 Array = NDArray[np.float64]
 
-PERIOD_SAMPLES = 256  # whose median step is the IMU's sample period
+PERIOD_SAMPLES = 256  # that show the IMU's sample period
 CHECK_LAG_NS = 500_000_000  # of a check of the heading: a late fix costs a rewind of each filter
 
 
@@ -100,7 +100,7 @@ Phase = Aligning | Searching | Running
 
 def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Searching | Running:
     """Return the phase that begins with the first states that alignment found."""
-    period = float(np.median(np.diff(ring.latest(PERIOD_SAMPLES)["t_ns"]))) * 1e-9
+    period = sample_period(ring.latest(PERIOD_SAMPLES)["t_ns"])
     begin = _factory(parts, ring, start.t_ns, start.sample, period)
     if start.given:
         known = heading_check.prior(len(start.states))

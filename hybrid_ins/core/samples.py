@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+SPAN = 32  # samples, over which a period is averaged
 SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
 
 
@@ -33,6 +34,17 @@ def steps_since(start_ns: int, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     steps[0] = t_ns[0] - start_ns
     np.subtract(t_ns[1:], t_ns[:-1], out=steps[1:])
     return steps
+
+
+def sample_period(t_ns: NDArray[np.int64]) -> float:
+    """
+    Return the period [s] of at least two stamps (N,) [ns]; 0 where they stand still.
+
+    It is the median over spans of up to ``SPAN`` steps: samples that arrive together have nearly
+    the same stamp from a driver that stamps on receipt, and here and there one is missing.
+    """
+    span = min(SPAN, max(len(t_ns) // 4, 1))
+    return float(np.median(t_ns[span:] - t_ns[:-span])) / span * 1e-9
 
 
 def interpolate(

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.samples import sample_period
 
 Array = NDArray[np.float64]
 
 LONGEST_GAP = 10.0
 """
-Largest step between stamps, in median steps: a window may lack samples here and there, no stretch.
+Largest step between stamps, in periods: a window may lack samples here and there, no stretch.
 
 What vibrates between the samples that are left is noise to whatever integrates them, and shows in
 their spectrum as such.
@@ -75,15 +76,9 @@ def rounded(readings: Array) -> Array:
 
 
 def sampling_rate(t_ns: NDArray[np.int64]) -> float:
-    """Return the rate [Hz] of stamps (N,) [ns] by their median step; 0 where they stand still."""
-    return _rate(np.sort(t_ns[1:] - t_ns[:-1]))
-
-
-def _rate(steps: NDArray[np.int64]) -> float:
-    """Return the same for ordered steps."""
-    middle = len(steps) // 2
-    step = 0.5 * float(steps[middle] + steps[-1 - middle])
-    return 1e9 / step if step > 0.0 else 0.0
+    """Return the rate [Hz] of stamps (N,) [ns]; 0 where they stand still."""
+    period = sample_period(t_ns)
+    return 1.0 / period if period > 0.0 else 0.0
 
 
 def find_fault(
@@ -104,11 +99,11 @@ def find_fault(
     finite, repeats, longest, extremes, dwelling = _tally(readings)
     if not finite:
         return WindowFault.NOT_FINITE
-    steps = np.sort(t_ns[1:] - t_ns[:-1])
-    if steps[0] <= 0:
+    steps = t_ns[1:] - t_ns[:-1]
+    if steps.min() <= 0:
         return WindowFault.OUT_OF_ORDER
-    rate = _rate(steps)
-    if steps[-1] * rate > LONGEST_GAP * 1e9:
+    rate = sampling_rate(t_ns)
+    if steps.max() * rate > LONGEST_GAP * 1e9:
         return WindowFault.GAP
     if not 0.99 * rate_range_hz[0] <= rate <= 1.01 * rate_range_hz[1]:
         return WindowFault.RATE

@@ -328,6 +328,23 @@ def test_host_stamp_jitter_is_no_fault():
     assert find_fault(t_ns + jitter, readings, RATES) is None
 
 
+@pytest.mark.parametrize("tick", [8_000_000, 16_000_000])
+def test_samples_that_a_driver_stamps_in_bursts_have_their_rate(tick: int) -> None:
+    t_ns, readings = stamped()
+    arrival = -(-t_ns // tick) * tick  # a serial port hands over what has come every so often
+    arrival += 10_000 * np.arange(t_ns.size)
+    assert np.median(np.diff(arrival)) < 1e6
+
+    assert sampling_rate(arrival) == pytest.approx(200.0, rel=0.05)
+    assert find_fault(arrival, readings, RATES) is None
+
+
+@pytest.mark.parametrize("missing", [1, 20])
+def test_a_gap_does_not_change_the_rate(missing: int) -> None:
+    t_ns, _ = stamped()
+    assert sampling_rate(np.delete(t_ns, slice(90, 90 + missing))) == pytest.approx(200.0)
+
+
 @pytest.mark.parametrize(
     ("fault", "spoil"),
     [
