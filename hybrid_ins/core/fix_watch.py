@@ -32,7 +32,7 @@ class FixWatch:
         self._aided_ns = NEVER_NS  # since when there is no outage
 
     def on_start(self, t_ns: int) -> None:
-        """Note that the filter runs since a stamp [ns]: it starts from a fix."""
+        """Note that there is a state since a stamp [ns]: it starts from a fix."""
         if not self.started:
             self._fix_ns = self._aided_ns = t_ns
 

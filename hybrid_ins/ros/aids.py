@@ -73,7 +73,7 @@ class Aids:
 
     def run_periodic(self, t_ns: int) -> list[Report]:
         """Do what is due at a stamp [ns]; return what is to be published."""
-        if self._navigator.filter is not None:
+        if self._navigator.phase.best is not None:
             self._fixes.on_start(t_ns)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)

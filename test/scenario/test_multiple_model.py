@@ -124,10 +124,14 @@ def test_before_the_heading_is_known_odometry_has_a_position_that_is_right() -> 
         estimator = estimating(run, **AUTO)
         assert isinstance(estimator.navigator.phase, Searching)
         # THEN there is odometry from the second fix on, ten times a second
-        reports = [r.content for r in estimator.pop_reports() if r.topic == "odometry"]
+        collected = estimator.pop_reports()
+        reports = [r.content for r in collected if r.topic == "odometry"]
         stamps = np.array([odometry.t_ns for odometry in reports])
         assert stamps[0] - run.fixes[0].t_ns < 1.1 * SECOND
         np.testing.assert_allclose(np.diff(stamps), 0.1 * SECOND, rtol=0.0, atol=0.011 * SECOND)
+        # AND it is never said to lack fixes
+        said = [r.content.text for r in collected if r.topic == "validity"]
+        assert not any("coasting" in text for text in said) and "position good" in said[-1]
         # AND its position is right within its covariance
         truth = np.array([np.interp(stamps, run.samples["t_ns"][run.scored], x) for x in run.lla.T])
         found = np.array([odometry.values for odometry in reports])
