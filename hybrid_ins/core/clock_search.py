@@ -149,7 +149,7 @@ class ClockSearch(MultipleModelBank):
     def _is_known(self) -> bool:
         std = self.clock()[1]
         known = [
-            self._has_lasted(("clock", limit), std <= limit, lasting_ns)
+            self.has_lasted(("clock", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in (OFFSET_KNOWN, OFFSET_BOUNDED)
         ]
         return super()._is_known() and any(known)

@@ -321,12 +321,12 @@ class MultipleModelBank:
         """Return whether one filter can do the rest."""
         std = self.heading()[1]
         known = [
-            self._has_lasted(("heading", limit), std <= limit, lasting_ns)
+            self.has_lasted(("heading", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in HEADING_KNOWN
         ]
         return not self.heading_open or any(known)
 
-    def _has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
+    def has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
         """Return whether a condition is true, and was for so long [ns]."""
         if not true:
             self._since.pop(condition, None)

@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 CONFIRMATION, CONTRADICTION = 1.0, 3.0
 """Standard deviations, between a search and a filter's own clock offset."""
 
+CONTRADICTION_NS = 10_000_000_000  # for how long [ns]
 PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
 
 
@@ -88,7 +89,7 @@ class PhaseMachine:
         self._stamps = stamps
         self._events = events
         self._record = record
-        self.clock_open = False
+        self.clock_open = self._was_at_edge = False
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -252,7 +253,7 @@ class PhaseMachine:
             reason = "clock offset found" if bank.clock_open else "heading corrected"
             self._events.extend(Verdict.rejected(m, reason) for m in waiting)
         if bank.clock_open:
-            self.clock_open = decision.at_edge
+            self.clock_open = self._was_at_edge = decision.at_edge
             clock = winner.clock
             self._events.append(ClockOffsetFound(decision.offset, clock.residual, clock.sigma))
         self.collect_verdicts(winner)
@@ -264,19 +265,20 @@ class PhaseMachine:
         Return whether the filter beside a clock search is kept.
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
+        One that contradicts it has to do so for a while: where the motion hardly shows the clock,
+        chance favours now one offset, now another. After a search that ended at its edge it need not.
         """
         running = self.filter
-        if running is None or not isinstance(bank, ClockSearch):
-            return False
-        if bank.heading_open or bank.shift_is_certain:
+        if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:
             return False
         (found, sigma), own = bank.clock(), running.clock
         difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
-        if sigma > min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma)):
-            return True
-        if difference > CONTRADICTION * std:
+        precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
+        contradicts = bank.shift_is_certain or (precise and difference > CONTRADICTION * std)
+        lasting_ns = 0 if self._was_at_edge else CONTRADICTION_NS
+        if bank.has_lasted("contradiction", contradicts, lasting_ns):
             return False
-        if difference > CONFIRMATION * std:
+        if contradicts or not precise or difference > CONFIRMATION * std:
             return True
         self.clock_open = False
         self._enter(Running(running))
