@@ -266,7 +266,7 @@ class PhaseMachine:
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
         One that contradicts it has to do so for a while: where the motion hardly shows the clock,
-        chance favours now one offset, now another. After a search that ended at its edge it need not.
+        chance favours now one offset, now another. After one that ended at its edge it need not.
         """
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:

@@ -9,6 +9,7 @@ import pytest
 from hybrid_ins import parameters
 from hybrid_ins.core.standstill import FixMotion
 from hybrid_ins.simulation.vehicles import VEHICLES, record
+from tools.vehicles import campaign
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Score, score
 
@@ -45,6 +46,32 @@ def test_velocities_older_than_positions_do_not_draw_the_clock() -> None:
 
     assert found.offset == pytest.approx(-0.2, abs=0.03)
     assert found.rmse < 1.5
+
+
+@pytest.mark.slow
+def test_a_right_clock_is_kept_on_a_cruise() -> None:
+    """
+    GIVEN a motorway drive that hardly shows the clock, which is right
+    THEN it is not moved: chance moved it by -0.39 s, 7 m, until evidence had to last.
+    """
+    row = campaign.one(5)
+
+    assert (row["motion"], row["true_offset"]) == ("car on a motorway", 0.0)
+    assert abs(row["offset"]) < 0.05
+    assert row["rmse"] < 1.0 and row["silent"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_receiver_without_corrections_is_off_by_more_than_it_scatters() -> None:
+    """
+    GIVEN a walk whose consumer receiver scatters as it claims, and is slowly off by as much
+    THEN the covariance holds it: NEES/2 was 41.
+    """
+    row = campaign.one(18)
+
+    assert (row["motion"], row["receiver"]) == ("pedestrian", "consumer")
+    assert row["rmse"] > 2.0 and row["silent"] == 0.0
+    assert row["nees"] < 4.0
 
 
 @pytest.mark.parametrize(("speed", "moves"), [(0.0, False), (0.1, False), (0.8, True)])
