@@ -297,11 +297,12 @@ class MultipleModelBank:
         best, weights = self.best.nav, np.exp(self.log_weights)
         navs = np.stack([hypothesis.nav for hypothesis in self.filters])
         sound = np.isfinite(navs).all(axis=1)  # others have weights next to nothing
-        navs, weights = navs[sound], weights[sound]
-        d = _errors(best, navs)
-        P = np.tensordot(weights, navs[:, COVARIANCE], 1)[PLACES] + (d.T * weights) @ d
         nav: Array = best.copy()
-        pack(P / weights.sum(), nav[COVARIANCE])
+        if sound.any():
+            navs, weights = navs[sound], weights[sound] / weights[sound].sum()
+            d = _errors(best, navs)
+            P = np.tensordot(weights, navs[:, COVARIANCE], 1)[PLACES] + (d.T * weights) @ d
+            pack(P, nav[COVARIANCE])
         return nav
 
     def decide(self) -> Decision | None:

@@ -149,9 +149,10 @@ class Reporter:
         ``arm_b``, shape (3,), is the IMU relative to the base frame's origin [m], b.
         """
         phase = self._navigator.phase
-        if phase.best is None or phase.nav is None:
+        best, nav = phase.best, phase.nav
+        if best is None or nav is None:
             return
-        nav, levels = phase.nav, phase.best.noise.levels()
+        levels = best.noise.levels()
         if phase.filter is None:
             if not self._is_plausible(nav):
                 return

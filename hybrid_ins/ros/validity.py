@@ -55,9 +55,10 @@ class ValidityMonitor:
         phase = self._navigator.phase
         self._had_estimate |= phase.filter is not None
         missing = Validity.LOST if self._had_estimate else Validity.WAITING
-        if phase.nav is None:
+        nav = phase.nav
+        if nav is None:
             return (missing,) * 3, []
-        sigma = np.sqrt(phase.nav[COVARIANCE][DIAGONAL])
+        sigma = np.sqrt(nav[COVARIANCE][DIAGONAL])
         found = [float(sigma[:2].max()), float(sigma[3:5].max()), float(sigma[8])]
         held = Validity.COASTING if self._fixes.outage(t_ns) else Validity.GOOD
         judged = [
