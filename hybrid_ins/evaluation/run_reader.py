@@ -130,7 +130,7 @@ def _trajectory(
     """Read an Odometry topic and its frames; faults are added to `notes`."""
     path = bag.reader.path
     topic = bag.reader.require(topic, _ODOMETRY, option)
-    _, _, first = next(bag.reader.messages(topic), (None, None, None))
+    first = _first(bag.reader, topic)
     if first is None:
         raise InputError(f"{path}: no message on {topic}")
     trajectory, faults = trajectory_from_odometry(*_odometry_rows(bag.reader, topic))
@@ -145,6 +145,13 @@ def _trajectory(
     return trajectory, (first.header.frame_id, first.child_frame_id)
 
 
+def _first(bag: BagReader, topic: str) -> Any:
+    """Return the first message of a topic, or None if there is none."""
+    if not bag.count(topic):
+        return None
+    return next((message for _, _, message in bag.messages(topic)), None)
+
+
 def _of_known_heading(
     bag: BagReader, topic: str, estimate: Trajectory, notes: list[str]
 ) -> Trajectory:
@@ -153,8 +160,7 @@ def _of_known_heading(
 
     While the filter searches for its heading it publishes on ``odometry`` only.
     """
-    local = f"{_absolute(topic)}/local"
-    _, _, first = next(bag.messages(local), (None, None, None)) if bag.count(local) else [None] * 3
+    first = _first(bag, f"{_absolute(topic)}/local")
     if first is None:
         return estimate
     known = estimate.stamp_ns >= ns_of(first.header.stamp)

@@ -69,7 +69,7 @@ def test_usable_fixes_are_not_blamed() -> None:
 
 def test_wrong_axes_are_an_error_and_no_clock_offset() -> None:
     """
-    KNOWN an IMU whose x and y axes are exchanged
+    GIVEN an IMU whose x and y axes are exchanged
     WHEN it flies
     THEN log and diagnostics name the axes, and no line blames the clock before.
     """
