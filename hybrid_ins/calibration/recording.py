@@ -16,6 +16,7 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.samples import sample_period
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, gps_fix
 from hybrid_ins.ros.aiding_conversions import AidingMessages
@@ -51,8 +52,8 @@ class Recording:
 
     @property
     def period(self) -> float:
-        """Median time between IMU samples [s]."""
-        return float(np.median(np.diff(self.t)))
+        """Time between IMU samples [s], as the filter finds it."""
+        return sample_period(np.rint(1e9 * self.t).astype(np.int64))
 
     def noise(self, follow_a: float, follow_g: float) -> Array:
         """Return factors (N, 2) on the noise densities, these powers of the loudness."""
