@@ -217,6 +217,13 @@ def _compile_output() -> None:
     imu_axes_fit.integrate_force(
         np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)), np.zeros((3, 2, 3))
     )
+    triples, changes = np.zeros((1, 3), np.intp), np.zeros((1, 1, 1, 3))
+    imu_axes_fit.change_on_paths(
+        np.zeros((1, 2, 3)), 0.0, np.arange(3.0), np.zeros(1), triples, changes
+    )
+    turns = np.zeros((1, 3, 3))
+    imu_axes_fit.add_products(np.zeros((1, 3)), changes[0], turns)
+    imu_axes_fit.subtract_turned(np.zeros((1, 3)), turns, changes[0], changes[0].copy())
     readings = window.own_axes(np.zeros((20, 7)), turn)
     window.find_fault(np.arange(20), readings, (1e7, 1e9))
     window.quantisation_step(readings)

@@ -141,13 +141,12 @@ def _nearest(t: Array, wanted: Array) -> NDArray[np.intp]:
 
 
 def _differences(t: Array, position: Array, triples: NDArray[np.intp]) -> Array:
-    """Return the changes (..., K, 3) of the mean velocity in positions (..., M, 3)."""
+    """Return the changes (K, 3) of the mean velocity between positions (M, 3)."""
     first, middle, last = triples.T
     before = (t[middle] - t[first])[:, None]
     after = (t[last] - t[middle])[:, None]
     return np.asarray(
-        (position[..., last, :] - position[..., middle, :]) / after
-        - (position[..., middle, :] - position[..., first, :]) / before
+        (position[last] - position[middle]) / after - (position[middle] - position[first]) / before
     )
 
 
@@ -159,12 +158,12 @@ def fit(motion: Motion, start: Fit) -> Fit:
     nuisance = nuisance_of_best = np.concatenate((start.bias, start.lever_arm, [0.0]))
     for _ in range(ITERATIONS):
         bias, lever_arm, offsets = nuisance[:3], nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
-        biases = bias + NUDGE * np.eye(4, 3, -1)
-        paths, arms = _paths(motion, turn - STEP * biases[:, None], impulse)
-        paths += np.tensordot(lever_arm, arms, 1)
-        changes = _changes(motion, paths[0], offsets)
+        path, arms = _paths(motion, turn - STEP * bias, impulse)
+        at_antenna = np.tensordot(lever_arm, arms, 1)
+        changes = _changes(motion, path + at_antenna, offsets)[0]
         C = _rotations(changes, change_n)
-        misfit = change_n - np.einsum("tij,tkj->tki", C, changes)
+        misfit = np.empty_like(changes)
+        subtract_turned(change_n, C, changes, misfit)
         left = np.sum(misfit[..., :2] ** 2, axis=(1, 2))
         k = int(np.argmin(left))
         if left[k] > best.left:  # the step was too long
@@ -182,8 +181,10 @@ def fit(motion: Motion, start: Fit) -> Fit:
             lever_arm=lever_arm,
         )
         around = offsets[k] + CLOCK_STEP * np.arange(-1.0, 2.0)
-        before, at, after = _changes(motion, paths[0], around)
-        nudged = _changes(motion, paths[1:], around[1:2])[:, 0]
+        before, at, after = _changes(motion, path + at_antenna, around)[0]
+        biases = bias + NUDGE * np.eye(3)
+        paths, _ = _paths(motion, turn - STEP * biases[:, None], impulse)
+        nudged = _changes(motion, paths + at_antenna, around[1:2])[:, 0]
         by_arm = _changes(motion, arms, around[1:2])[:, 0]
         columns = (*(nudged - at) / NUDGE, *by_arm, (after - before) / (2.0 * CLOCK_STEP))
         step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance)
@@ -214,15 +215,17 @@ def attitudes(turn: Array) -> Array:
     return C
 
 
-def _paths(motion: Motion, turn: Array, impulse: Array) -> tuple[Array, Array]:
+def _paths(motion: Motion, turns: Array, impulse: Array) -> tuple[Array, Array]:
     """
     Return the paths (B, N + 1, 3) by the specific force in the first attitude, and of arms.
 
-    The arms (3, N + 1, 3) are one metre along the axes, in the attitudes of the first version.
+    The turns (B, N, 3) or (N, 3) are versions of the motion's. The arms (3, N + 1, 3) are one
+    metre along the axes, in the attitudes of the first version.
     """
-    paths = np.zeros((len(turn), len(motion.t), 3))
+    turns = turns.reshape(-1, *impulse.shape)
+    paths = np.zeros((len(turns), len(motion.t), 3))
     arms = np.empty((3, len(motion.t), 3))
-    integrate_force(turn, np.ascontiguousarray(impulse), paths, arms)
+    integrate_force(turns, np.ascontiguousarray(impulse), paths, arms)
     return paths, arms
 
 
@@ -280,18 +283,74 @@ def integrate_force(turns, impulse, paths, arms):  # type: ignore[no-untyped-def
             write_columns(C, arms, turns.shape[1])
 
 
-def _changes(motion: Motion, path: Array, offsets: Array) -> Array:
-    """Return the changes of velocity (..., T, K, 3) on paths at clock offsets (T,) [s]."""
-    at = (motion.fix_t + offsets[:, None] - motion.t[0]) / STEP
-    k = np.clip(at.astype(np.intp), 0, len(motion.t) - 2)
-    part = (at - k)[..., None]
-    places = path[..., k, :] * (1.0 - part) + path[..., k + 1, :] * part
-    return _differences(motion.fix_t, places, motion.triples)
+def _changes(motion: Motion, paths: Array, offsets: Array) -> Array:
+    """Return the changes of velocity (B, T, K, 3) on paths (B, ...) at clock offsets (T,) [s]."""
+    changes = np.empty((len(paths), len(offsets), len(motion.triples), 3))
+    change_on_paths(paths, motion.t[0], motion.fix_t, offsets, motion.triples, changes)
+    return changes
+
+
+@kernel()
+def change_on_paths(paths, start, fix_t, offsets, triples, changes):  # type: ignore[no-untyped-def]
+    """
+    Form the changes of velocity between fixes, had they been taken on paths.
+
+    Parameters
+    ----------
+    paths : ndarray, shape (B, N + 1, 3)
+        Positions ``STEP`` apart [m].
+    start : float
+        Time of the first position [s].
+    fix_t, offsets : ndarray, shape (M,), (T,)
+        Stamps of the fixes, and clock offsets that are added to them [s].
+    triples : ndarray, shape (K, 3)
+        See `Motion`.
+    changes : ndarray, shape (B, T, K, 3)
+        Written [m/s].
+    """
+    places = np.empty((len(fix_t), 3))
+    for b in range(len(paths)):
+        for i in range(len(offsets)):
+            for m in range(len(fix_t)):
+                at = (fix_t[m] + offsets[i] - start) / STEP
+                n = min(max(int(at), 0), paths.shape[1] - 2)
+                part = at - n
+                for j in range(3):
+                    places[m, j] = paths[b, n, j] * (1.0 - part) + paths[b, n + 1, j] * part
+            for k in range(len(triples)):
+                first, middle, last = triples[k, 0], triples[k, 1], triples[k, 2]
+                before, after = fix_t[middle] - fix_t[first], fix_t[last] - fix_t[middle]
+                for j in range(3):
+                    changes[b, i, k, j] = (places[last, j] - places[middle, j]) / after - (
+                        places[middle, j] - places[first, j]
+                    ) / before
+
+
+@kernel()
+def subtract_turned(change_n, C, changes, misfit):  # type: ignore[no-untyped-def]
+    """Write what changes (T, K, 3), turned by C (T, 3, 3), leave over of change_n (K, 3)."""
+    for t in range(changes.shape[0]):
+        for k in range(changes.shape[1]):
+            x, y, z = changes[t, k, 0], changes[t, k, 1], changes[t, k, 2]
+            for i in range(3):
+                turned_i = C[t, i, 0] * x + C[t, i, 2] * z + C[t, i, 1] * y
+                misfit[t, k, i] = change_n[k, i] - turned_i
 
 
 def _rotations(changes: Array, change_n: Array) -> Array:
-    """Return the rotations (..., 3, 3) that turn changes (..., K, 3) nearest to change_n (K, 3)."""
-    M = np.einsum("ki,...kj->...ij", change_n, changes)
+    """Return the rotations (T, 3, 3) that turn changes (T, K, 3) nearest to change_n (K, 3)."""
+    M = np.zeros((len(changes), 3, 3))
+    add_products(change_n, changes, M)
     u, _, vt = np.linalg.svd(M)
-    u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     return np.asarray(u @ vt)
+
+
+@kernel()
+def add_products(change_n, changes, M):  # type: ignore[no-untyped-def]
+    """Add to M (T, 3, 3) the products of change_n (K, 3) and changes (T, K, 3), summed over k."""
+    for t in range(changes.shape[0]):
+        for k in range(changes.shape[1]):
+            for i in range(3):
+                for j in range(3):
+                    M[t, i, j] += change_n[k, i] * changes[t, k, j]

@@ -11,9 +11,12 @@ from hybrid_ins.core.imu_axes_fit import (
     TOLERANCE,
     Fit,
     Motion,
+    add_products,
     attitudes,
+    change_on_paths,
     fit,
     integrate_force,
+    subtract_turned,
     triples_of,
 )
 from hybrid_ins.simulation.motions import quadrotor_flight
@@ -63,6 +66,36 @@ def test_integrated_force_is_that_of_products_of_rotations(size: float) -> None:
     expected = np.cumsum(STEP * (velocity - 0.5 * steps), axis=-2)
     np.testing.assert_allclose(paths[:, 1:], expected, rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(np.moveaxis(arms[:, :-1], 0, 2), attitudes(turns)[0], atol=1e-11)
+
+
+def test_changes_on_paths_are_those_of_interpolated_places() -> None:
+    rng = np.random.default_rng(2)
+    start, offsets = 7.0, np.array([-0.3, 0.0, 0.2])
+    fix_t, paths = start + np.arange(0.0, 5.0, 0.2), rng.normal(0.0, 1.0, (2, 81, 3))
+    triples = triples_of(fix_t, 1.0)
+    changes = np.empty((2, 3, len(triples), 3))
+
+    change_on_paths(paths, start, fix_t, offsets, triples, changes)
+
+    steps = (fix_t + offsets[:, None] - start) / STEP  # also before the first step, after the last
+    k = np.clip(steps.astype(int), 0, 79)
+    places = paths[:, k] + (steps - k)[..., None] * (paths[:, k + 1] - paths[:, k])
+    before, at, after = (places[:, :, of] for of in triples.T)
+    t_before, t, t_after = (fix_t[of, None] for of in triples.T)
+    expected = (after - at) / (t_after - t) - (at - before) / (t - t_before)
+    np.testing.assert_allclose(changes, expected, rtol=1e-11, atol=1e-9)
+
+
+def test_products_and_what_turned_changes_leave_over_are_those_of_matrices() -> None:
+    rng = np.random.default_rng(3)
+    change_n, changes, C = (rng.normal(0.0, 1.0, n) for n in ((9, 3), (4, 9, 3), (4, 3, 3)))
+    M, misfit = np.zeros((4, 3, 3)), np.empty((4, 9, 3))
+
+    add_products(change_n, changes, M)
+    subtract_turned(change_n, C, changes, misfit)
+
+    np.testing.assert_allclose(M, change_n.T @ changes, atol=1e-13)
+    np.testing.assert_allclose(misfit, change_n - changes @ C.swapaxes(1, 2), atol=1e-13)
 
 
 def motion(lever_arm_b: tuple[float, float, float], std: float, offset: float = 0.0) -> Motion:
