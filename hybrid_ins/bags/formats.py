@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import yaml
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -76,14 +74,14 @@ class _Files:
 class _RosbagsFile:
     """Every other recording, read by `rosbags`."""
 
-    def __init__(self, path: Path, reader: Ros1Reader | Rosbag2Reader) -> None:
+    def __init__(self, path: Path, *, is_ros1: bool = False) -> None:
         self.path = path
-        self._reader = reader
+        self._is_ros1 = is_ros1
+        self._reader = reader = _reader_of(path, is_ros1)
         try:
             reader.open()
         except Exception as error:  # a damaged file provokes anything
             raise self._unreadable(error) from None
-        self._is_ros1 = isinstance(reader, Ros1Reader)
         self._channels = {c.id: self._channel(c) for c in reader.connections}
         self.counts = {
             self._channels[number]: sum(
@@ -129,6 +127,17 @@ class _RosbagsFile:
         )
 
 
+def _reader_of(path: Path, is_ros1: bool) -> Any:
+    """Return the reader by `rosbags`, which is loaded only where a recording needs it."""
+    if is_ros1:
+        from rosbags.rosbag1 import Reader as Ros1Reader
+
+        return Ros1Reader(path)
+    from rosbags.rosbag2 import Reader as Rosbag2Reader
+
+    return Rosbag2Reader(path)
+
+
 def open_recording(path: Path) -> Source:
     """Open a recording; its format is recognised by the content, not by the name."""
     if not path.exists():
@@ -146,9 +155,9 @@ def open_recording(path: Path) -> Source:
     if head.startswith(SQLITE):
         if path.suffix != ".db3":
             raise InputError(f"{path}: is an SQLite3 bag: rename it to {path.stem}.db3")
-        return _RosbagsFile(path, Rosbag2Reader(path))
+        return _RosbagsFile(path)
     if head.startswith(ROS1):
-        return _RosbagsFile(path, Ros1Reader(path))
+        return _RosbagsFile(path, is_ros1=True)
     raise InputError(
         f"{path}: is not a bag: give a rosbag2 directory, an .mcap or .db3 file or a ROS 1 .bag"
     )
@@ -161,7 +170,7 @@ def _open_directory(path: Path) -> Source:
     try:
         information = _read_metadata(metadata)
         if information.get("compression_mode", "").lower() not in ("", "none"):
-            return _RosbagsFile(path, Rosbag2Reader(path))
+            return _RosbagsFile(path)
         names = [Path(name).name for name in information["relative_file_paths"]]
     except FileNotFoundError:
         trouble = "the recording was not completed: no metadata.yaml"

@@ -10,10 +10,10 @@ References
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Iterator
-from xml.sax.saxutils import escape
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.track import QUALITIES, Part, parts, utc
@@ -123,4 +123,5 @@ def _need_datum(trajectory: Trajectory, name: str) -> None:
 
 def _xml(text: str) -> str:
     """Escape a text for XML, without the control characters that it cannot hold."""
-    return escape(re.sub(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "�", text))
+    readable = re.sub(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "�", text)
+    return html.escape(readable, quote=False)

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 
 from hybrid_ins.core import earth
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 
@@ -284,6 +287,8 @@ def motion_through(
     start_lla: ArrayLike,
 ) -> Motion:
     """Make the splines; `rpy` may be a function of velocity and acceleration on the grid."""
+    from scipy.interpolate import make_interp_spline  # here: it takes long to load
+
     velocity = make_interp_spline(times, velocity_n, k=5)
     if callable(rpy):
         rpy = rpy(velocity_n, velocity.derivative()(times))

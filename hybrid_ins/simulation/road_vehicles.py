@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.ros.trajectory import Array
@@ -71,6 +70,8 @@ class RoadCar:
 
     def along(self, t: Array, speed: Array, course: Array, seed: int, carried_n: Array) -> Motion:
         """Return the motion for a speed [m/s], a course [rad], and what carries the car (N, 3)."""
+        from scipy.interpolate import make_interp_spline  # here: it takes long to load
+
         ride, rng = self.ride, np.random.default_rng([seed, 15])
         icy = np.where(t >= self.ice_from, 1.0, 0.0)
         slope = slope_along(speed)

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
 from hybrid_ins.core import earth
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
@@ -345,6 +344,8 @@ def _random_walk(
 
 def gauss_markov(std: ArrayLike, decay: float, count: int, rng: np.random.Generator) -> Array:
     """Return a first-order Gauss-Markov process (N, 3), in its steady state from the start."""
+    from scipy.signal import lfilter  # here: it takes longer to load than all else
+
     drive = np.asarray(std, float) * rng.standard_normal((count, 3))
     drive[1:] *= np.sqrt(1.0 - decay**2)  # the first value is drawn from the steady state
     coloured: Array = lfilter([1.0], [1.0, -decay], drive, axis=0)
