@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import logging
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TextIO
 
@@ -171,7 +172,7 @@ def _read_rows(
             bad = next((fields[i] for i in index if not _is_number(fields[i])), "")
             faults.row(path, line, "not a number: row dropped", repr(bad[:40]))
             continue
-        if not np.isfinite(row).all():
+        if not all(map(math.isfinite, row)):
             faults.row(path, line, "NaN or infinity: row dropped")
             continue
         lines.append(line)
@@ -201,7 +202,7 @@ def _position(path: Path, names: list[str], name: str | int) -> int:
 
 def _is_number(text: str) -> bool:
     try:
-        return bool(np.isfinite(float(text)))
+        return math.isfinite(float(text))
     except ValueError:
         return False
 
@@ -209,19 +210,18 @@ def _is_number(text: str) -> bool:
 def _in_order(path: Path, lines: NDArray[np.int64], t: Array, faults: Faults) -> NDArray[np.bool_]:
     """Find the rows whose times increase; a single stamp that leaps ahead loses, not the rest."""
     keep = np.ones(t.size, bool)
-    last = -np.inf
-    for row, (line, time) in enumerate(zip(lines.tolist(), t.tolist(), strict=True)):
-        detail = f"{time:.6f} s"
-        following = t[row + 1] if row + 1 < t.size else np.inf
+    last = -math.inf
+    for row, (time, after) in enumerate(pairwise([*t.tolist(), math.inf])):
         if time == last:
-            faults.row(path, line, "repeated time stamp: row dropped", detail)
+            problem = "repeated time stamp"
         elif time < last:
-            faults.row(path, line, "time stamp goes back: row dropped", detail)
-        elif last < following < time:
-            faults.row(path, line, "time stamp leaps ahead: row dropped", detail)
+            problem = "time stamp goes back"
+        elif last < after < time:
+            problem = "time stamp leaps ahead"
         else:
             last = time
             continue
+        faults.row(path, int(lines[row]), f"{problem}: row dropped", f"{time:.6f} s")
         keep[row] = False
     return keep
 
