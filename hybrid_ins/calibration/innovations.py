@@ -19,7 +19,6 @@ from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.iterated_update import update
@@ -165,6 +164,8 @@ def gaussian_scale(tail: float, m: int) -> float:
     """
     if m == 0:
         return tail
+    from scipy.special import gammaincinv  # here: it takes longer to load than numpy
+
     probability = (np.arange(4000) + 0.5) / 4000
     square = 2.0 * gammaincinv(0.5 * m, probability)  # chi-square quantiles
     low, high = 0.1 * tail, 2.0 * tail

@@ -58,7 +58,7 @@ class Recording:
     def noise(self, follow_a: float, follow_g: float) -> Array:
         """Return factors (N, 2) on the noise densities, these powers of the loudness."""
         factors = np.exp(np.array([follow_a, follow_g]) * self.loudness)
-        return np.ascontiguousarray(np.broadcast_to(factors, (len(self.t), 2)))
+        return np.broadcast_to(factors, (len(self.t), 2)).copy()  # a view is another type to numba
 
     def with_measurements_between(self, first: float, last: float) -> Recording:
         """Return the recording with the GNSS measurements of an interval of their clock [s]."""

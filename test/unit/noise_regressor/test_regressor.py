@@ -312,7 +312,7 @@ RATES = (100.0, 1000.0)
 
 def stamped(rate=200.0, count=200, seed=0):
     t_ns = (np.arange(count) * 1e9 / rate).astype(np.int64) + 1_700_000_000_000_000_000
-    return t_ns, white(0.01, seed=seed, window=count).T
+    return t_ns, np.ascontiguousarray(white(0.01, seed=seed, window=count).T)
 
 
 @pytest.mark.slow
