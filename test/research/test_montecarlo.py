@@ -8,7 +8,7 @@ import pytest
 from hybrid_ins.errors import InputError
 from hybrid_ins.simulation.motions import car_drive, static
 from hybrid_ins.simulation.sensors import ImuErrors
-from tools.paper.montecarlo import CONSTANTS, Method, fly, fly_all, state_error
+from tools.paper.montecarlo import CONSTANTS, Method, fly, fly_all, state_errors
 from tools.paper.runs import START_STD, T0_NS, Run, Scenario, draw
 
 SHORT = Scenario("short", rate=100.0, duration=20.0, scored_from=5.0)
@@ -33,7 +33,7 @@ def test_errors_at_the_start_are_drawn_from_the_covariance_that_the_filter_is_to
     """Over its sigma the error has unit variance in every component; the vehicle stands yet."""
     scenario = replace(SHORT, duration=0.5, scored_from=0.0)
     runs = [draw(scenario, seed) for seed in range(60)]
-    normalised = [state_error(run, 0, run.start) / START_STD for run in runs]
+    normalised = [state_errors(run, [run.start])[0] / START_STD for run in runs]
     run = runs[0]
 
     assert np.diag(run.start.P) == pytest.approx(np.square(START_STD))

@@ -186,6 +186,7 @@ def fly(run: Run, method: Method, gate: Gate | None = None) -> Flight:
     )
 
     count = len(run.scored)
+    states: list[NavState] = []  # at the scored epochs, in their order
     error, q = np.full((count, N_ERROR), np.nan), np.full((count, 6), np.nan)
     P, fallback = np.full((count, N_ERROR, N_ERROR), np.nan), np.zeros(count, bool)
     at = 0
@@ -198,14 +199,15 @@ def fly(run: Run, method: Method, gate: Gate | None = None) -> Flight:
                 at = stop - 1
             if isinstance(act, int):
                 state = ins.state
-                error[act] = state_error(run, act, state)
-                if not np.linalg.norm(error[act, DP]) < LOST:
-                    error[act] = np.nan
+                if not np.linalg.norm(_displacement(run.lla[act], state)) < LOST:
                     break
+                states.append(state)
                 P[act], q[act] = state.P, ins.noise.levels()
                 fallback[act] = _on_fallback(ins)
             else:
                 act()
+        if states:
+            error[: len(states)] = state_errors(run, states)
     return Flight(
         run.t,
         error[:, DP],
@@ -294,23 +296,25 @@ def _refuse(level: str, text: str) -> None:
     raise InputError(text)
 
 
-def state_error(run: Run, epoch: int, state: NavState) -> Array:
+def state_errors(run: Run, states: Sequence[NavState]) -> Array:
     """
-    Return the error state, true minus estimated, shape (15,), at a scored epoch.
+    Return the error states, true minus estimated, shape (K, 15), at the first K scored epochs.
 
     Position and velocity as P has them, before the misalignment bent them, see `core.kalman`.
     """
-    lla = run.lla[epoch]
-    turn = rotvec_from_quat(quat_multiply(run.quat_xyzw[epoch], quat_conjugate(state.quat_xyzw)))
-    moved = (lla - state.lla) * curvature_scale(lla), run.velocity_n[epoch] - state.velocity_n
-    return np.concatenate(
-        (
-            *np.linalg.solve(left_jacobian(turn), np.stack(moved, axis=1)).T,
-            -turn,
-            run.biases[epoch, :3] - state.bias_a,
-            run.biases[epoch, 3:] - state.bias_g,
-        )
-    )
+    so_far = slice(len(states))
+    estimated = np.array([state.quat_xyzw for state in states])
+    turn = rotvec_from_quat(quat_multiply(run.quat_xyzw[so_far], quat_conjugate(estimated)))
+    moved = [_displacement(lla, state) for lla, state in zip(run.lla, states, strict=False)]
+    faster = run.velocity_n[so_far] - [state.velocity_n for state in states]
+    straight = np.linalg.solve(left_jacobian(turn), np.stack((moved, faster), axis=-1))
+    biases = [np.concatenate((state.bias_a, state.bias_g)) for state in states]
+    return np.hstack((straight[..., 0], straight[..., 1], -turn, run.biases[so_far] - biases))
+
+
+def _displacement(lla: Array, state: NavState) -> Array:
+    """Return the true position less the estimated one [m], NED."""
+    return np.asarray((lla - state.lla) * curvature_scale(lla))
 
 
 def fly_all(
