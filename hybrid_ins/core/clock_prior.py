@@ -1,7 +1,7 @@
 """
 Prior of the clock offset of fixes, and what a measurement of the offset leaves of it.
 
-Most clocks are right to a few milliseconds, some are wrong by tenths of a second, and no single
+Many clocks are right to a few milliseconds, as many are wrong by tenths of a second, and no single
 normal distribution says both: a narrow one would hold a wrong clock back for minutes, a wide one
 would let noise move a right clock. A mixture of normal distributions whose scales form a geometric
 sequence has both a narrow peak and heavy tails, [1]_: an estimate of little significance is shrunk
@@ -19,7 +19,8 @@ import math
 from functools import cache
 from typing import NamedTuple
 
-RATIOS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # scales over the narrowest, all equally likely
+RATIOS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # scales over the narrowest
+SHARES = (0.1, 0.1, 0.1, 0.1, 0.1, 0.5)  # their probabilities
 NARROWEST, WIDEST = 1e-3, 0.3  # s
 
 
@@ -50,24 +51,24 @@ class ClockPrior(NamedTuple):
         total, first, second = 0.0, 0.0, 0.0
         away = estimate - self.mean
         exponent = -0.5 * away**2
-        for scale in _scales(self.scale):
+        for share, scale in zip(SHARES, _scales(self.scale), strict=True):
             square = scale**2
             sum_ = square + variance
-            weight = math.exp(max(exponent / sum_, -600.0)) / math.sqrt(sum_)
-            share = square / sum_
+            weight = share * math.exp(max(exponent / sum_, -600.0)) / math.sqrt(sum_)
+            gain = square / sum_
             total += weight
-            first += weight * share * away
-            second += weight * (share * variance + (share * away) ** 2)
+            first += weight * gain * away
+            second += weight * (gain * variance + (gain * away) ** 2)
         mean = first / total
         return self.mean + mean, max(second / total - mean**2, 0.0)
 
     def probability(self, low: float, high: float) -> float:
         """Return the probability of offsets between two [s], relative to the one in force."""
-        scales = _scales(self.scale)
         return math.fsum(
-            _normal_cdf((high - self.mean) / scale) - _normal_cdf((low - self.mean) / scale)
-            for scale in scales
-        ) / len(scales)
+            share
+            * (_normal_cdf((high - self.mean) / scale) - _normal_cdf((low - self.mean) / scale))
+            for share, scale in zip(SHARES, _scales(self.scale), strict=True)
+        )
 
 
 @cache

@@ -10,6 +10,7 @@ the rest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -24,7 +25,7 @@ from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
-from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, VELOCITY, NavState
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,8 @@ OFFSETS_NS = tuple(STEP_NS * k for k in range(-N_STEPS, N_STEPS + 1))
 MAX_OFFSET_NS = OFFSETS_NS[-1]
 OFFSET_STD = 0.05  # s, half a cell
 OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, standard deviation of the mixture's; ns, for how long
-OFFSET_BOUNDED = (0.15, 4_000_000_000)  # as enough: the rest is considered, see `clock_offset`
+OFFSET_BOUNDED = (0.15, 4_000_000_000)  # is enough: the rest is considered, see `clock_offset`
+HARMLESS_NS = 4_000_000_000  # so is, for so long, what moves a fix by less than its claimed σ
 BLOCK_NS = 500_000_000  # the filters are many: in longer blocks they cost less
 MIN_SPACING_NS = 150_000_000  # between two fixes of a kind: more of them show hardly more
 WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
@@ -54,13 +56,21 @@ def state_at_offset(state: NavState, offset: float) -> NavState:
     return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
 
 
-def probabilities(prior: ClockPrior | None) -> Array:
-    """Return the probability of each of the offsets that are tried, shape (len(OFFSETS_NS),)."""
-    if prior is None:
-        return np.full(len(OFFSETS_NS), 1.0 / len(OFFSETS_NS))
-    half = 0.5e-9 * STEP_NS
-    found = [prior.probability(o * 1e-9 - half, o * 1e-9 + half) for o in OFFSETS_NS]
-    return np.array(found) / sum(found)
+def probabilities(
+    prior: ClockPrior | None, estimate: float = 0.0, sigma: float = math.inf
+) -> Array:
+    """
+    Return the probability of each of the offsets that are tried, shape (len(OFFSETS_NS),).
+
+    ``estimate`` and its standard deviation ``sigma`` [s] are those of a filter that has followed
+    fixes with the offset in force. Prior and estimate may both be wrong: half of the probability
+    is spread evenly, so that only evidence excludes an offset.
+    """
+    offsets, half = np.array(OFFSETS_NS) * 1e-9, 0.5e-9 * STEP_NS
+    known = np.exp(-0.5 * ((offsets - estimate) / max(sigma, half)) ** 2)
+    if prior is not None:
+        known *= [prior.probability(o - half, o + half) for o in offsets]
+    return 0.5 * known / known.sum() + 0.5 / len(offsets)
 
 
 class ClockSearch(MultipleModelBank):
@@ -71,8 +81,12 @@ class ClockSearch(MultipleModelBank):
 
     Parameters
     ----------
-    states, make_filter, settings, prior
+    states, make_filter, settings
         See `MultipleModelBank`.
+    headings : ndarray
+        Probability of each state.
+    offsets : ndarray, shape (len(OFFSETS_NS),)
+        Probability of each offset.
     """
 
     clock_open: ClassVar[bool] = True
@@ -82,24 +96,27 @@ class ClockSearch(MultipleModelBank):
         states: Sequence[NavState],
         make_filter: FilterFactory,
         settings: FilterSettings,
-        prior: Array | None = None,
+        headings: Array,
+        offsets: Array,
     ) -> None:
         self._prior = settings.clock_prior
-        headings = np.full(len(states), 1.0 / len(states)) if prior is None else prior
         super().__init__(
             [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
             make_filter,
             replace(settings, clock_std=OFFSET_STD, clock_prior=None),
-            np.kron(probabilities(self._prior), headings),
+            np.kron(offsets, headings),
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
+        self._log_prior = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._weighed_from_ns = self._first_ns + WARM_UP_NS
         self._fixes = 0
+        self._top_speed = 0.0  # m/s
+        self._harmless = 0.0  # s, an offset that moves fixes by no more than they claim
 
     def measure(self, measurement: Measurement) -> bool:
         """See `MultipleModelBank.measure`; also False for a fix that follows another too soon."""
@@ -113,7 +130,12 @@ class ClockSearch(MultipleModelBank):
     def _weigh(self, verdicts: list[Verdict]) -> None:
         """See `MultipleModelBank`; the first fixes only make the filters alike."""
         measurement = verdicts[self._best].measurement
-        self._fixes += measurement.kind == PositionFix.kind
+        if isinstance(measurement, PositionFix):
+            self._fixes += 1
+            speed = float(np.linalg.norm(self.best.nav[VELOCITY]))
+            self._top_speed = max(self._top_speed, speed)
+            claimed = math.sqrt(0.5 * float(np.trace(measurement.claimed[:2, :2])))
+            self._harmless = claimed / max(self._top_speed, 1e-3)
         if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 
@@ -126,19 +148,27 @@ class ClockSearch(MultipleModelBank):
 
     def clock(self) -> tuple[float, float]:
         """Return the offset still to be added to the stamps of fixes, and its σ [s]."""
+        return self._clock(self.log_weights)
+
+    def _clock(self, log_weights: Array) -> tuple[float, float]:
         residuals = [
             offset_ns * 1e-9 + hypothesis.clock.residual
             for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
         ]
         variances = [hypothesis.clock.sigma**2 for hypothesis in self.filters]
-        return self._mixture(np.array(residuals), np.array(variances))
+        return self._mixture(np.array(residuals), np.array(variances), log_weights)
 
     def decide(self) -> Decision | None:
-        """See `MultipleModelBank.decide`; the filter takes over the mixture's clock offset."""
+        """
+        See `MultipleModelBank.decide`; the filter takes over the mixture's clock offset.
+
+        That by the innovations alone: the filter's clock has a prior of its own.
+        """
         decision = super().decide()
         if decision is None:
             return None
-        residual, sigma = self.clock()
+        prior = np.array([self._log_prior[offset_ns] for offset_ns in self._offsets_ns])
+        residual, sigma = self._clock(self.log_weights - prior)
         clock = decision.filter.clock
         clock.set_estimate(residual - decision.offset, sigma)
         if self._prior is not None:
@@ -148,8 +178,9 @@ class ClockSearch(MultipleModelBank):
 
     def _is_known(self) -> bool:
         std = self.clock()[1]
+        limits = (OFFSET_KNOWN, OFFSET_BOUNDED, (self._harmless, HARMLESS_NS))
         known = [
-            self.has_lasted(("clock", limit), std <= limit, lasting_ns)
-            for limit, lasting_ns in (OFFSET_KNOWN, OFFSET_BOUNDED)
+            self.has_lasted(("clock", k), std <= limit, lasting_ns)
+            for k, (limit, lasting_ns) in enumerate(limits)
         ]
         return super()._is_known() and any(known)

@@ -264,7 +264,7 @@ class MultipleModelBank:
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
         variances = np.array([h.nav[COVARIANCE][DIAGONAL[EPS][2]] for h in self.filters])
-        mean, std = self._mixture(self._headings(), variances)
+        mean, std = self._mixture(self._headings(), variances, self.log_weights)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
 
     def _headings(self) -> Array:
@@ -280,9 +280,10 @@ class MultipleModelBank:
         off = np.abs((self._headings() - heading + math.pi) % (2.0 * math.pi) - math.pi)
         return float(weights[off < within].sum() / weights.sum())
 
-    def _mixture(self, means: Array, variances: Array) -> tuple[float, float]:
+    @staticmethod
+    def _mixture(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
         """Mean and standard deviation of a quantity of which each hypothesis has its own."""
-        weights = np.exp(self.log_weights)
+        weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
         mean = float(weights @ means)
         return mean, math.sqrt(weights @ (variances + (means - mean) ** 2))

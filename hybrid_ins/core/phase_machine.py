@@ -37,6 +37,7 @@ from hybrid_ins.core.phases import (
     Searching,
     phase_after_alignment,
     search_clock,
+    search_heading_and_clock,
 )
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck
@@ -89,7 +90,8 @@ class PhaseMachine:
         self._stamps = stamps
         self._events = events
         self._record = record
-        self.clock_open = self._was_at_edge = False
+        self.clock_open = False
+        self._edge = 0.0  # s, the offset at which the last search for the clock's ended, if any
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -169,8 +171,9 @@ class PhaseMachine:
             return
         bank.end_block()
         waiting = bank.filters[0].withdraw()
-        weights = None if running is None else np.exp(bank.log_weights)
-        search = search_clock(bank.filters, self._parts, self._ring, weights)
+        n = len(bank.filters)
+        headings = np.full(n, 1.0 / n) if running is None else np.exp(bank.log_weights)
+        search = search_heading_and_clock(bank.filters, headings, self._parts, self._ring)
         self._enter(Searching(search) if running is None else Running(running, search))
         for measurement in waiting:
             if not search.measure(measurement) and running is None:
@@ -203,7 +206,7 @@ class PhaseMachine:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
         if self.clock_open:
-            bank = search_clock([self.phase.filter], self._parts, self._ring)
+            bank = search_clock(self.phase.filter, self._parts, self._ring)
             self._enter(Running(self.phase.filter, bank))
         return False
 
@@ -253,9 +256,10 @@ class PhaseMachine:
             reason = "clock offset found" if bank.clock_open else "heading corrected"
             self._events.extend(Verdict.rejected(m, reason) for m in waiting)
         if bank.clock_open:
-            self.clock_open = self._was_at_edge = decision.at_edge
-            clock = winner.clock
-            self._events.append(ClockOffsetFound(decision.offset, clock.residual, clock.sigma))
+            self.clock_open = decision.at_edge
+            self._edge = decision.offset if decision.at_edge else 0.0
+            missing, variance = winner.clock.missing
+            self._events.append(ClockOffsetFound(decision.offset, missing, math.sqrt(variance)))
         self.collect_verdicts(winner)
         self._replace(winner, bank, decision.offset)
         return bank.clock_open
@@ -266,7 +270,8 @@ class PhaseMachine:
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
         One that contradicts it has to do so for a while: where the motion hardly shows the clock,
-        chance favours now one offset, now another. After one that ended at its edge it need not.
+        chance favours now one offset, now another. One that goes on from where the last one ended
+        at its edge need not.
         """
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:
@@ -275,7 +280,7 @@ class PhaseMachine:
         difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
         precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
         contradicts = bank.shift_is_certain or (precise and difference > CONTRADICTION * std)
-        lasting_ns = 0 if self._was_at_edge else CONTRADICTION_NS
+        lasting_ns = 0 if found * self._edge > 0.0 else CONTRADICTION_NS
         if bank.has_lasted("contradiction", contradicts, lasting_ns):
             return False
         if contradicts or not precise or difference > CONFIRMATION * std:

@@ -4,8 +4,10 @@ The phases of a navigator, and the filters that each begins with.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import heading_check
 from hybrid_ins.core.alignment import Alignment, Start
-from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.clock_search import ClockSearch, probabilities
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
@@ -101,7 +103,7 @@ Phase = Aligning | Searching | Running
 def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Searching | Running:
     """Return the phase that begins with the first states that alignment found."""
     period = sample_period(ring.latest(PERIOD_SAMPLES)["t_ns"])
-    begin = _factory(parts, ring, start.t_ns, start.sample, period)
+    begin = _factory(parts, ring, start.t_ns, start.sample, partial(parts.noise, period))
     if start.given:
         known = heading_check.prior(len(start.states))
         check = MultipleModelBank(start.states, begin, parts.settings, known, CHECK_LAG_NS)
@@ -109,25 +111,57 @@ def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Se
     return Searching(MultipleModelBank(start.states, begin, parts.settings))
 
 
-def search_clock(
-    filters: Sequence[InsFilter],
-    parts: FilterParts,
-    ring: ImuRing,
-    prior: Array | None = None,
+def search_heading_and_clock(
+    filters: Sequence[InsFilter], headings: Array, parts: FilterParts, ring: ImuRing
 ) -> ClockSearch:
-    """Return filters under several clock offsets around filters of one time and one offset."""
+    """
+    Return filters under several clock offsets for each of several headings.
+
+    Parameters
+    ----------
+    filters : sequence of InsFilter
+        One for each heading, all of one time. What they have learned of the noise is not kept:
+        under a wrong heading or clock it is wrong.
+    headings : ndarray
+        Probabilities of the headings.
+    """
     first = filters[0]
-    begin = _factory(parts, ring, first.t_ns, first.sample, first.noise.process.period)
-    return ClockSearch([known.state for known in filters], begin, parts.settings, prior)
+    noise = partial(parts.noise, first.noise.process.period)
+    begin = _factory(parts, ring, first.t_ns, first.sample, noise)
+    offsets = probabilities(parts.settings.clock_prior)
+    states = [known.state for known in filters]
+    return ClockSearch(states, begin, parts.settings, headings, offsets)
+
+
+def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> ClockSearch:
+    """
+    Return filters under several clock offsets around that of a filter that runs.
+
+    They begin with the noise that it has learned: with an IMU that is much noisier than they
+    assumed, chance would favour one of them.
+    """
+
+    def noise() -> FilterNoise:
+        known = copy.copy(running.noise)
+        known.restart(keep_weights=True)
+        return known
+
+    begin = _factory(parts, ring, running.t_ns, running.sample, noise)
+    clock = running.clock
+    offsets = probabilities(parts.settings.clock_prior, clock.residual, clock.sigma)
+    return ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets)
 
 
 def _factory(
-    parts: FilterParts, ring: ImuRing, t_ns: int, sample: Array, period: float
+    parts: FilterParts,
+    ring: ImuRing,
+    t_ns: int,
+    sample: Array,
+    noise: Callable[[], FilterNoise],
 ) -> FilterFactory:
     """Return what starts a filter at an IMU sample."""
 
     def begin(state: NavState, settings: FilterSettings) -> InsFilter:
-        noise, gate = parts.noise(period), parts.gate()
-        return InsFilter(state, t_ns, sample, noise, gate, ring, settings)
+        return InsFilter(state, t_ns, sample, noise(), parts.gate(), ring, settings)
 
     return begin

@@ -19,17 +19,27 @@ from support.clock_searches import (
 )
 from support.runs import stamped_early, through_estimator
 
+from hybrid_ins import parameters
 from hybrid_ins.core import clock_search, multiple_model
-from hybrid_ins.core.clock_search import SPEED_STD, TILT_STD, ClockSearch, state_at_offset
+from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_search import (
+    OFFSETS_NS,
+    SPEED_STD,
+    TILT_STD,
+    ClockSearch,
+    probabilities,
+    state_at_offset,
+)
 from hybrid_ins.core.earth import LocalFrame, curvature_scale
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
-from hybrid_ins.core.phases import Searching
+from hybrid_ins.core.phases import Searching, search_clock
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.core.state import DP, DV, EPS, NAVIGATION, NavState, covariance
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.filter_factory import FilterFactory
 from tools.paper.runs import Run, draw
 
 AUTO = {"alignment.heading_source": "auto"}
@@ -214,14 +224,32 @@ def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     search = estimating(until(stamped_early(draw(SCENE, 4), -0.25), 6.0)).navigator.phase.bank
     assert isinstance(search, ClockSearch) and len(search.filters) > 1
     assert search.decide() is None
-    missing, sigma = search.clock()
     monkeypatch.setattr(clock_search, "OFFSET_KNOWN", (1.0, 0))
     monkeypatch.setattr(multiple_model, "HEADING_KNOWN", ((3.0, 0),))
+    headings = len(search.filters) // len(OFFSETS_NS)
+    offsets = np.repeat(OFFSETS_NS, headings) * 1e-9
+    prior = np.repeat(probabilities(ClockPrior(0.0, 0.0)), headings)
+    means = offsets + [hypothesis.clock.residual for hypothesis in search.filters]
+    squares = means**2 + [hypothesis.clock.sigma**2 for hypothesis in search.filters]
     decision = search.decide()
     assert decision is not None
     winner = decision.filter
-    assert decision.offset + winner.clock.residual == pytest.approx(missing)
-    assert winner.clock.sigma == pytest.approx(sigma)
+    # By the innovations alone: the filter's clock has the same prior, which must not count twice.
+    weights = np.exp(search.log_weights) / prior
+    mean, square = (weights @ np.stack((means, squares), axis=1)) / weights.sum()
+    assert decision.offset + winner.clock.residual == pytest.approx(mean)
+    assert winner.clock.sigma == pytest.approx(np.sqrt(square - mean**2))
+    assert winner.clock.missing[1] < winner.clock.sigma**2
+
+
+def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() -> None:
+    """With an IMU much noisier than was assumed, chance favoured a clock 0.6 s away."""
+    estimator = estimating(until(draw(SCENE, 4), 20.0))
+    running = estimator.navigator.filter
+    assert running is not None and running.noise.factors is not None
+    running.noise.factors.imu_factors = (800.0, 20.0)
+    search = search_clock(running, FilterFactory(parameters.defaults()), estimator.navigator.ring)
+    assert {hypothesis.noise.imu_factors for hypothesis in search.filters} == {(800.0, 20.0)}
 
 
 def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:

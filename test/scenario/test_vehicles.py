@@ -8,7 +8,7 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.core.standstill import FixMotion
-from hybrid_ins.simulation.vehicles import VEHICLES, record
+from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, record
 from tools.vehicles import campaign
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Score, score
@@ -59,6 +59,22 @@ def test_a_right_clock_is_kept_on_a_cruise() -> None:
     assert (row["motion"], row["true_offset"]) == ("car on a motorway", 0.0)
     assert abs(row["offset"]) < 0.05
     assert row["rmse"] < 1.0 and row["silent"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_clock_found_at_the_edge_of_the_search_is_not_taken_back_on_a_cruise() -> None:
+    """
+    GIVEN a motorway drive whose clock is wrong by the largest offset that is tried
+    WHEN the first search has found that, and the second one sees only the cruise
+    THEN the offset is kept: the given one, 0.6 s away, was put back without evidence, 18 m off.
+    """
+    receiver = Receiver(5.0, (0.12, 0.12, 0.2), (0.7, 0.7, 1.0), 100.0, (1.2, 1.2, 1.8), -0.6)
+    motorway = VEHICLES["car on a motorway, clock -0.1 s"]
+    vehicle = replace(motorway, receiver=receiver, imu_rate=50.0, duration=75.0)
+    found = score(from_simulation(record(vehicle, 3)), parameters.defaults())
+
+    assert found.offset == pytest.approx(-0.6, abs=0.1)
+    assert found.rmse < 2.0 and found.silent == 0.0
 
 
 @pytest.mark.slow

@@ -2,7 +2,8 @@
 Many short drives with everything drawn at random: which are silently wrong, which align soon.
 
 Vehicle, receiver, claim, clock offset and drift, IMU rate and noise, and what is known of the
-heading are drawn for each run; the parameters are the defaults.
+heading are drawn for each run, on request also the defects of real recordings (`defects`); the
+parameters are the defaults.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from hybrid_ins import parameters, progress
 from hybrid_ins.simulation.sensors import ImuErrors
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
 from tools.parallel import run_parallel
+from tools.vehicles import defects
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import score
 
@@ -96,10 +98,14 @@ def draw(seed: int) -> tuple[dict[str, Any], Vehicle]:
     return row, vehicle
 
 
-def one(seed: int) -> dict[str, Any]:
-    """Return the row of one run."""
+def one(seed: int, defective: bool = False) -> dict[str, Any]:
+    """Return the row of one run, with the defects of real recordings if ``defective``."""
     row, vehicle = draw(seed)
-    drive = from_simulation(record(vehicle, seed))
+    recording = record(vehicle, seed)
+    if defective:
+        recording, names = defects.draw(recording, np.random.default_rng([seed, 32]))
+        row["defects"] = names
+    drive = from_simulation(recording, defects.DELAY if defective else 0.0)
     values = {**parameters.defaults(), **_heading(row["given"], drive)}
     if row["given"] == "wrong":
         drive = _later(drive, drive.motion_ns + round(SOON * 1e9))
@@ -149,6 +155,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         for value in sorted({row[key] for row in rows}):
             name = f"heading given: {value}" if key == "given" else value
             groups.append((name, [row for row in rows if row[key] == value]))
+    for name in defects.DEFECTS:
+        group = [row for row in rows if name in row.get("defects", ())]
+        if group:
+            groups.append((name.replace("_", " "), group))
     for name, group in groups:
         aligned = np.array([row["aligned"] for row in group])
         nees = [row["nees"] for row in group if math.isfinite(row["nees"])]
@@ -166,10 +176,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=100, metavar="N")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="[%(default)s]")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
+    parser.add_argument(
+        "--defects", action="store_true", help="with what real recordings have besides noise"
+    )
     parser.add_argument("--results", type=Path, metavar="FILE", help="also write all rows, JSON")
     args = parser.parse_args(argv)
     rows = []
-    seeds = [(seed,) for seed in range(args.first, args.first + args.runs)]
+    seeds = [(seed, args.defects) for seed in range(args.first, args.first + args.runs)]
     for row in progress.track(run_parallel(one, seeds, args.jobs), "drives", total=args.runs):
         rows.append(row)
         if row["silent"] > 0.0:

@@ -69,7 +69,7 @@ def from_simulation(recording: Recording, delay: float = 0.0) -> Drive:
     velocity_enu = None if velocity_n is None else velocity_n @ SWAP
     return Drive(
         recording.vehicle.name,
-        ns,
+        _ns(imu.t),
         imu.specific_force * flip,
         imu.angular_rate * flip,
         _ns(recording.fix_stamp),

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.clock_prior import RATIOS, ClockPrior
-from hybrid_ins.core.clock_search import OFFSETS_NS, probabilities
+from hybrid_ins.core.clock_prior import RATIOS, SHARES, ClockPrior
+from hybrid_ins.core.clock_search import OFFSET_BOUNDED, OFFSETS_NS, probabilities
 
 
 def by_integration(prior: ClockPrior, estimate: float, sigma: float) -> tuple[float, float]:
     """Return mean and variance of the posterior, from densities on a grid."""
     tau = np.linspace(-2.0, 2.0, 400_001)
     density = sum(
-        np.exp(-0.5 * ((tau - prior.mean) / s) ** 2) / s
-        for s in (min(prior.scale * ratio, 0.3) for ratio in RATIOS)
+        share * np.exp(-0.5 * ((tau - prior.mean) / s) ** 2) / s
+        for share, s in zip(SHARES, (min(prior.scale * r, 0.3) for r in RATIOS), strict=True)
     )
     density = density * np.exp(-0.5 * ((tau - estimate) / sigma) ** 2)
     density /= density.sum()
@@ -63,4 +63,16 @@ def test_a_search_expects_the_given_offset_first() -> None:
     found = probabilities(ClockPrior(0.3, 0.001))
     assert OFFSETS_NS[int(np.argmax(found))] == 300_000_000
     assert found.sum() == pytest.approx(1.0)
-    assert found.min() > 1e-6
+
+
+def test_no_offset_is_excluded_before_there_is_evidence() -> None:
+    found = probabilities(ClockPrior(0.0, 0.001), 0.0, 0.002)
+    assert found.min() > 0.03
+    std = np.sqrt(found @ (np.array(OFFSETS_NS) * 1e-9) ** 2)
+    assert std > OFFSET_BOUNDED[0], "the prior alone must not be enough to decide"
+
+
+def test_a_search_beside_a_filter_expects_the_offset_that_it_has_found() -> None:
+    """The given offset, 0.6 s away, is not what the second search begins with."""
+    found = probabilities(ClockPrior(0.6, 0.001), 0.03, 0.1)
+    assert abs(OFFSETS_NS[int(np.argmax(found))]) <= 200_000_000
