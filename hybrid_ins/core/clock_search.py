@@ -18,6 +18,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.clock_offset import share_of_motion
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.gate import Verdict
@@ -35,7 +36,7 @@ MAX_OFFSET_NS = OFFSETS_NS[-1]
 OFFSET_STD = 0.05  # s, half a cell
 OFFSET_KNOWN = (0.05, 2_000_000_000)  # s, standard deviation of the mixture's; ns, for how long
 OFFSET_BOUNDED = (0.15, 4_000_000_000)  # is enough: the rest is considered, see `clock_offset`
-HARMLESS_NS = 4_000_000_000  # so is, for so long, what moves a fix by less than its claimed σ
+HARMLESS_NS = 20_000_000_000  # so is, for so long, what moves no fix by more than its claimed σ
 BLOCK_NS = 500_000_000  # the filters are many: in longer blocks they cost less
 MIN_SPACING_NS = 150_000_000  # between two fixes of a kind: more of them show hardly more
 WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
@@ -104,7 +105,7 @@ class ClockSearch(MultipleModelBank):
             [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
             make_filter,
             replace(settings, clock_std=OFFSET_STD, clock_prior=None),
-            np.kron(offsets, headings),
+            (offsets[:, None] * headings).ravel(),
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
@@ -127,8 +128,14 @@ class ClockSearch(MultipleModelBank):
             self._measured_ns[measurement.kind] = measurement.t_ns
         return super().measure(measurement)
 
-    def _weigh(self, verdicts: list[Verdict]) -> None:
-        """See `MultipleModelBank`; the first fixes only make the filters alike."""
+    def _weigh(self, verdicts: list[Verdict], share: float = 1.0) -> None:
+        """
+        See `MultipleModelBank`; the first fixes only make the filters alike.
+
+        Where a shaken IMU cruises, each hypothesis compares the fixes with another stretch of the
+        same noise: its likelihood is chance. Beside a filter that runs only the share of motion
+        counts, see `clock_offset`.
+        """
         measurement = verdicts[self._best].measurement
         if isinstance(measurement, PositionFix):
             self._fixes += 1
@@ -137,7 +144,8 @@ class ClockSearch(MultipleModelBank):
             claimed = math.sqrt(0.5 * float(np.trace(measurement.claimed[:2, :2])))
             self._harmless = claimed / max(self._top_speed, 1e-3)
         if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
-            super()._weigh(verdicts)
+            share = 1.0 if self.heading_open else share_of_motion(self.best.clock.values)
+            super()._weigh(verdicts, share)
 
     @property
     def shift_is_certain(self) -> bool:
@@ -173,8 +181,7 @@ class ClockSearch(MultipleModelBank):
         clock.set_estimate(residual - decision.offset, sigma)
         if self._prior is not None:
             clock.prior = self._prior._replace(mean=self._prior.mean - decision.offset)
-        at_edge = abs(self._offsets_ns[self._best]) == MAX_OFFSET_NS
-        return decision._replace(at_edge=at_edge)
+        return decision._replace(at_edge=abs(residual) >= MAX_OFFSET_NS * 1e-9)
 
     def _is_known(self) -> bool:
         std = self.clock()[1]

@@ -88,7 +88,7 @@ class Decision(NamedTuple):
 
     filter: InsFilter
     offset: float  # s, that it adds to the stamps of fixes
-    at_edge: bool  # that is the largest that was tried
+    at_edge: bool  # what is missing from them is no less than the largest that was tried
 
 
 class MultipleModelBank:
@@ -246,8 +246,12 @@ class MultipleModelBank:
             self.log_weights = np.delete(self.log_weights, k)
         return weighed
 
-    def _weigh(self, verdicts: list[Verdict]) -> None:
-        """Update the weights by the verdicts on one measurement under each hypothesis."""
+    def _weigh(self, verdicts: list[Verdict], share: float = 1.0) -> None:
+        """
+        Update the weights by the verdicts on one measurement under each hypothesis.
+
+        ``share`` is that of their log-likelihood that is evidence.
+        """
         if not all(math.isfinite(v.nis) for v in verdicts):
             return
         # The likelihood of a measurement beyond the gate is that at the gate: outliers hit all.
@@ -257,7 +261,7 @@ class MultipleModelBank:
         # Where even the best hypothesis has a large NIS the noise is wrong: differences mean less.
         self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
         log_likelihood = -0.5 * (nis / max(1.0, self._nis_scale) + log_det)
-        self.log_weights += log_likelihood
+        self.log_weights += share * log_likelihood
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
 

@@ -91,7 +91,6 @@ class PhaseMachine:
         self._events = events
         self._record = record
         self.clock_open = False
-        self._edge = 0.0  # s, the offset at which the last search for the clock's ended, if any
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -257,7 +256,6 @@ class PhaseMachine:
             self._events.extend(Verdict.rejected(m, reason) for m in waiting)
         if bank.clock_open:
             self.clock_open = decision.at_edge
-            self._edge = decision.offset if decision.at_edge else 0.0
             missing, variance = winner.clock.missing
             self._events.append(ClockOffsetFound(decision.offset, missing, math.sqrt(variance)))
         self.collect_verdicts(winner)
@@ -270,8 +268,7 @@ class PhaseMachine:
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
         One that contradicts it has to do so for a while: where the motion hardly shows the clock,
-        chance favours now one offset, now another. One that goes on from where the last one ended
-        at its edge need not.
+        chance favours now one offset, now another.
         """
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:
@@ -280,8 +277,7 @@ class PhaseMachine:
         difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
         precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
         contradicts = bank.shift_is_certain or (precise and difference > CONTRADICTION * std)
-        lasting_ns = 0 if found * self._edge > 0.0 else CONTRADICTION_NS
-        if bank.has_lasted("contradiction", contradicts, lasting_ns):
+        if bank.has_lasted("contradiction", contradicts, CONTRADICTION_NS):
             return False
         if contradicts or not precise or difference > CONFIRMATION * std:
             return True

@@ -100,7 +100,8 @@ def test_heading_and_clock_are_found_together(seed: int, value: float, true: flo
 
 @pytest.mark.slow
 def test_the_search_goes_on_beyond_its_edge() -> None:
-    estimator = estimating(until(stamped_early(draw(SCENE, 4), 1.1), 30.0))
+    """A second search has to contradict the first for ten seconds."""
+    estimator = estimating(until(stamped_early(draw(SCENE, 4), 1.1), 44.0))
 
     assert offset(estimator) == pytest.approx(1.1, abs=0.03)
 

@@ -74,7 +74,7 @@ def test_a_clock_found_at_the_edge_of_the_search_is_not_taken_back_on_a_cruise()
     found = score(from_simulation(record(vehicle, 3)), parameters.defaults())
 
     assert found.offset == pytest.approx(-0.6, abs=0.1)
-    assert found.rmse < 2.0 and found.silent == 0.0
+    assert found.rmse < 4.0 and found.silent == 0.0
 
 
 @pytest.mark.slow
