@@ -45,5 +45,6 @@ for word in "$@"; do
 done
 [ ${#named[@]} = 0 ] || folders=() chosen=()
 python -m hybrid_ins.kernels >/dev/null # once, not in every process
-python -m pytest -n "$(nproc)" --dist worksteal "${chosen[@]}" "${patience[@]}" "${folders[@]}" "$@" || status=$?
+# One process more than processors: some tests wait for other processes.
+python -m pytest -n "$(($(nproc) + 1))" --dist worksteal "${chosen[@]}" "${patience[@]}" "${folders[@]}" "$@" || status=$?
 exit $status

@@ -14,7 +14,7 @@ from tools.vehicles.defects import DEFECTS, draw
 
 @pytest.fixture(scope="module")
 def drive() -> Recording:
-    return record(replace(VEHICLES["car"], duration=60.0), 3)
+    return record(replace(VEHICLES["car"], duration=40.0), 3)
 
 
 def rng() -> np.random.Generator:

@@ -245,7 +245,7 @@ def test_the_filter_that_takes_over_knows_what_all_of_them_did(
 
 def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() -> None:
     """With an IMU much noisier than was assumed, chance favoured a clock 0.6 s away."""
-    estimator = estimating(until(draw(SCENE, 4), 20.0))
+    estimator = estimating(until(draw(SCENE, 4), 4.0))
     running = estimator.navigator.filter
     assert running is not None and running.noise.factors is not None
     running.noise.factors.imu_factors = (800.0, 20.0)
