@@ -128,14 +128,8 @@ class ClockSearch(MultipleModelBank):
             self._measured_ns[measurement.kind] = measurement.t_ns
         return super().measure(measurement)
 
-    def _weigh(self, verdicts: list[Verdict], share: float = 1.0) -> None:
-        """
-        See `MultipleModelBank`; the first fixes only make the filters alike.
-
-        Where a shaken IMU cruises, each hypothesis compares the fixes with another stretch of the
-        same noise: its likelihood is chance. Beside a filter that runs only the share of motion
-        counts, see `clock_offset`.
-        """
+    def _weigh(self, verdicts: list[Verdict]) -> None:
+        """See `MultipleModelBank`; the first fixes only make the filters alike."""
         measurement = verdicts[self._best].measurement
         if isinstance(measurement, PositionFix):
             self._fixes += 1
@@ -144,8 +138,17 @@ class ClockSearch(MultipleModelBank):
             claimed = math.sqrt(0.5 * float(np.trace(measurement.claimed[:2, :2])))
             self._harmless = claimed / max(self._top_speed, 1e-3)
         if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
-            share = 1.0 if self.heading_open else share_of_motion(self.best.clock.values)
-            super()._weigh(verdicts, share)
+            super()._weigh(verdicts)
+
+    @property
+    def _evidence(self) -> float:
+        """
+        See `MultipleModelBank`; beside a filter that runs it is the share of motion.
+
+        Where a shaken IMU cruises, each hypothesis compares the fixes with another stretch of the
+        same noise: its likelihood is chance, see `clock_offset`.
+        """
+        return 1.0 if self.heading_open else float(share_of_motion(self.best.clock.values))
 
     @property
     def shift_is_certain(self) -> bool:

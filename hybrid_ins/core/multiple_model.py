@@ -246,12 +246,8 @@ class MultipleModelBank:
             self.log_weights = np.delete(self.log_weights, k)
         return weighed
 
-    def _weigh(self, verdicts: list[Verdict], share: float = 1.0) -> None:
-        """
-        Update the weights by the verdicts on one measurement under each hypothesis.
-
-        ``share`` is that of their log-likelihood that is evidence.
-        """
+    def _weigh(self, verdicts: list[Verdict]) -> None:
+        """Update the weights by the verdicts on one measurement under each hypothesis."""
         if not all(math.isfinite(v.nis) for v in verdicts):
             return
         # The likelihood of a measurement beyond the gate is that at the gate: outliers hit all.
@@ -261,9 +257,14 @@ class MultipleModelBank:
         # Where even the best hypothesis has a large NIS the noise is wrong: differences mean less.
         self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
         log_likelihood = -0.5 * (nis / max(1.0, self._nis_scale) + log_det)
-        self.log_weights += share * log_likelihood
+        self.log_weights += self._evidence * log_likelihood
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
+
+    @property
+    def _evidence(self) -> float:
+        """Share of the log-likelihoods that is evidence and not chance."""
+        return 1.0
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""

@@ -101,9 +101,7 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
     force, rate = imu.specific_force.copy(), imu.angular_rate.copy()
     on = (truth.t >= vehicle.engine_time)[:, None]
     for tone in tones:
-        wander = np.cumsum(0.05 * rng.standard_normal(len(truth.t)))  # no engine keeps its phase
-        angle = (2.0 * np.pi * tone.frequency * truth.t + wander)[:, None]
-        angle = angle + rng.uniform(0.0, 2.0 * np.pi, 3)
+        angle = engine_phases(truth.t, tone.frequency, 0.05, rng)
         force += on * np.asarray(tone.accelerometer) * np.sin(angle)
         rate += on * np.asarray(tone.gyroscope) * np.cos(angle)
     speed = np.linalg.norm(truth.velocity_n, axis=1)[:, None]
@@ -125,6 +123,17 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
         velocity_n = sample(motion, fix_t - receiver.velocity_age).velocity_n
         velocity_n = velocity_n + receiver.velocity_std * rng.standard_normal((len(fix_t), 3))
     return Recording(vehicle, truth, imu, fix_t, stamp, lla, velocity_n)
+
+
+def engine_phases(t: Array, frequency: float, wander: float, rng: np.random.Generator) -> Array:
+    """
+    Return phases (N, 3) [rad] of an engine's vibration, one for each axis, at times (N,) [s].
+
+    No engine keeps its phase: that of ``frequency`` [Hz] wanders by ``wander`` [rad] a sample.
+    """
+    walk = np.cumsum(wander * rng.standard_normal(len(t)))
+    phase = (2.0 * np.pi * frequency * t + walk)[:, None]
+    return np.asarray(phase + rng.uniform(0.0, 2.0 * np.pi, 3))
 
 
 def city_car(duration: float, seed: int, rest: float = 10.0) -> Motion:

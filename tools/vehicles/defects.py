@@ -11,7 +11,8 @@ import numpy as np
 from hybrid_ins.core import earth
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_matrix, quat_from_rpy
 from hybrid_ins.ros.trajectory import Array
-from hybrid_ins.simulation.vehicles import Recording
+from hybrid_ins.simulation.sensors import in_outage
+from hybrid_ins.simulation.vehicles import Recording, engine_phases
 
 PROBABILITY = 0.2  # of each
 DELAY = 0.1  # s, of the fixes' arrival
@@ -40,16 +41,15 @@ def repeated_rows(recording: Recording, rng: np.random.Generator) -> Recording:
 def irregular_stamps(recording: Recording, rng: np.random.Generator) -> Recording:
     """Stamp the IMU's samples with a jitter of up to a third of the period."""
     imu = recording.imu
-    period = float(np.median(np.diff(imu.t)))
-    jitter = rng.uniform(0.1, 1.0 / 3.0) * period * rng.uniform(-1.0, 1.0, len(imu.t))
-    return replace(recording, imu=replace(imu, t=imu.t + jitter))
+    jitter = rng.uniform(0.1, 1.0 / 3.0) * rng.uniform(-1.0, 1.0, len(imu.t))
+    return replace(recording, imu=replace(imu, t=imu.t + jitter / recording.vehicle.imu_rate))
 
 
 def imu_gap(recording: Recording, rng: np.random.Generator) -> Recording:
     """Lose the IMU's samples once while it moves."""
     imu = recording.imu
-    begin = _in_motion(recording, rng)
-    kept = (imu.t < begin) | (imu.t > begin + math.exp(rng.uniform(*np.log((0.05, 1.5)))))
+    lost = _in_motion(recording, rng), math.exp(rng.uniform(*np.log((0.05, 1.5))))
+    kept = ~in_outage(imu.t, [lost])
     fields = ("t", "specific_force", "angular_rate")
     return replace(recording, imu=replace(imu, **{n: getattr(imu, n)[kept] for n in fields}))
 
@@ -80,9 +80,7 @@ def strong_vibration(recording: Recording, rng: np.random.Generator) -> Recordin
     """Shake the IMU with an engine's tone of any frequency, seen through the sampling."""
     imu = recording.imu
     on = (imu.t > rng.uniform(0.0, recording.vehicle.rest))[:, None]
-    angle = 2.0 * np.pi * rng.uniform(20.0, 200.0) * imu.t
-    angle = angle + np.cumsum(rng.uniform(0.02, 0.3) * rng.standard_normal(len(imu.t)))
-    phases = angle[:, None] + rng.uniform(0.0, 2.0 * np.pi, 3)
+    phases = engine_phases(imu.t, rng.uniform(20.0, 200.0), rng.uniform(0.02, 0.3), rng)
     return _with_readings(
         recording,
         imu.specific_force + on * rng.uniform(0.5, 5.0, 3) * np.sin(phases),
@@ -106,14 +104,14 @@ def unknown_lever_arm(recording: Recording, rng: np.random.Generator) -> Recordi
     truth = recording.truth
     arm_n = truth.C_nb @ lever_arm_b
     arm_rate = np.gradient(arm_n, truth.t, axis=0)
-    scale = np.array([earth.curvature_scale(place) for place in recording.fix_lla])
+    scale = earth.curvature_scale(truth.lla[0])
     velocity_n = recording.fix_velocity_n
     if velocity_n is not None:
         age = recording.vehicle.receiver.velocity_age
         velocity_n = velocity_n + _interpolated(recording.fix_t - age, truth.t, arm_rate)
     return replace(
         recording,
-        truth=replace(truth, lla=truth.lla + arm_n / earth.curvature_scale(truth.lla[0])),
+        truth=replace(truth, lla=truth.lla + arm_n / scale),
         fix_lla=recording.fix_lla + _interpolated(recording.fix_t, truth.t, arm_n) / scale,
         fix_velocity_n=velocity_n,
     )
@@ -156,12 +154,11 @@ def outliers(recording: Recording, rng: np.random.Generator) -> Recording:
 
 def outage(recording: Recording, rng: np.random.Generator) -> Recording:
     """Lose the fixes for 5 to 20 seconds while it moves."""
-    begin = _in_motion(recording, rng)
-    fix_t, velocity_n = recording.fix_t, recording.fix_velocity_n
-    kept = (fix_t < begin) | (fix_t > begin + rng.uniform(5.0, 20.0))
+    lost = _in_motion(recording, rng), rng.uniform(5.0, 20.0)
+    kept, velocity_n = ~in_outage(recording.fix_t, [lost]), recording.fix_velocity_n
     return replace(
         recording,
-        fix_t=fix_t[kept],
+        fix_t=recording.fix_t[kept],
         fix_stamp=recording.fix_stamp[kept],
         fix_lla=recording.fix_lla[kept],
         fix_velocity_n=None if velocity_n is None else velocity_n[kept],

@@ -63,6 +63,7 @@ def test_a_search_expects_the_given_offset_first() -> None:
     found = probabilities(ClockPrior(0.3, 0.001))
     assert OFFSETS_NS[int(np.argmax(found))] == 300_000_000
     assert found.sum() == pytest.approx(1.0)
+    assert found.min() > 1e-6
 
 
 def test_no_offset_is_excluded_before_there_is_evidence() -> None:
