@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.earth import earth_rate_n
+from hybrid_ins.core.first_motion import Motion, first_motion
 from hybrid_ins.core.imu_health import ImuFault, find_fault
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.multiple_model import HEADING_STD, heading_grid
@@ -35,7 +37,7 @@ from hybrid_ins.core.rotations import (
 )
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import STANDING_RATE_STD, is_standing, may_be_zero
-from hybrid_ins.core.state import B_G, DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.core.state import B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
 
 Array = NDArray[np.float64]
 
@@ -43,8 +45,8 @@ TILT_STD_STANDING = 0.02  # rad
 TILT_STD_MOVING = 0.2  # rad
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
 FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
-SHORTEST_SPAN = 0.3  # s
-ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
+LONGEST_SPAN = 60.0  # s, between the two fixes of a slow receiver that do
+YAW_STD = math.pi / math.sqrt(3.0)  # rad, of a heading of which nothing is known
 BIAS_A_DRIFT, BIAS_G_DRIFT = 3e-3, 3e-4  # m/s²/√s, rad/s/√s: of known biases while not watched
 
 
@@ -162,6 +164,9 @@ class Alignment:
     ----------
     waiting : Waiting
         What the last attempt lacked.
+    provisional : ndarray, shape (N_FLAT,), or None
+        Flat state at the last attempt if that lacked a velocity or a heading: their errors are
+        large and as its covariance says. It is to be reported, not to be propagated.
     """
 
     def __init__(self, settings: AlignmentSettings, ring: ImuRing) -> None:
@@ -174,6 +179,7 @@ class Alignment:
         self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
         self._source = settings.heading_source
         self.waiting = Waiting(Need.IMU_SAMPLES)
+        self.provisional: Array | None = None
 
     def observe(self, measurement: Measurement) -> None:
         """Use a fix or a GNSS velocity."""
@@ -200,7 +206,8 @@ class Alignment:
             self._source, self._given = "auto", None
 
     def attempt(self) -> Start | None:
-        """Return the first state at the last IMU sample, or None and set ``waiting``."""
+        """Return the first states at the last IMU sample, or None and set what is missing."""
+        self.provisional = None
         now = int(self._ring.latest(1)["t_ns"][0])
         if self._given is None and self._source == "parameter":
             first_ns = int(self._ring.after(0)["t_ns"][0])
@@ -214,45 +221,72 @@ class Alignment:
         if fault is not None and fault.unusable:
             self.waiting = Waiting(Need.USABLE_IMU, fault=fault)
             return None
-        recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
-        if not recent:
+        fixes = self._recent_fixes(now)
+        if not fixes:
             self.waiting = Waiting(Need.FIX)
             return None
-        motion = self._motion(recent, now)
-        if motion is None:
-            self.waiting = Waiting(Need.SECOND_FIX)
-            return None
-        lla, p_cov, velocity_n, v_cov = motion
-        given = self._given_heading(velocity_n, v_cov)
-        if given is None and self._source in ("imu", "course") and self._given is None:
+        reading = np.concatenate((samples["f"][-1], samples["w"][-1]))
+        motion = first_motion(fixes, self._velocity, now)
+        given = self._given_heading(motion)
+        missing = self._missing(motion, given)
+        if missing is not None:
+            self.waiting = missing
+            known = given or (0.0, YAW_STD)
+            self.provisional = self._states(samples, motion, [known])[0].to_flat()
+            self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
             return None
         yaws = [] if given is None else [given]
         yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
-        bias_a, bias_g, bias_P = self._first_biases(now)
-        last = samples[-1]
-        reading = np.concatenate((last["f"], last["w"]))
+        states = self._states(samples, motion, yaws)
+        return Start(tuple(states), given is not None, now, reading)
+
+    def _recent_fixes(self, now: int) -> list[PositionFix]:
+        """Fixes that may give a position and a velocity now; of a slow receiver the last two."""
+        recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
+        if len(recent) == 1 and len(self._fixes) > 1:
+            before = self._fixes[-2]
+            if recent[0].t_ns - before.t_ns < LONGEST_SPAN * 1e9:
+                recent.insert(0, before)
+        return recent
+
+    def _missing(self, motion: Motion, given: tuple[float, float] | None) -> Waiting | None:
+        """Return what the velocity or the heading waits for."""
+        if not motion.has_velocity:
+            return Waiting(Need.SECOND_FIX)
+        if given is not None or self._source not in ("imu", "course"):
+            return None
+        if self._source == "imu":
+            return Waiting(Need.ORIENTATION)
+        return Waiting(Need.SPEED, motion.speed, self._settings.course_min_speed)
+
+    def _states(
+        self, samples: NDArray[np.void], motion: Motion, yaws: Sequence[tuple[float, float]]
+    ) -> list[NavState]:
+        """Return a state at the last of ``samples`` for each heading and its σ [rad]."""
+        bias_a, bias_g, bias_P = self._first_biases(int(samples["t_ns"][-1]))
         rate = samples["w"].mean(axis=0)
-        standing = is_standing(samples) and may_be_zero(velocity_n, v_cov)
+        standing = motion.has_velocity and is_standing(samples)
+        standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
         samples["f"] -= bias_a
         samples["w"] -= bias_g
         down_b = _down(samples)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
-        ie_n, ie_d = earth_rate_n(lla[0])
+        ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = 0.1 * STANDING_RATE_STD
         states = []
         for yaw, yaw_std in yaws:
             quat = self._attitude(down_b, yaw)
             C_nb = matrix_from_quat(quat)
             P = np.zeros((N_ERROR, N_ERROR))
-            P[DP, DP], P[DV, DV] = p_cov, v_cov
+            P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
             P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
             P[9:, 9:] = bias_P
             if standing and P[14, 14] > bias_g_std**2:
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0
                 P[B_G, B_G] = np.eye(3) * bias_g_std**2
-            states.append(NavState(lla, velocity_n, quat, bias_a, bias_g, P))
-        return Start(tuple(states), given is not None, now, reading)
+            states.append(NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P))
+        return states
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
         """Biases and their covariance: as given, or the earlier estimate, grown since then."""
@@ -277,71 +311,18 @@ class Alignment:
         C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
         return quat_from_matrix(C_then @ C_then_now)
 
-    def _motion(
-        self, fixes: list[PositionFix], now: int
-    ) -> tuple[Array, Array, Array, Array] | None:
-        """Position and velocity now with covariances, from fixes (and a GNSS velocity)."""
-        last = fixes[-1]
-        lla = last.lla.copy()
-        if not math.isfinite(lla[2]):
-            heights = [f.lla[2] for f in fixes if math.isfinite(f.lla[2])]
-            lla[2] = heights[-1] if heights else 0.0
-        scale = curvature_scale(lla)
-        p_cov = last.covariance_n.copy()
-        if not np.isfinite(p_cov[2, 2]) or not math.isfinite(last.lla[2]):
-            p_cov[2, :] = p_cov[:, 2] = 0.0
-            p_cov[2, 2] = 100.0**2
-        if self._velocity is not None and abs(now - self._velocity.t_ns) < 1e9:
-            velocity_n = np.nan_to_num(self._velocity.velocity_n)
-            v_cov = np.diag(np.maximum(np.nan_to_num(np.diag(self._velocity.covariance_n)), 0.01))
-        else:
-            slope = _slope(fixes, p_cov, scale)
-            if slope is None:
-                return None
-            velocity_n, v_cov = slope
-        age = (now - last.t_ns) * 1e-9
-        p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
-        return lla + velocity_n * age / scale, p_cov, velocity_n, v_cov
-
-    def _given_heading(self, velocity_n: Array, v_cov: Array) -> tuple[float, float] | None:
-        """Heading [rad from north] and its uncertainty; None if unknown, or ``waiting`` for it."""
+    def _given_heading(self, motion: Motion) -> tuple[float, float] | None:
+        """Heading [rad from north] and its uncertainty, by hand or from a source that has one."""
         settings = self._settings
         if self._given is not None:
             return self._given[1:]
-        if self._source == "imu":
-            if self._imu_yaw is None:
-                self.waiting = Waiting(Need.ORIENTATION)
-                return None
+        if self._source == "imu" and self._imu_yaw is not None:
             return self._imu_yaw, settings.yaw_std
-        if self._source == "course":
-            speed = math.hypot(velocity_n[0], velocity_n[1])
-            if speed < settings.course_min_speed:
-                self.waiting = Waiting(Need.SPEED, speed, settings.course_min_speed)
-                return None
-            course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / speed
+        if self._source == "course" and motion.speed >= settings.course_min_speed:
+            velocity_n, v_cov = motion.velocity_n, motion.v_cov
+            course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / motion.speed
             return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
         return None
-
-
-def _slope(fixes: list[PositionFix], p_cov: Array, scale: Array) -> tuple[Array, Array] | None:
-    """
-    Velocity now [m/s, NED] and its covariance from the fixes over the best of all spans.
-
-    The slope is the velocity at the span's middle: a short span is noisy, a long one outdated.
-    """
-    last = fixes[-1]
-    t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in fixes])
-    offsets = np.nan_to_num(np.array([(f.lla - last.lla) * scale for f in fixes]))
-    best: tuple[Array, Array] | None = None
-    for start in range(len(fixes) - 1):
-        centred = t[start:] - t[start:].mean()
-        if t[start] > -SHORTEST_SPAN:
-            break
-        noise = np.diag(np.diag(p_cov)) / (centred @ centred)
-        covariance = noise + np.eye(3) * (0.5 * ACCELERATION_STD * t[start]) ** 2
-        if best is None or np.trace(covariance) < np.trace(best[1]):
-            best = centred @ offsets[start:] / (centred @ centred), covariance
-    return best
 
 
 def _down(samples: NDArray[np.void]) -> Array:

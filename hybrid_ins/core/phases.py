@@ -50,14 +50,18 @@ class FilterParts(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Aligning:
-    """No state yet."""
+    """No filter yet."""
 
     alignment: Alignment
 
     filter: ClassVar[InsFilter | None] = None
     best: ClassVar[InsFilter | None] = None
-    nav: ClassVar[Array | None] = None
     bank: ClassVar[MultipleModelBank | None] = None
+
+    @property
+    def nav(self) -> Array | None:
+        """The flat state that a fix and gravity give, without a velocity or a heading."""
+        return self.alignment.provisional
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,8 +134,10 @@ PUBLISHED = (
         ODOMETRY,
         OUTPUT,
         "pose of `base_link` in `map`, twist in `base_link`, full covariances; at the IMU's rate, "
-        "or at `odometry_rate`. From the second fix until the heading is known it comes at 10 Hz "
-        "at most, with large variances of the heading and of the twist, in the vehicle's axes",
+        "or at `odometry_rate`. From the first fix until the heading is known it comes at 10 Hz "
+        "at most, with large variances of the heading and of the twist, in the vehicle's axes; "
+        "before the second fix the velocity is zero with a σ of 100 m/s, and the position's σ "
+        "grows by as much",
     ),
     Topic(
         "odometry/local",

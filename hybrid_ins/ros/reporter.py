@@ -80,6 +80,7 @@ class Reporter:
         self._odometry = odometry
         self._odometry_due = RateLimiter(values["odometry_rate"])
         self._max_speed = values["gnss.max_speed"]
+        self._rate_variance = np.full(3, values["noise.q_gyroscope"])
         self._reports: list[Report] = []
         self.fixes_fused = 0
         self.ever_located = self.ever_aligned = False
@@ -144,13 +145,16 @@ class Reporter:
 
     def report_state(self, t_ns: int, arm_b: Array) -> None:
         """
-        Report the state at a stamp [ns]; the position is known before the heading is.
+        Report the state at a stamp [ns]; the position is known before velocity and heading are.
 
         ``arm_b``, shape (3,), is the IMU relative to the base frame's origin [m], b.
         """
         phase = self._navigator.phase
         best, nav = phase.best, phase.nav
-        if best is None or nav is None:
+        if nav is None:
+            return
+        if best is None:
+            self._report_odometry(t_ns, nav, arm_b, self._rate_variance)
             return
         levels = best.noise.levels()
         if phase.filter is None:
@@ -173,7 +177,7 @@ class Reporter:
         return bool(np.isfinite(sigma).all()) and fastest < self._max_speed and is_rotation
 
     def _report_odometry(self, t_ns: int, nav: Array, arm_b: Array, rate_variance: Array) -> None:
-        """Report odometry while the heading is searched for; `Estimator` returns it after that."""
+        """Report odometry while no single filter runs; `Estimator` returns that of one."""
         if self._odometry.map is None or not self._odometry_due.is_due(t_ns):
             return
         self.ever_located = True

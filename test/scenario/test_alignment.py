@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from support.scenes import EPOCH_NS, heading_std, make_navigator, play, scene, stamp
+from support.scenes import heading_std, make_navigator, play, scene
 
-from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import rpy_from_quat
-from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, QUAT
+from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, DP, DV, LLA, QUAT, total_std
 from hybrid_ins.ros.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
-    START_LLA,
     aircraft_flight,
     car_drive,
     motion_through,
@@ -69,7 +68,6 @@ def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
         t,
         velocity_of(25.0 + 0.0 * t, course, 0.0 * t),
         np.stack((0.0 * t, 0.0 * t, course), axis=-1),
-        START_LLA,
     )
     run = scene(motion)
     navigator = make_navigator("parameter")
@@ -303,11 +301,59 @@ def test_vibration_and_a_smooth_cruise_are_not_standing() -> None:
         )
 
 
-def test_one_fix_is_no_velocity() -> None:
-    run = scene(static(3.0))
+def test_one_fix_is_a_position_without_a_velocity() -> None:
+    # GIVEN an aircraft WITH one fix only
+    run = scene(aircraft_flight(8.0, 1), seed=1)
     navigator = make_navigator()
-    play(run, navigator, fix=lambda t: t == 1.0)
+    errors, claimed = [], []
 
-    assert state_of(navigator) == "waiting for GNSS"
-    navigator.measure(PositionFix(stamp(3.0), START_LLA, np.eye(3), np.zeros(3)))
-    assert navigator.last_ns > EPOCH_NS
+    def note(t: float) -> None:
+        nav = navigator.phase.nav
+        if nav is not None:
+            k = int(np.argmin(np.abs(run.truth.t - t)))
+            scale = curvature_scale(run.truth.lla[k])
+            errors.append((nav[LLA] - run.truth.lla[k]) * scale)
+            claimed.append(total_std(nav))
+
+    play(run, navigator, fix=lambda t: t == 2.0, after=note)
+
+    # THEN no filter starts from it, but there is a state for three seconds
+    assert state_of(navigator) == "waiting for GNSS" and navigator.filter is None
+    assert len(errors) == pytest.approx(300, abs=15)
+    # AND its covariance covers a vehicle that may go anywhere
+    found, std = np.array(errors), np.array(claimed)
+    assert np.linalg.norm(found[0]) < 10.0 < np.linalg.norm(found[-1])
+    assert np.all(np.abs(found) < 3.0 * std[:, DP] + 5.0)
+    assert std[-1, DP].min() > 100.0
+    assert np.all(std[:, DV] > 50.0) and np.all(std[:, 8] > np.radians(90.0))
+    # AND there is none any more once that fix is old
+    assert navigator.phase.nav is None
+
+
+def test_a_heading_that_is_awaited_keeps_no_position_back() -> None:
+    # GIVEN a vehicle that stands, whose heading is to be its course
+    run = scene(static(6.0))
+    navigator = make_navigator("course")
+
+    play(run, navigator)
+
+    assert "motion" in waiting_for(navigator) and navigator.phase.best is None
+    nav = navigator.phase.nav
+    assert nav is not None
+    std = total_std(nav)
+    assert std[:2].max() < 0.5 and std[3:5].max() < 1.0 and std[8] > np.radians(90.0)
+
+
+@pytest.mark.parametrize("interval", [5.0, 10.0])
+def test_a_receiver_may_be_slow(interval: float) -> None:
+    # GIVEN a car with a fix every so many seconds
+    run = scene(car_drive(90.0, 3, heading=1.0), fix_rate=1.0 / interval, seed=3)
+    navigator = make_navigator()
+
+    play(run, navigator)
+
+    # THEN two of them give the first velocity, AND motion shows the heading
+    assert navigator.filter is not None
+    _, velocity, error = run.errors(navigator, 90.0)
+    assert velocity < 3.0
+    assert error < FIVE_DEGREES and error < 4.0 * heading_std(navigator)

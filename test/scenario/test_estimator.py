@@ -209,6 +209,24 @@ def test_an_outage_after_the_clock_went_back_is_one() -> None:
     assert "position coasting" in drive.status("validity").text
 
 
+def test_odometry_begins_with_the_first_fix() -> None:
+    # GIVEN two seconds of a flight, in which one fix comes after one second
+    drive, odometry = Drive(), []
+    drive.play(0.0, 1.0, with_fixes=False)
+    drive.fix(int(np.searchsorted(drive.fix_t, 0.95)))
+    drive.play(1.0, 2.0, with_fixes=False)
+    for report in drive.estimator.reporter.pop():
+        if report.topic == "odometry":
+            odometry.append(report.content)
+
+    # THEN odometry comes ten times a second from then on
+    assert (odometry[0].t_ns - drive.stamp(1.0)) * 1e-9 == pytest.approx(0.05, abs=0.1)
+    assert len(odometry) == pytest.approx(10, abs=1)
+    # AND it says that nothing is known of the motion
+    assert drive.status("validity").text.endswith("velocity waiting, heading waiting")
+    assert "a second GNSS fix" in drive.status("filter").text
+
+
 def test_an_outage_says_how_long_and_how_far() -> None:
     drive = Drive(**KNOWN)
     drive.play(0.0, 30.0)
