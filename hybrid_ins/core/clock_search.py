@@ -26,6 +26,7 @@ from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
+from hybrid_ins.core.position_scatter import horizontal_variance
 from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, VELOCITY, NavState
 
 Array = NDArray[np.float64]
@@ -135,7 +136,7 @@ class ClockSearch(MultipleModelBank):
             self._fixes += 1
             speed = float(np.linalg.norm(self.best.nav[VELOCITY]))
             self._top_speed = max(self._top_speed, speed)
-            claimed = math.sqrt(0.5 * float(np.trace(measurement.claimed[:2, :2])))
+            claimed = math.sqrt(horizontal_variance(measurement.claimed))
             self._harmless = claimed / max(self._top_speed, 1e-3)
         if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)

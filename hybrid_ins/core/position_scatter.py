@@ -111,10 +111,10 @@ class PositionScatter(ShallowCopy):
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
         share = self.learned if self.in_force else self._given
-        horizontal = 0.5 * (claimed.item(0, 0) + claimed.item(1, 1))
+        horizontal = horizontal_variance(claimed)
         if share >= 1.0:
             return share if horizontal >= SMALLEST_STD**2 else self._largest_expected
-        return float(max(share, min(1.0, SMALLEST_STD**2 / horizontal)))
+        return max(share, min(1.0, SMALLEST_STD**2 / horizontal))
 
     @property
     def _largest_expected(self) -> float:
@@ -143,7 +143,7 @@ class PositionScatter(ShallowCopy):
         slow = max(1.0 - share, _least_slow(claimed)) * claimed.diagonal()
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
-        unclaimed = slow_std**2 > 0.5 * (claimed.item(0, 0) + claimed.item(1, 1))
+        unclaimed = slow_std**2 > horizontal_variance(claimed)
         excess = max(share / self._largest_expected, 1.0)
         return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
 
@@ -164,9 +164,14 @@ class PositionScatter(ShallowCopy):
         self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
 
 
+def horizontal_variance(covariance_n: Array) -> float:
+    """Return the mean variance of north and east in a position's covariance (m, m)."""
+    return 0.5 * float(covariance_n.item(0, 0) + covariance_n.item(1, 1))
+
+
 def _least_slow(claimed: Array) -> float:
     """Return the share of a claimed covariance (m, m) that is slow at the least."""
-    std = math.sqrt(0.5 * (claimed.item(0, 0) + claimed.item(1, 1)))
+    std = math.sqrt(horizontal_variance(claimed))
     uncorrected = (std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
     return LEAST_SLOW * min(max(uncorrected, 0.0), 1.0)
 

@@ -136,6 +136,7 @@ class Estimator:
         self._parts.change(changes)
         self.clock.change(changes)
         self._fixes.configure()
+        self.reporter.set_odometry_rate(self.values["odometry_rate"])
         for running in self.navigator.phases.filters:
             self._parts.change_running(running, changes)
         if any(name.startswith("noise.") for name in changes):

@@ -98,6 +98,10 @@ class Reporter:
         reports, self._reports = self._reports, []
         return reports
 
+    def set_odometry_rate(self, rate: float) -> None:
+        """Report odometry at another rate [Hz], while no single filter runs; 0: at every call."""
+        self._odometry_due.change(rate)
+
     def add(self, reports: Sequence[Report]) -> None:
         """Publish reports of others, too."""
         self._reports += reports

@@ -209,22 +209,37 @@ def test_an_outage_after_the_clock_went_back_is_one() -> None:
     assert "position coasting" in drive.status("validity").text
 
 
-def test_odometry_begins_with_the_first_fix() -> None:
-    # GIVEN two seconds of a flight, in which one fix comes after one second
-    drive, odometry = Drive(), []
-    drive.play(0.0, 1.0, with_fixes=False)
-    drive.fix(int(np.searchsorted(drive.fix_t, 0.95)))
-    drive.play(1.0, 2.0, with_fixes=False)
-    for report in drive.estimator.reporter.pop():
-        if report.topic == "odometry":
-            odometry.append(report.content)
+def reported_odometry(drive: Drive) -> list[int]:
+    """Return the stamps [ns] of the odometry that was reported since the last call."""
+    reports = drive.estimator.reporter.pop()
+    return [report.content.t_ns for report in reports if report.topic == "odometry"]
 
-    # THEN odometry comes ten times a second from then on
-    assert (odometry[0].t_ns - drive.stamp(1.0)) * 1e-9 == pytest.approx(0.05, abs=0.1)
-    assert len(odometry) == pytest.approx(10, abs=1)
-    # AND it says that nothing is known of the motion
+
+def test_odometry_begins_with_the_first_fix() -> None:
+    # GIVEN an IMU AND one fix after a second
+    drive = Drive()
+    drive.play(0.0, 1.0, with_fixes=False)
+    assert not reported_odometry(drive)
+    drive.fix(int(np.searchsorted(drive.fix_t, 0.95)))
+    # WHEN no other follows
+    drive.play(1.0, 2.0, with_fixes=False)
+    # THEN odometry comes ten times a second
+    stamps = reported_odometry(drive)
+    assert (stamps[0] - drive.stamp(1.0)) * 1e-9 == pytest.approx(0.05, abs=0.1)
+    assert len(stamps) == pytest.approx(10, abs=1)
+    # AND it is said that nothing is known of the motion
     assert drive.status("validity").text.endswith("velocity waiting, heading waiting")
     assert "a second GNSS fix" in drive.status("filter").text
+
+
+def test_odometry_of_a_search_comes_as_often_as_is_asked_for() -> None:
+    drive = Drive()
+    drive.play(0.0, 2.0)
+    reported_odometry(drive)
+    drive.estimator.change({"odometry_rate": 2.0})
+    drive.play(2.0, 4.0)
+    assert drive.estimator.navigator.filter is None
+    assert len(reported_odometry(drive)) == pytest.approx(4, abs=1)
 
 
 def test_an_outage_says_how_long_and_how_far() -> None:
