@@ -165,8 +165,8 @@ class Alignment:
     waiting : Waiting
         What the last attempt lacked.
     provisional : ndarray, shape (N_FLAT,), or None
-        Flat state at the last attempt if that lacked a velocity or a heading: their errors are
-        large and as its covariance says. It is to be reported, not to be propagated.
+        Flat state at the last attempt where that lacked a velocity or a heading, with the
+        covariance of what may be anything. It is to be reported, not to be propagated.
     """
 
     def __init__(self, settings: AlignmentSettings, ring: ImuRing) -> None:

@@ -10,6 +10,7 @@ from hybrid_ins.core.rotations import rpy_from_quat
 from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, DP, DV, LLA, QUAT, total_std
 from hybrid_ins.ros.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
+    START_LLA,
     aircraft_flight,
     car_drive,
     motion_through,
@@ -68,6 +69,7 @@ def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
         t,
         velocity_of(25.0 + 0.0 * t, course, 0.0 * t),
         np.stack((0.0 * t, 0.0 * t, course), axis=-1),
+        START_LLA,
     )
     run = scene(motion)
     navigator = make_navigator("parameter")
