@@ -234,9 +234,9 @@ def test_a_replay_that_never_starts_leaves_nothing_in_the_way(
 ) -> None:
     out = str(flight.with_name("out"))
 
-    never = ["-p", "alignment.heading_source:=course", "-p", "alignment.course_min_speed:=50.0"]
-    assert status_of("ins_replay", [str(flight), out, *never]) == 2
-    assert "never started" in capsys.readouterr().err
+    no_fix = ["-p", "gnss.position_std_max:=0.02", "-p", "gnss.position_std_min:=0.01"]
+    assert status_of("ins_replay", [str(flight), out, *no_fix]) == 2
+    assert "never started: it waited for a GNSS fix" in capsys.readouterr().err
     assert not list(flight.parent.glob("out*"))
 
     assert status_of("ins_replay", [str(flight), out, *HEADING]) == 0
