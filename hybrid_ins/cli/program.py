@@ -99,10 +99,13 @@ class _Output:
     """
     A standard stream that ignores that its reader is gone (``ins_evaluate … | head``).
 
-    A program that cannot print any more still writes its result.
+    Or that it was closed from the start (``>&-``), when Python has None in its place. A program
+    that cannot print still writes its result.
     """
 
     def __init__(self, stream: Any) -> None:
+        if stream is None:  # Its descriptor is taken, so that no file written later has it.
+            stream = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
         self._stream = stream
 
     def write(self, text: str) -> int:

@@ -267,9 +267,10 @@ class Alignment:
         rate = samples["w"].mean(axis=0)
         standing = motion.has_velocity and is_standing(samples)
         standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
-        samples["f"] -= bias_a
-        samples["w"] -= bias_g
-        down_b = _down(samples)
+        unbiased = samples.copy()
+        unbiased["f"] -= bias_a
+        unbiased["w"] -= bias_g
+        down_b = _down(unbiased)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = 0.1 * STANDING_RATE_STD

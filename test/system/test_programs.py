@@ -325,6 +325,27 @@ def test_neither_a_closed_pipe_nor_an_encoding_loses_a_result(
     assert (tmp_path / "result").read_text() == "result"
 
 
+@pytest.mark.parametrize("closed", [(1,), (2,), (1, 2)])
+def test_a_program_needs_no_standard_streams(closed: tuple[int, ...], tmp_path: Path) -> None:
+    """GIVEN `>&-`, as a service may be started, THEN a program writes its result."""
+
+    def close() -> None:
+        for stream in closed:
+            os.close(stream)
+
+    done = subprocess.run(
+        [sys.executable, "-c", BODY, str(tmp_path / "result")],
+        env=os.environ | ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=close,
+        timeout=60,
+    )
+
+    assert done.returncode == 0
+    assert (tmp_path / "result").read_text() == "result"
+
+
 def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
     code = "import hybrid_ins.cli, signal; signal.raise_signal(signal.SIGINT)"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
 import math
 import os
 import shutil
@@ -364,7 +363,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(isolated_ros())
     outcomes = []
     with tempfile.TemporaryDirectory() as folder:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(None):
             files = make_files(Path(folder), args.flight)
         drawn = [*runs(files, args.count), *empty_bags(files)]
         for name, mutation, call in tqdm(drawn, disable=None):
