@@ -18,11 +18,21 @@ KERNELS: list[Any] = []  # all there are, as numba's dispatchers
 on_registration: list[Callable[[Any], None]] = []  # called with every kernel decorated from now on
 
 
-def kernel(**options: Any) -> Callable[[Function], Function]:
-    """Return the decorator that compiles a function by numba; options are those of ``njit``."""
+def kernel(allocates: bool = True, **options: Any) -> Callable[[Function], Function]:
+    """
+    Return the decorator that compiles a function by numba.
+
+    Parameters
+    ----------
+    allocates : bool
+        The function makes arrays. If neither it nor what it calls does, the references to the views that
+        it takes of its arguments are not counted: that is an eighth of a filter step.
+    **options
+        Those of ``njit``.
+    """
 
     def decorate(function: Function) -> Function:
-        dispatcher = njit(error_model="numpy", **options)(function)
+        dispatcher = njit(error_model="numpy", _nrt=allocates, **options)(function)
         KERNELS.append(dispatcher)
         for observe in on_registration:
             observe(dispatcher)

@@ -48,14 +48,15 @@ def normal_gravity(lat, height):  # type: ignore[no-untyped-def]
     2.139 and 2.140. The north component comes from the plumb line's curvature.
     """
     surface, slope, curve = _gravity_polynomial(lat)
-    return NORTH_GRADIENT * height * np.sin(2.0 * lat), surface + (slope + curve * height) * height
+    north = 2.0 * NORTH_GRADIENT * height * np.sin(lat) * np.cos(lat)
+    return north, surface + (slope + curve * height) * height
 
 
 @register_jitable
 def gravity_gradient(lat, height):  # type: ignore[no-untyped-def]
     """Change of normal gravity's north and down component per metre of height [1/s²]."""
     _, slope, curve = _gravity_polynomial(lat)
-    return NORTH_GRADIENT * np.sin(2.0 * lat), slope + 2.0 * curve * height
+    return 2.0 * NORTH_GRADIENT * np.sin(lat) * np.cos(lat), slope + 2.0 * curve * height
 
 
 @register_jitable

@@ -28,6 +28,7 @@ from hybrid_ins.core.state import (
     COVARIANCE,
     DIAGONAL,
     N_ERROR,
+    N_NAV,
     QUAT,
     SLOW_VARIANCE,
 )
@@ -105,7 +106,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     """
     m, variance = len(covariance_n), nav[CLOCK_VARIANCE]
     finite = limit >= 0.0
-    for i in range(len(nav)):
+    for i in range(N_NAV):
         finite = finite and np.isfinite(nav[i])
     if not finite:
         return False

@@ -62,6 +62,7 @@ from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
     COVARIANCE,
     N_ERROR,
+    N_NAV,
     PSD,
     QUAT,
     SENSITIVITY,
@@ -267,7 +268,7 @@ class MeasurementUpdate:
         model, found = measurement.linearise(nav), None
         if split is not None:
             model, found = self._split_position(nav, model, split)
-        if not np.isfinite(nav).all():
+        if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         of_age = np.zeros_like(R)

@@ -27,6 +27,7 @@ from hybrid_ins.core.state import (
     PENDING_C,
     PENDING_DT,
     PENDING_F,
+    PRODUCTS,
     PSD,
     QUAT,
     SCRATCH,
@@ -36,11 +37,12 @@ from hybrid_ins.core.state import (
 )
 from hybrid_ins.core.strapdown import mechanise
 
+FASTMATH = {"contract", "arcp"}  # fused multiply-add, reciprocals: rounding only
 MEAN_TIME = 0.05  # s, over which the acceleration is averaged
 GRAVITY = 9.8  # m/s²: the mean acceleration needs it no better
 
 
-@kernel(fastmath={"contract"})
+@kernel(allocates=False, fastmath=FASTMATH)
 def propagate_covariance(nav):  # type: ignore[no-untyped-def]
     """
     Propagate the covariance over the time dt that is pending in the flat state ``nav``.
@@ -66,7 +68,7 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
     system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
     q_v, q_eps, q_a, q_g = process_noise(C, nav[PSD], dt)
     s, s_age = nav[SENSITIVITY], nav[AGE_SENSITIVITY]
-    covariance_step(nav[COVARIANCE], s, s_age, F, dt, q_v, q_eps, q_a, q_g)
+    covariance_step(nav[COVARIANCE], s, s_age, F, dt, q_v, q_eps, q_a, q_g, nav[PRODUCTS])
     acceleration, share = nav[ACCELERATION], dt / (dt + MEAN_TIME)
     acceleration[0] += share * (f_n[0] - acceleration[0])
     acceleration[1] += share * (f_n[1] - acceleration[1])
@@ -78,7 +80,7 @@ def propagate_covariance(nav):  # type: ignore[no-untyped-def]
         C[i] = 0.0
 
 
-@kernel(fastmath={"contract"})
+@kernel(allocates=False, fastmath=FASTMATH)
 def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-def]
     """
     Advance the flat state ``nav`` by one IMU sample.
@@ -119,7 +121,7 @@ def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-
         propagate_covariance(nav)
 
 
-@kernel(fastmath={"contract"})
+@kernel(allocates=False, fastmath=FASTMATH)
 def run(nav, dt, samples, interval, rows):  # type: ignore[no-untyped-def]
     """
     Advance ``nav`` by many IMU samples, keeping the state after each where there is room.

@@ -54,7 +54,8 @@ SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `
 N_NAV = SLOW_VARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
-N_FLAT = SCRATCH.stop
+PRODUCTS = slice(SCRATCH.stop, SCRATCH.stop + 24 * 16)  # see `covariance_step`
+N_FLAT = PRODUCTS.stop
 
 PACKED_ROWS, PACKED_COLUMNS = np.triu_indices(N_ERROR)
 PLACES = np.zeros((N_ERROR, N_ERROR), np.int64)  # of P's elements in its packed triangle

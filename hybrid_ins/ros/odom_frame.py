@@ -39,7 +39,7 @@ def start() -> Array:
     return state
 
 
-@kernel(fastmath={"contract"})
+@kernel(allocates=False, fastmath={"contract"})
 def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     """
     Move the pose in odom on to a sample and write its Odometry message.

@@ -49,7 +49,8 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
     pack(P, packed)
     s, u = rng.normal(size=(2, N_ERROR))
     s_expected, u_expected = ((np.eye(N_ERROR) + F * dt) @ vector for vector in (s, u))
-    covariance_step(packed, s, u, F, dt, *process_noise(C.ravel(), psd, dt))
+    work = np.full(24 * 16, np.nan)
+    covariance_step(packed, s, u, F, dt, *process_noise(C.ravel(), psd, dt), work)
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     error = np.abs(packed - expected[np.triu_indices(N_ERROR)]) / unit[np.triu_indices(N_ERROR)]
