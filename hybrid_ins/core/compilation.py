@@ -25,8 +25,8 @@ def kernel(allocates: bool = True, **options: Any) -> Callable[[Function], Funct
     Parameters
     ----------
     allocates : bool
-        The function makes arrays. If neither it nor what it calls does, the references to the views that
-        it takes of its arguments are not counted: that is an eighth of a filter step.
+        The function makes arrays. If neither it nor what it calls does, references to the views
+        that it takes of its arguments are not counted: that is an eighth of a filter step.
     **options
         Those of ``njit``.
     """
