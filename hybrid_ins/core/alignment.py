@@ -29,6 +29,7 @@ from hybrid_ins.core.imu_health import ImuFault, find_fault
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.rotations import (
+    UNKNOWN_ANGLE_STD,
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
@@ -46,7 +47,6 @@ TILT_STD_MOVING = 0.2  # rad
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
 FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
 LONGEST_SPAN = 60.0  # s, between the two fixes of a slow receiver that do
-YAW_STD = math.pi / math.sqrt(3.0)  # rad, of a heading of which nothing is known
 BIAS_A_DRIFT, BIAS_G_DRIFT = 3e-3, 3e-4  # m/s²/√s, rad/s/√s: of known biases while not watched
 
 
@@ -231,7 +231,7 @@ class Alignment:
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
-            known = given or (0.0, YAW_STD)
+            known = given or (0.0, UNKNOWN_ANGLE_STD)
             self.provisional = self._states(samples, motion, [known])[0].to_flat()
             self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
             return None

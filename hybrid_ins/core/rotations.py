@@ -13,10 +13,14 @@ References
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+UNKNOWN_ANGLE_STD = math.pi / math.sqrt(3.0)  # rad, of an angle of which nothing is known
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -6,6 +6,7 @@ Where a dataset's CSV files hold what: the YAML file behind ``ins_convert --map`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,12 @@ import numpy as np
 
 from hybrid_ins import yaml_reader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
+from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.dataset.csv_table import CsvFormat
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import Array
 
 DELIMITERS = {"tab": "\t", "space": " "}
-UNKNOWN_ANGLE = np.degrees(np.pi / np.sqrt(3.0))  # std of an angle of which nothing is known
 DEFAULT_EPOCH = EPOCH_NS * 1e-9
 
 _MISSING = object()
@@ -158,7 +159,8 @@ def _attitude_map(section: _Section) -> AttitudeMap:
 def _orientation(section: _Section) -> Orientation:
     is_quaternion = len(section.names()) == 4
     columns = section.columns(["number"] * 4 if is_quaternion else ["angle"] * 3)
-    std = section.numbers("std", 3, above_zero=True, words={"unknown": UNKNOWN_ANGLE})
+    unknown = {"unknown": math.degrees(UNKNOWN_ANGLE_STD)}
+    std = section.numbers("std", 3, above_zero=True, words=unknown)
     frames = section.choice("frames", ("frd in ned", "flu in enu"))
     return Orientation(columns, frames == "frd in ned", np.radians(std))
 

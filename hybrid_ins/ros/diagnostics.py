@@ -15,6 +15,7 @@ from hybrid_ins.core.measurements import clock_offset_ns
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.noise_innovation import InnovationNoise
+from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.core.state import total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
@@ -24,7 +25,6 @@ from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of IMU or fixes that the user should know of
-LARGEST_HEADING_STD = 104.0  # deg, of a heading about which nothing is known
 CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -125,8 +125,8 @@ def _alignment_status(navigator: Navigator, waiting: str) -> Status:
     values: dict[str, object] = {"state": state, "waiting_for": waiting}
     bank = navigator.phase.bank
     if bank is not None:
-        heading_std = math.degrees(bank.heading()[1])
-        values["sigma_heading_deg"] = min(heading_std, LARGEST_HEADING_STD)
+        heading_std = min(bank.heading()[1], UNKNOWN_ANGLE_STD)
+        values["sigma_heading_deg"] = math.degrees(heading_std)
         values["hypotheses"] = len(bank.filters)
     nav = navigator.phase.nav
     if nav is not None:

@@ -173,7 +173,7 @@ class Experiment:
                     values={},
                 ),
             )
-        online = {OURS: {"gnss.time_offset.value": 0.0, "gnss.time_offset.estimate": True}}
+        online = {OURS: {"gnss.time_offset.value": 0.0, "gnss.time_offset.std": 0.0}}
         for condition, (rate, calibrated, heading) in ONLINE.items():
             rows += self.fly(
                 condition,

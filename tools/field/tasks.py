@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET
 from hybrid_ins.calibration.derived import next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import FLIP
 from hybrid_ins.simulation.sensors import ImuErrors
@@ -193,7 +195,7 @@ def calibrate_task(data: Path, numbers: Sequence[int], imu: int) -> list[Row]:
             "values": {
                 **chosen,
                 **_biases([p for j, p in enumerate(found.after) if j != k]),
-                "gnss.time_offset.value": float(found.fitted.offset(k)),
+                **_clock(found.fitted, k),
             },
             "offset": found.fitted.offset(k),
             "sigma": found.fitted.sigma(f"offset_{k}"),
@@ -205,6 +207,15 @@ def calibrate_task(data: Path, numbers: Sequence[int], imu: int) -> list[Row]:
         }
         for k, flight in enumerate(flights)
     ]
+
+
+def _clock(fitted: Fit, k: int) -> dict[str, float]:
+    """Offset of a flight's clock and its σ, as a calibration by that flight alone writes them."""
+    sigma = fitted.sigma(f"offset_{k}")
+    return {
+        "gnss.time_offset.value": float(fitted.offset(k)),
+        "gnss.time_offset.std": sigma if sigma <= IDENTIFIED_OFFSET else 0.0,
+    }
 
 
 def _biases(others: Sequence[FilterPass]) -> dict[str, Any]:
