@@ -50,10 +50,7 @@ from tools.field.tasks import (
     simulate_task,
 )
 
-# --- Running it ----------------------------------------------------------------------------------
-
-
-# --- What came of it -----------------------------------------------------------------------------
+OUTAGE_PLACES = 3  # in a flight: each draw of the fixes and each IMU has another
 
 
 class Experiment:
@@ -105,7 +102,7 @@ class Experiment:
                             if span < 26.0:
                                 continue
                             first, last = 12.0, span - OUTAGE - 3.0
-                            share = seed / max(len(self.seeds) - 1, 1)
+                            share = (seed + imu) % OUTAGE_PLACES / (OUTAGE_PLACES - 1)
                             task = replace(task, outage=first + share * max(last - first, 0.0))
                         made.append((self.args.data, task))
         return made
