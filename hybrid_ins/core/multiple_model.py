@@ -60,7 +60,7 @@ HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
 HEADING_KNOWN = ((0.1, 1_000_000_000), (0.2, 10_000_000_000))
 """Standard deviation of the mixture's heading [rad], for how long [ns]: either is enough."""
 
-SHARE = 20  # of the filters that are behind is propagated at once
+SPREAD_NS = 80_000_000  # over which a block's work is spread; it ends after 100 ms
 MIN_WEIGHT = 1e-6  # a hypothesis below that is dropped
 NIS_MEMORY = 25.0  # innovations over which the best hypothesis' NIS is averaged
 
@@ -138,6 +138,7 @@ class MultipleModelBank:
         self._first_ns = 0  # aiding measurements must be younger than that
         self._lag_ns = lag_ns
         self._block_ns = 0  # they follow it in steps of at least that
+        self._begun_ns = 0  # where the IMU was when the block was chosen
         self._behind: list[InsFilter] = []  # that have not taken ``_block`` yet
         self._block = np.empty(0, SAMPLE_DTYPE)
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
@@ -207,22 +208,32 @@ class MultipleModelBank:
         samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
         if len(samples) and samples["t_ns"][-1] - self.best.t_ns >= self._block_ns:
             self._block, self._behind = samples, self.filters[::-1]
+            self._begun_ns = now_ns
 
-    def continue_block(self) -> None:
-        """Propagate one filter, or some of very many; the result does not depend on when."""
-        for _ in range(min(len(self._behind), 1 + len(self._behind) // SHARE)):
-            self._behind.pop().predict_block(self._block)
+    def continue_block(self, now_ns: int) -> None:
+        """
+        Propagate one filter, or as many as are due when the IMU is at ``now_ns`` [ns].
+
+        The work is spread evenly; the result does not depend on when it is done.
+        """
+        left = 1.0 - (now_ns - self._begun_ns) / SPREAD_NS
+        may_be_behind = int(max(left, 0.0) * len(self.filters))
+        for _ in range(min(len(self._behind), max(1, len(self._behind) - may_be_behind))):
+            self._propagate_next()
 
     def end_block(self) -> list[Verdict]:
         """Propagate the filters that are behind; see `advance`."""
         while self._behind:
-            self.continue_block()
+            self._propagate_next()
         return self._weigh_decided()
+
+    def _propagate_next(self) -> None:
+        self._behind.pop().predict_block(self._block)
 
     def _end_block_before(self, t_ns: int) -> None:
         """Propagate the filters that an event [ns] finds behind: to the others it is late."""
         while self._behind and t_ns + min(self._offsets_ns) <= self._block["t_ns"][-1]:
-            self.continue_block()
+            self._propagate_next()
 
     def _weigh_decided(self) -> list[Verdict]:
         """Weigh what all have decided by now, by different clocks at different times."""

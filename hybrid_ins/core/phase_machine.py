@@ -224,7 +224,7 @@ class PhaseMachine:
     def advance_search(self) -> None:
         """Let one or some of the filters beside the running one follow."""
         if self.filter is not None and self.phase.bank is not None:
-            self.phase.bank.continue_block()
+            self.phase.bank.continue_block(self._stamps.last_ns)
 
     def decide(self) -> bool:
         """

@@ -134,7 +134,7 @@ def test_the_course_of_a_car_in_reverse(seed: int) -> None:
 
 
 @pytest.mark.parametrize("late", [0.05, 0.6])
-def test_odometry_waits_for_one_filter_at_a_time(late: float) -> None:
+def test_odometry_waits_for_few_filters_at_a_time(late: float) -> None:
     """WHEN the filters follow between samples THEN few do at each, and the result is the same."""
     run = scene(static(15.0), seed=3)
 
@@ -162,7 +162,7 @@ def test_odometry_waits_for_one_filter_at_a_time(late: float) -> None:
     spread, at_once = banks(one_by_one), banks(lambda navigator: None)
 
     assert len(spread.filters) == N_HEADINGS + 1
-    assert max(moved) == 1 and sum(moved) > 50 * (N_HEADINGS + 1)
+    assert max(moved) == 2 and sum(moved) > 50 * (N_HEADINGS + 1)
     np.testing.assert_array_equal(spread.log_weights, at_once.log_weights)
     for one, other in zip(spread.filters, at_once.filters, strict=True):
         np.testing.assert_array_equal(one.nav, other.nav)
