@@ -166,7 +166,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
         ),
         Figure(
             "The same, with clock offset and heading estimated in flight",
-            "after 20 s the clock offset is wrong by {:.0f} ms (median), {:.0f} ms (worst of 144)",
+            "after 20 s the clock offset is wrong by {:.0f} ms (median), {:.0f} ms (worst run)",
             _field("Clock offset in force", (ONLINE, 0), (ONLINE, 2)),
             "[field experiment](field_experiment.md)",
         ),

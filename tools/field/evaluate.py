@@ -204,8 +204,9 @@ class Experiment:
         shown, needed = self._draw(folder, five)
         minutes = (time.monotonic() - self.began) / 60.0
         count = sum(map(len, self.sessions.values()))
+        draws = f"{len(self.seeds)} draws" if len(self.seeds) > 1 else "one draw"
         found = Findings(
-            f"{count} flights × {len(self.imus)} IMUs × {len(self.seeds)} draws of the fixes, made "
+            f"{count} flights × {len(self.imus)} IMUs × {draws} of the fixes, made "
             f"by `python -m tools.field.evaluate --data DIR --imus {len(self.imus)} "
             f"--seeds {len(self.seeds)}` (last run: {minutes:.0f} min with {args.jobs} processes, "
             "finished parts taken over).",
