@@ -25,7 +25,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate_covariance
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
-from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank
+from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank, mixture_of
 from hybrid_ins.core.position_scatter import horizontal_variance
 from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, VELOCITY, NavState
 
@@ -168,7 +168,7 @@ class ClockSearch(MultipleModelBank):
             for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
         ]
         variances = [hypothesis.clock.sigma**2 for hypothesis in self.filters]
-        return self._mixture(np.array(residuals), np.array(variances), log_weights)
+        return mixture_of(np.array(residuals), np.array(variances), log_weights)
 
     def decide(self) -> Decision | None:
         """

@@ -83,6 +83,14 @@ def _errors(nav: Array, others: Array) -> Array:
     )
 
 
+def mixture_of(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
+    """Return mean and standard deviation of a quantity of which each hypothesis has its own."""
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    mean = float(weights @ means)
+    return mean, math.sqrt(weights @ (variances + (means - mean) ** 2))
+
+
 class Decision(NamedTuple):
     """The one filter that a mixture has become."""
 
@@ -219,21 +227,18 @@ class MultipleModelBank:
         left = 1.0 - (now_ns - self._begun_ns) / SPREAD_NS
         may_be_behind = int(max(left, 0.0) * len(self.filters))
         for _ in range(min(len(self._behind), max(1, len(self._behind) - may_be_behind))):
-            self._propagate_next()
+            self._behind.pop().predict_block(self._block)
 
     def end_block(self) -> list[Verdict]:
         """Propagate the filters that are behind; see `advance`."""
         while self._behind:
-            self._propagate_next()
+            self._behind.pop().predict_block(self._block)
         return self._weigh_decided()
-
-    def _propagate_next(self) -> None:
-        self._behind.pop().predict_block(self._block)
 
     def _end_block_before(self, t_ns: int) -> None:
         """Propagate the filters that an event [ns] finds behind: to the others it is late."""
         while self._behind and t_ns + min(self._offsets_ns) <= self._block["t_ns"][-1]:
-            self._propagate_next()
+            self._behind.pop().predict_block(self._block)
 
     def _weigh_decided(self) -> list[Verdict]:
         """Weigh what all have decided by now, by different clocks at different times."""
@@ -280,7 +285,7 @@ class MultipleModelBank:
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
         variances = np.array([h.nav[COVARIANCE][DIAGONAL[EPS][2]] for h in self.filters])
-        mean, std = self._mixture(self._headings(), variances, self.log_weights)
+        mean, std = mixture_of(self._headings(), variances, self.log_weights)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
 
     def _headings(self) -> Array:
@@ -295,14 +300,6 @@ class MultipleModelBank:
         weights = np.exp(self.log_weights)
         off = np.abs((self._headings() - heading + math.pi) % (2.0 * math.pi) - math.pi)
         return float(weights[off < within].sum() / weights.sum())
-
-    @staticmethod
-    def _mixture(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
-        """Mean and standard deviation of a quantity of which each hypothesis has its own."""
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        mean = float(weights @ means)
-        return mean, math.sqrt(weights @ (variances + (means - mean) ** 2))
 
     def mixture(self) -> Array:
         """
