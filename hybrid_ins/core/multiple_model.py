@@ -44,6 +44,7 @@ from hybrid_ins.core.state import (
     DIAGONAL,
     EPS,
     LLA,
+    N_NAV,
     PLACES,
     QUAT,
     VELOCITY,
@@ -71,7 +72,7 @@ def heading_grid() -> Array:
 
 
 def _errors(nav: Array, others: Array) -> Array:
-    """Return the errors (N, 15) of a flat state if others (N, N_FLAT) are right."""
+    """Return the errors (N, 15) of a flat state if others (N, N_NAV) are right."""
     return np.hstack(
         (
             (others[:, LLA] - nav[LLA]) * curvature_scale(nav[LLA]),
@@ -309,7 +310,7 @@ class MultipleModelBank:
         section 1.4.16.
         """
         best, weights = self.best.nav, np.exp(self.log_weights)
-        navs = np.stack([hypothesis.nav for hypothesis in self.filters])
+        navs = np.stack([hypothesis.nav[:N_NAV] for hypothesis in self.filters])
         sound = np.isfinite(navs).all(axis=1)  # others have weights next to nothing
         nav: Array = best.copy()
         if sound.any():

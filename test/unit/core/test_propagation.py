@@ -21,8 +21,10 @@ from hybrid_ins.core.state import (
     ACCELERATION,
     COVARIANCE,
     N_ERROR,
+    N_FLAT,
     N_NAV,
     NAVIGATION,
+    PRODUCTS,
     covariance,
     pack,
 )
@@ -49,7 +51,7 @@ def test_covariance_step_is_phi_p_phi_plus_q(seed: int, dt: float) -> None:
     pack(P, packed)
     s, u = rng.normal(size=(2, N_ERROR))
     s_expected, u_expected = ((np.eye(N_ERROR) + F * dt) @ vector for vector in (s, u))
-    work = np.full(24 * 16, np.nan)
+    work = np.full(N_FLAT, np.nan)[PRODUCTS]
     covariance_step(packed, s, u, F, dt, *process_noise(C.ravel(), psd, dt), work)
 
     unit = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
