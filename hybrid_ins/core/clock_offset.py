@@ -182,6 +182,10 @@ class ClockOffsetObserver:
         values[P_RESIDUAL] = max(sigma**2 / variance_factor(values), MIN_STD**2)
         values[P_DRIFT] = DRIFT_STD**2
 
+    def inflate(self, std: float) -> None:
+        """Allow for a change of the clock by ``std`` [s]."""
+        self.values[P_RESIDUAL] += std**2 / variance_factor(self.values)
+
     def shift(self, by: float, nav: Array) -> Array:
         """
         Note that ``by`` [s] more is added from now on.

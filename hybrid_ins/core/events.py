@@ -39,6 +39,15 @@ class ClockShift:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockInflation:
+    """At its stamp the stamps of fixes may lack ``std`` more, whatever was found until then."""
+
+    t_ns: int
+    std: float  # s
+    kind: ClassVar[str] = "clock inflation"
+
+
+@dataclass(frozen=True, slots=True)
 class CovarianceInflation:
     """At its stamp the errors may be as large as ``std``, whatever the covariance says."""
 
@@ -60,7 +69,9 @@ class ScatterInForce:
     kind: ClassVar[str] = "scatter in force"
 
 
-Change = NoiseEstimate | NoiseChange | ClockShift | CovarianceInflation | ScatterInForce
+Change = (
+    NoiseEstimate | NoiseChange | ClockInflation | ClockShift | CovarianceInflation | ScatterInForce
+)
 Event = Measurement | Change
 
 

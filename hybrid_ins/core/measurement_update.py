@@ -22,6 +22,7 @@ from hybrid_ins.core.clock_sensitivity import (
     sensitivities,
 )
 from hybrid_ins.core.events import (
+    ClockInflation,
     ClockShift,
     CovarianceInflation,
     Event,
@@ -151,6 +152,8 @@ class MeasurementUpdate:
             self.noise = copy.copy(event.noise)
         elif isinstance(event, NoiseEstimate):
             self.noise.learn_estimate(event)
+        elif isinstance(event, ClockInflation):
+            self.clock.inflate(event.std)
         elif isinstance(event, ClockShift):
             inject(nav, self.clock.shift(event.by, nav))
         elif isinstance(event, CovarianceInflation):

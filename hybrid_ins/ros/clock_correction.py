@@ -11,8 +11,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
-from hybrid_ins.core.events import ClockShift
+from hybrid_ins.core.clock_search import MAX_OFFSET_NS, MIN_SHIFT, ClockSearch
+from hybrid_ins.core.events import ClockInflation, ClockShift
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound
@@ -79,13 +79,19 @@ class ClockCorrection:
         """Restart, as the filter did."""
         self._next_ns = self._searched_ns = 0
         self._pause_ns = SEARCH_AGAIN_NS
+        self._contradicted = False
+
+    def on_inflated(self) -> None:
+        """Suspect the clock: a fix that jumps by its own clock contradicts the state, too."""
+        self._contradicted = True
 
     def on_found(self, found: ClockOffsetFound) -> None:
         """Use what a search has found."""
         self._moved += found.step
         if self._searched_ns:
+            changed = found.step != 0.0 or abs(found.missing) > WRONG
             again = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
-            self._pause_ns = SEARCH_AGAIN_NS if found.step else again
+            self._pause_ns = SEARCH_AGAIN_NS if changed else again
         self._searched_ns, self._next_ns = self._navigator.last_ns, 0
         self._inputs.log(
             "info",
@@ -111,12 +117,19 @@ class ClockCorrection:
         if fault:
             self._inputs.count_and_warn("gnss/fix", Refused("gnss: clock offset", fault))
             self._settled = None
-        if (
-            correcting
-            and (jumped or imu_disagrees(running.noise))
-            and running.t_ns - self._searched_ns > self._pause_ns
-        ):
-            self._navigator.open_clock(True)
+        suspected = jumped or self._contradicted or imu_disagrees(running.noise)
+        if correcting and suspected and running.t_ns - self._searched_ns > self._pause_ns:
+            self._search_again(running)
+
+    def _search_again(self, running: InsFilter) -> None:
+        """
+        Search beside the running filter, which doubts its own estimate, too.
+
+        Sure to milliseconds of the former clock, it would take minutes to find another one.
+        """
+        self._contradicted = False
+        self._navigator.open_clock(True)
+        running.submit(ClockInflation(running.t_ns, MIN_SHIFT))
 
     def _correct(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""

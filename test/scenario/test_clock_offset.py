@@ -10,7 +10,7 @@ from support.long_stand import assert_standing_shows_nothing_of_the_clock
 from support.runs import begin, fly, stamped_early, through_estimator
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.events import ClockShift
+from hybrid_ins.core.events import ClockInflation, ClockShift
 from hybrid_ins.core.state import N_NAV
 from tools.paper.runs import Scenario, draw
 
@@ -47,8 +47,11 @@ def test_late_fixes_tell_the_same() -> None:
     assert late.clock.residual == pytest.approx(in_time.clock.residual, abs=1e-9)
 
 
-def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
-    # GIVEN a filter that ran on, with a shift in between
+@pytest.mark.parametrize("change", [ClockShift, ClockInflation])
+def test_a_change_of_the_clock_is_repeated_when_rewound(
+    change: type[ClockShift | ClockInflation],
+) -> None:
+    # GIVEN a filter that ran on, with a change in between
     run = draw(SCENE, 3)
     stamps = run.samples["t_ns"]
     split = int(np.searchsorted(stamps, stamps[0] + 10_000_000_000))
@@ -57,17 +60,26 @@ def test_a_shift_of_the_clock_is_repeated_when_rewound() -> None:
         ins = begin(run)
         ins.ring.extend(run.samples[1:split])
         fixes = [f for f in run.fixes if f.t_ns < stamps[split - 1]]
-        shift = ClockShift(fixes[-2].t_ns + 1, 0.02)
-        # WHEN the last fixes and the shift come in order, or after the samples
-        for event in (*fixes[:-2], *(() if late else (fixes[-2], shift, fixes[-1]))):
+        changed = change(fixes[-2].t_ns + 1, 0.02)
+        # WHEN the last fixes and the change come in order, or after the samples
+        for event in (*fixes[:-2], *(() if late else (fixes[-2], changed, fixes[-1]))):
             ins.submit(event)
         ins.predict_block(run.samples[1:split])
         if late:
-            for event in (shift, fixes[-1], fixes[-2]):
+            for event in (changed, fixes[-1], fixes[-2]):
                 ins.submit(event)
-        results.append(ins.nav[:N_NAV].copy())
-    # THEN the state is the same
-    np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
+        results.append((ins.nav[:N_NAV].copy(), ins.clock.values.copy()))
+    # THEN state and clock are the same
+    for in_time, rewound in zip(*results, strict=True):
+        np.testing.assert_allclose(rewound, in_time, rtol=1e-9, atol=1e-9)
+
+
+def test_a_clock_that_may_have_changed_is_as_uncertain_as_that() -> None:
+    clock = fly(draw(SCENE, 1))[0].clock
+    residual, sigma = clock.residual, clock.sigma
+    clock.inflate(0.15)
+    assert clock.residual == residual
+    assert clock.sigma == pytest.approx(np.hypot(sigma, 0.15))
 
 
 @pytest.mark.slow

@@ -207,11 +207,17 @@ def test_each_fix_is_told_of_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("by", "opened"), [(0.2, 1), pytest.param(-0.06, 0, marks=pytest.mark.slow)]
+    ("seed", "by", "opened"),
+    [
+        (9, -0.2, 1),
+        (5, -0.06, 0),
+        pytest.param(7, 0.1, 0, marks=pytest.mark.slow),
+        pytest.param(6, 0.4, 1, marks=pytest.mark.slow),
+    ],
 )
-def test_a_clock_that_jumps_is_found_anew_and_told_once(by: float, opened: int) -> None:
+def test_a_clock_that_jumps_is_found_anew_and_told_once(seed: int, by: float, opened: int) -> None:
     # GIVEN fixes that come by another clock of a sudden
-    run = jumping(draw(replace(SCENE, duration=75.0), 5), 35.0, by)
+    run = jumping(draw(replace(SCENE, duration=80.0), seed), 35.0, by)
     estimator = estimating(run)
     # THEN it shows in the state, or in the noise that the IMU would need, and the new one is found
     assert offset(estimator) == pytest.approx(by, abs=0.02)
