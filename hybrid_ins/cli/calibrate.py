@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from hybrid_ins import kernels, progress
-from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.recording import Recording, antenna_is_base, read_recording
@@ -106,19 +106,23 @@ def _body(args: argparse.Namespace) -> int:
         if fault is not None:
             log_message("warn", f"{recording.name}: {describe(fault).text}")
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
-    with _Stages() as stages:
-        found = calibrate(
-            recordings,
-            values,
-            own_offsets=args.offset_per_bag and len(recordings) > 1,
-            search=args.search,
-            nose_first=args.nose_first,
-            trust_fixes=args.use_truth,
-            antenna_is_base=antenna_is_base(args.bags, values, args.fix_topic),
-            on_stage=stages.start,
-            log=log_message,
-        )
-    comparison = None if args.use_truth else _compare(args, recordings, values, found.values)
+    with _replays(args, recordings) as replay:
+        given = () if args.use_truth else replay(values)  # while calibrating, by other processes
+        with _Stages() as stages:
+            found = calibrate(
+                recordings,
+                values,
+                own_offsets=args.offset_per_bag and len(recordings) > 1,
+                search=args.search,
+                nose_first=args.nose_first,
+                trust_fixes=args.use_truth,
+                antenna_is_base=antenna_is_base(args.bags, values, args.fix_topic),
+                on_stage=stages.start,
+                log=log_message,
+            )
+        comparison = None
+        if not args.use_truth:
+            comparison = _compare(chain(given, replay(found.values)), len(args.bags))
     objection = _objection(found, comparison)
     if args.out and (args.force or not objection):  # before the text: its reader may stop reading
         write_text(args.out, parameter_file(found))
@@ -137,36 +141,42 @@ def _body(args: argparse.Namespace) -> int:
     return 0
 
 
-def _compare(
-    args: argparse.Namespace,
-    recordings: Sequence[Recording],
-    given: Mapping[str, Any],
-    found: Mapping[str, Any],
-) -> Comparison:
-    """Run the estimator over the recordings with the given parameters, and with those found."""
-    runs = [(path, values) for values in (given, found) for path in args.bags]
-    total = 2.0 * sum(recording.t[-1] - recording.t[0] for recording in recordings)
-    workers = min(os.cpu_count() or 1, len(runs), int(total / WORTH_A_PROCESS))
-    apply: Callable[..., Iterable[Trial]] = map
-    run: Callable[..., Trial] = run_trial
-    trials = []
-    with progress.bar("replay", len(runs), "run", leave=False) as bar, ExitStack() as stack:
-        if workers > 1:
-            apply = stack.enter_context(worker_processes(workers)).map
-            run = _run_elsewhere
-        trial = partial(run, topics=options.topics(args), longest=args.longest)
-        for made in apply(trial, *zip(*runs, strict=True)):
-            trials.append(made)
+@contextmanager
+def _replays(
+    args: argparse.Namespace, recordings: Sequence[Recording]
+) -> Iterator[Callable[[Mapping[str, Any]], Iterable[Trial]]]:
+    """
+    Yield a function that runs the estimator over each recording with the parameters it is given.
+
+    Other processes begin with that at once, where they are worth their start; otherwise it is done
+    when the result is asked for.
+    """
+    trial = partial(run_trial, topics=options.topics(args), longest=args.longest)
+    seconds = sum(recording.t[-1] - recording.t[0] for recording in recordings)
+    processors = os.cpu_count() or 1
+    workers = min(processors, 2 * len(args.bags), int(2.0 * seconds / WORTH_A_PROCESS))
+    if processors == 1 or workers == 0:
+        yield lambda values: map(trial, args.bags, repeat(values))
+        return
+    with worker_processes(workers) as executor:
+        run = partial(_run_elsewhere, trial)
+        yield lambda values: executor.map(run, args.bags, repeat(values))
+
+
+def _compare(trials: Iterable[Trial], count: int) -> Comparison:
+    """Compare the first trials, as many as there are recordings, with the others."""
+    done = []
+    with progress.bar("replay", 2 * count, "run", leave=False) as bar:
+        for trial in trials:
+            done.append(trial)
             bar.update()
-    return compare(trials[: len(args.bags)], trials[len(args.bags) :])
+    return compare(done[:count], done[count:])
 
 
-def _run_elsewhere(
-    path: Path, values: Mapping[str, Any], topics: InputTopics, longest: float
-) -> Trial:
-    """Run a trial in a process that has no kernels yet."""
+def _run_elsewhere(trial: Callable[..., Trial], path: Path, values: Mapping[str, Any]) -> Trial:
+    """Run a trial in a process that may have no kernels yet."""
     kernels.prepare()
-    return run_trial(path, values, topics, longest)
+    return trial(path, values)
 
 
 def _objection(found: Calibration, comparison: Comparison | None) -> str:
