@@ -62,31 +62,35 @@ class FilterPass:
         return log_likelihood(self.z, self.S, self.nis, TAIL)
 
 
-def initial_state(
-    recording: Recording,
-    offset: float,
-    lever_b: Array,
-    nominal: Nominal,
-    yaw: float,
-    yaw_std: float,
-) -> tuple[int, Array]:
-    """
-    Return the sample and the flat state at which the filter starts.
+@dataclass(frozen=True, eq=False, slots=True)
+class FirstState:
+    """What the first fixes, and the samples around them, say of the state, but for the heading."""
 
-    A polynomial through the first fixes, robust to outliers, gives position, velocity and
-    acceleration; the specific force that corresponds to this acceleration gives the tilt. Samples
-    and fixes on both sides of the start are used.
+    offset: float  # s, added to the stamps of fixes
+    sample: int  # number of the sample that it holds at
+    origin: Array  # (3,) latitude, longitude [rad], height [m]
+    scale: Array  # (3,) m per unit of these
+    position: Array  # (3,) m, of the antenna from there, n
+    velocity: Array  # (3,) m/s, n
+    up_b: Array  # (3,) direction of the specific force, b
+    up_n: Array  # (3,) likewise, n: without acceleration, upwards
+    P: Array  # (15, 15)
+
+
+def first_state(recording: Recording, offset: float, nominal: Nominal) -> FirstState:
+    """
+    Return the state at the first fixes.
+
+    A polynomial through them, robust to outliers, gives position, velocity and acceleration; the
+    specific force that corresponds to this acceleration gives the tilt. Samples and fixes on both
+    sides of the start are used.
 
     Parameters
     ----------
     recording : Recording
     offset : float
         Clock offset added to the stamps of fixes [s].
-    lever_b : ndarray, shape (3,)
-        Antenna relative to the IMU [m].
     nominal : Nominal
-    yaw, yaw_std : float
-        Heading from north and its standard deviation [rad].
     """
     fixes = np.flatnonzero(recording.aid_kind == POSITION)
     t_fix = recording.aid_t[fixes] + offset
@@ -113,17 +117,38 @@ def initial_state(
         int(np.searchsorted(recording.t, now + min(max(dt[-1], 0.5), 1.5))) + 1,
     )
     force_n = acceleration - np.array([0.0, 0.0, normal_gravity(origin[0], origin[2])[1]])
-    quat = _levelled(recording, near, first, force_n, yaw, nominal)
     P = np.zeros((N_ERROR, N_ERROR))
     P[:3, :3] = R0 * max(spread[0, 0], 0.2) + 0.05**2 * np.eye(3)
     P[3:6, 3:6] = R0 * spread[1, 1] + 0.5**2 * np.eye(3)
     P[range(6, 15), range(6, 15)] = (
         np.concatenate((np.full(3, TILT_STD), nominal.bias_a_std, nominal.bias_g_std)) ** 2
     )
+    up_b = _mean_force(recording, near, first, nominal)
+    up_n = force_n / np.linalg.norm(force_n)
+    return FirstState(offset, first, origin, scale, position, velocity, up_b, up_n, P)
+
+
+def initial_state(
+    first: FirstState, lever_b: Array, nominal: Nominal, yaw: float, yaw_std: float
+) -> Array:
+    """
+    Return the flat state at which the filter starts.
+
+    Parameters
+    ----------
+    first : FirstState
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m].
+    nominal : Nominal
+    yaw, yaw_std : float
+        Heading from north and its standard deviation [rad].
+    """
+    quat = _levelled(first.up_b, first.up_n, yaw)
+    P = first.P.copy()
     P[8, 8] = yaw_std**2
-    position = position - matrix_from_quat(quat) @ lever_b
-    state = NavState(origin + position / scale, velocity, quat, nominal.bias_a, nominal.bias_g, P)
-    return first, state.to_flat()
+    position = first.position - matrix_from_quat(quat) @ lever_b
+    lla = first.origin + position / first.scale
+    return NavState(lla, first.velocity, quat, nominal.bias_a, nominal.bias_g, P).to_flat()
 
 
 def _robust_polynomial(design: Array, positions: Array, std: Array) -> tuple[Array, Array]:
@@ -137,10 +162,8 @@ def _robust_polynomial(design: Array, positions: Array, std: Array) -> tuple[Arr
     return np.asarray(coefficients, float), weights / np.max(weights)
 
 
-def _levelled(
-    recording: Recording, near: slice, first: int, f_n: Array, yaw: float, nominal: Nominal
-) -> Array:
-    """Return the attitude at sample ``first`` with the mean specific force of ``near`` on f_n."""
+def _mean_force(recording: Recording, near: slice, first: int, nominal: Nominal) -> Array:
+    """Return the direction of the mean specific force of ``near``, in b at sample ``first``."""
     f, w = (
         recording.samples[near, :3] - nominal.bias_a,
         recording.samples[near, 3:] - nominal.bias_g,
@@ -150,18 +173,20 @@ def _levelled(
     angle -= angle[max(first - near.start, 0)]
     C_first = matrix_from_quat(quat_from_rotvec(angle))  # b of each sample to b of sample `first`
     f_b = np.mean(np.einsum("kij,kj->ki", C_first, f), axis=0)
-    f_b /= np.linalg.norm(f_b)
-    f_n = f_n / np.linalg.norm(f_n)
-    roll, pitch = math.atan2(-f_b[1], -f_b[2]), math.atan2(f_b[0], math.hypot(f_b[1], f_b[2]))
+    return np.asarray(f_b / np.linalg.norm(f_b))
+
+
+def _levelled(up_b: Array, up_n: Array, yaw: float) -> Array:
+    """Return the attitude (4,) that turns ``up_b`` to ``up_n`` and has this heading."""
+    roll, pitch = math.atan2(-up_b[1], -up_b[2]), math.atan2(up_b[0], math.hypot(up_b[1], up_b[2]))
     C = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
-    up = C @ f_b
-    axis = np.cross(up, f_n)
+    axis = np.cross(C @ up_b, up_n)
     return quat_from_matrix(matrix_from_quat(quat_from_rotvec(axis)) @ C)
 
 
 def run_filter(
     recording: Recording,
-    offset: float,
+    start: FirstState,
     lever_b: Array,
     psd: Array,
     noise: Array,
@@ -177,8 +202,8 @@ def run_filter(
     Parameters
     ----------
     recording : Recording
-    offset : float
-        Clock offset added to the stamps of fixes [s].
+    start : FirstState
+        See `first_state`; with the clock offset.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m].
     psd : ndarray, shape (12,)
@@ -193,7 +218,7 @@ def run_filter(
     keep_states : bool
         Keep the state after each measurement.
     """
-    first, nav = initial_state(recording, offset, lever_b, nominal, yaw, yaw_std)
+    nav = initial_state(start, lever_b, nominal, yaw, yaw_std)
     nav[PSD] = psd
     M = len(recording.aid_t)
     result = FilterPass(
@@ -201,10 +226,10 @@ def run_filter(
     )
     innovations(
         nav,
-        recording.t[first:],
-        recording.samples[first:],
-        noise[first:],
-        recording.aid_t + offset,
+        recording.t[start.sample :],
+        recording.samples[start.sample :],
+        noise[start.sample :],
+        recording.aid_t + start.offset,
         recording.aid_kind,
         recording.aid,
         recording.aid_R * gnss_scale,

@@ -15,15 +15,23 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.filter_pass import FilterPass, Nominal, run_filter
+from hybrid_ins.calibration.filter_pass import (
+    FilterPass,
+    FirstState,
+    Nominal,
+    first_state,
+    run_filter,
+)
 from hybrid_ins.calibration.recording import Recording
 
 Array = NDArray[np.float64]
@@ -98,10 +106,22 @@ class Likelihood:
         self._by_yaw = np.empty((len(recordings), 0, YAWS))
         self.on_pass: Callable[[], None] = lambda: None
         self._last: tuple[object, list[Array]] | None = None  # a point, and `_values` there
+        # A search moves one parameter at a time: most passes begin as the last one did.
+        kept = lru_cache(4 * len(recordings))
+        self._first_state = kept(self._find_first_state)
+        self._noise = kept(self._find_noise)
+
+    def _find_first_state(self, k: int, offset: float) -> FirstState:
+        return first_state(self.recordings[k], offset, self.nominal)
+
+    def _find_noise(self, k: int, follow_a: float, follow_g: float) -> Array:
+        return self.recordings[k].noise(follow_a, follow_g)
 
     def use(self, recordings: Sequence[Recording]) -> None:
         """Replace the recordings by others of the same motions."""
         self.recordings, self._last = list(recordings), None
+        self._first_state.cache_clear()
+        self._noise.cache_clear()
 
     def value(self, x: Array, name: str) -> float:
         """Return a parameter's value in ``x``."""
@@ -125,13 +145,12 @@ class Likelihood:
             3,
         )
         lever = np.array([self.value(x, name) for name in LEVER])
-        recording = self.recordings[k]
         return run_filter(
-            recording,
-            self.value(x, offset_name(k, self.names)),
+            self.recordings[k],
+            self._first_state(k, self.value(x, offset_name(k, self.names))),
             lever,
             psd,
-            recording.noise(*(self.value(x, name) for name in FOLLOW)),
+            self._noise(k, *(self.value(x, name) for name in FOLLOW)),
             math.exp(self.value(x, "gnss_scale")),
             self.nominal,
             yaw,
@@ -150,16 +169,22 @@ class Likelihood:
             recording = whole.with_measurements_between(
                 whole.aid_t[0], whole.aid_t[0] + LONGEST_COARSE
             )
-            starts = [(offset, yaw) for offset in grid for yaw in yaws]
+            noise = recording.noise(0.0, 0.0)
+            first = (first_state(recording, offset, nominal) for offset in grid)
+            starts = product(first, yaws)
 
-            def run(start: tuple[float, float], recording: Recording = recording) -> FilterPass:
-                offset, yaw = start
+            def run(
+                start: tuple[FirstState, float],
+                recording: Recording = recording,
+                noise: Array = noise,
+            ) -> FilterPass:
+                at_offset, yaw = start
                 return run_filter(
                     recording,
-                    offset,
+                    at_offset,
                     nominal.lever_b,
                     psd,
-                    recording.noise(0.0, 0.0),
+                    noise,
                     1.0,
                     nominal,
                     yaw,
@@ -230,7 +255,7 @@ class Likelihood:
         return self._last[1]
 
     def _in_parallel(
-        self, call: Callable[[Any], FilterPass], arguments: Sequence[Any]
+        self, call: Callable[[Any], FilterPass], arguments: Iterable[Any]
     ) -> Iterator[FilterPass]:
         """Run the filter for each argument in threads: the compiled pass releases the GIL."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:

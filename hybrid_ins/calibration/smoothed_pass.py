@@ -23,6 +23,7 @@ from hybrid_ins.calibration.filter_pass import (
     TAIL,
     FilterPass,
     Nominal,
+    first_state,
     initial_state,
 )
 from hybrid_ins.calibration.fit import Fit
@@ -57,12 +58,16 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     lever_b = np.array([fitted.value(f"lever_{axis}") for axis in "xyz"])
     logs = [fitted.value(name) for name in ("psd_a", "psd_g", "walk_a", "walk_g")]
     psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
-    first, nav = initial_state(recording, offset, lever_b, nominal, fitted.yaws[k], YAW_STD)
+    first = first_state(recording, offset, nominal)
+    nav = initial_state(first, lever_b, nominal, fitted.yaws[k], YAW_STD)
     samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
     samples["t_ns"] = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
     samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
     start = Start(
-        int(samples["t_ns"][first]), recording.samples[first], NavState.from_flat(nav), psd
+        int(samples["t_ns"][first.sample]),
+        recording.samples[first.sample],
+        NavState.from_flat(nav),
+        psd,
     )
     fused = np.flatnonzero(np.isfinite(passed.nis))
     stamps = EPOCH_NS + np.rint((recording.aid_t + offset) * 1e9).astype(np.int64)
