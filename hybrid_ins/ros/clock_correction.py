@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hybrid_ins.core.clock_search import MAX_OFFSET_NS, MIN_SHIFT, ClockSearch
+from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.events import ClockInflation, ClockShift
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
@@ -26,6 +26,8 @@ USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
 SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
 WRONG = 0.03  # s, of an offset that the user should know of
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
+JUMP_STD = 0.05  # s, of the change that a filter expects then: sure to milliseconds of a clock that
+# has jumped since, it would take minutes to find the other one
 LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
 
 
@@ -119,17 +121,9 @@ class ClockCorrection:
             self._settled = None
         suspected = jumped or self._contradicted or imu_disagrees(running.noise)
         if correcting and suspected and running.t_ns - self._searched_ns > self._pause_ns:
-            self._search_again(running)
-
-    def _search_again(self, running: InsFilter) -> None:
-        """
-        Search beside the running filter, which doubts its own estimate, too.
-
-        Sure to milliseconds of the former clock, it would take minutes to find another one.
-        """
-        self._contradicted = False
-        self._navigator.open_clock(True)
-        running.submit(ClockInflation(running.t_ns, MIN_SHIFT))
+            self._contradicted = False
+            self._navigator.open_clock(True)
+            running.submit(ClockInflation(running.t_ns, JUMP_STD))
 
     def _correct(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""
