@@ -13,7 +13,9 @@ from typing import Any
 
 from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.events import ClockInflation, ClockShift
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound
 from hybrid_ins.ros.conversions import Refused
@@ -83,9 +85,10 @@ class ClockCorrection:
         self._pause_ns = SEARCH_AGAIN_NS
         self._contradicted = False
 
-    def on_inflated(self) -> None:
-        """Suspect the clock: a fix that jumps by its own clock contradicts the state, too."""
-        self._contradicted = True
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Suspect the clock where fixes contradict the state: they do when it jumps."""
+        if verdict.inflated and verdict.measurement.sensor == GNSS:
+            self._contradicted = True
 
     def on_found(self, found: ClockOffsetFound) -> None:
         """Use what a search has found."""

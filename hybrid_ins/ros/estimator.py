@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator_events import (
     ClockOffsetFound,
     Event,
@@ -289,8 +289,7 @@ class Estimator:
         self._review.on_event(event)
         if isinstance(event, Verdict):
             self.aids.on_verdict(event)
-            if event.inflated and event.measurement.sensor == GNSS:
-                self.clock.on_inflated()
+            self.clock.on_verdict(event)
         elif isinstance(event, Restarted) or (
             isinstance(event, HeadingCorrected) and self.navigator.filter is None
         ):
