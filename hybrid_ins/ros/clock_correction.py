@@ -28,9 +28,9 @@ USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
 SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
 WRONG = 0.03  # s, of an offset that the user should know of
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
-JUMP_STD = 0.05  # s, of the change that a filter expects then: sure to milliseconds of a clock that
-# has jumped since, it would take minutes to find the other one
 LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
+JUMP_STD = 0.05  # s, of the change that a filter expects on a suspicion: sure to milliseconds of a
+# clock that has jumped since, it would take minutes to find the other one
 
 
 class ClockCorrection:
