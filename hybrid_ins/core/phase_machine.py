@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment
-from hybrid_ins.core.clock_search import OFFSET_KNOWN, ClockSearch
-from hybrid_ins.core.events import Change, ScatterInForce
+from hybrid_ins.core.clock_search import OFFSET_KNOWN, OFFSET_STD, ClockSearch
+from hybrid_ins.core.events import Change, ClockInflation, ScatterInForce
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.heading_check import correction, is_contradicted
@@ -44,10 +44,10 @@ from hybrid_ins.core.stamp_check import ImuStampCheck
 
 Array = NDArray[np.float64]
 
-CONFIRMATION, CONTRADICTION = 1.0, 3.0
+CONFIRMATION, CONTRADICTION = 1.0, 2.0
 """Standard deviations, between a search and a filter's own clock offset."""
 
-CONTRADICTION_NS = 10_000_000_000  # for how long [ns]
+CERTAIN_NS = 10_000_000_000  # for how long [ns] another offset is certain before it is used
 PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
 
 
@@ -267,19 +267,25 @@ class PhaseMachine:
         Return whether the filter beside a clock search is kept.
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
-        One that contradicts it has to do so for a while: where the motion hardly shows the clock,
+        Where it contradicts that, the filter is to doubt it, too: sure to milliseconds of a clock
+        that has jumped since, it would take minutes to find another one. An offset that is too
+        large for this has to be certain for a while: where the motion hardly shows the clock,
         chance favours now one offset, now another.
         """
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:
             return False
+        certain = bank.shift_is_certain
+        if bank.has_lasted("certain", certain, CERTAIN_NS):
+            return False
         (found, sigma), own = bank.clock(), running.clock
         difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
+        if sigma <= OFFSET_KNOWN[0] and difference > CONTRADICTION * std:
+            running.submit(ClockInflation(running.t_ns, OFFSET_STD))
+            self.collect_verdicts(running)
+            return True
         precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
-        contradicts = bank.shift_is_certain or (precise and difference > CONTRADICTION * std)
-        if bank.has_lasted("contradiction", contradicts, CONTRADICTION_NS):
-            return False
-        if contradicts or not precise or difference > CONFIRMATION * std:
+        if certain or not precise or difference > CONFIRMATION * std:
             return True
         self.clock_open = False
         self._enter(Running(running))

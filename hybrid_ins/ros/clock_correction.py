@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
-from hybrid_ins.core.events import ClockInflation, ClockShift
+from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS
@@ -29,8 +29,6 @@ SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller differ
 WRONG = 0.03  # s, of an offset that the user should know of
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
 LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
-JUMP_STD = 0.05  # s, of the change that a filter expects on a suspicion: sure to milliseconds of a
-# clock that has jumped since, it would take minutes to find the other one
 
 
 class ClockCorrection:
@@ -126,7 +124,6 @@ class ClockCorrection:
         if correcting and suspected and running.t_ns - self._searched_ns > self._pause_ns:
             self._contradicted = False
             self._navigator.open_clock(True)
-            running.submit(ClockInflation(running.t_ns, JUMP_STD))
 
     def _correct(self, running: InsFilter) -> None:
         """Add to the fixes' stamps what a running filter has found missing."""

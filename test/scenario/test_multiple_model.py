@@ -65,9 +65,8 @@ def found(estimator: Estimator) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("true", "late"),
     [
-        (-0.5, 0.0),
         (-0.23, 0.3),
-        *(pytest.param(t, 0.0, marks=pytest.mark.slow) for t in (0.0, 0.35)),
+        *(pytest.param(t, 0.0, marks=pytest.mark.slow) for t in (-0.5, 0.0, 0.35)),
     ],
 )
 def test_any_offset_within_reach_is_found_soon(true: float, late: float) -> None:
@@ -127,6 +126,7 @@ def test_the_position_that_is_published_meanwhile_is_that_of_its_stamp() -> None
     assert np.hypot(north, east) < 0.3 * speed
 
 
+@pytest.mark.slow
 def test_before_the_heading_is_known_odometry_has_a_position_that_is_right() -> None:
     nees = []
     for seed in range(6):
@@ -217,7 +217,7 @@ def test_each_fix_is_told_of_once() -> None:
 )
 def test_a_clock_that_jumps_is_found_anew_and_told_once(seed: int, by: float, opened: int) -> None:
     # GIVEN fixes that come by another clock of a sudden
-    run = jumping(draw(replace(SCENE, duration=80.0), seed), 35.0, by)
+    run = jumping(draw(replace(SCENE, duration=100.0), seed), 35.0, by)
     estimator = estimating(run)
     # THEN it shows in the state, or in the noise that the IMU would need, and the new one is found
     assert offset(estimator) == pytest.approx(by, abs=0.02)
@@ -259,6 +259,7 @@ def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() ->
     assert {hypothesis.noise.imu_factors for hypothesis in search.filters} == {(800.0, 20.0)}
 
 
+@pytest.mark.slow
 def test_a_known_clock_stays_known_when_the_filter_starts_anew() -> None:
     # GIVEN a clock that was found, and an IMU that is away for two seconds
     run = until(stamped_early(draw(SCENE, 4), 0.2), 26.0)

@@ -111,6 +111,7 @@ def test_late_fixes_are_smoothed_as_those_in_time() -> None:
     assert np.abs(in_time[1000:, :3] - late[1000:, :3]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_positions_are_smoothed_with_their_scatter_and_the_slow_rest_is_reported() -> None:
     # GIVEN fixes that scatter by 0.1 m, and the same that claim 1 m
     run = draw(Scenario("claims", rate=100.0, duration=60.0), 1)

@@ -201,9 +201,8 @@ print((peak() - before) // 1024)
 """
 
 
-@pytest.mark.parametrize(
-    "index", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["indexed", "without index"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [True, False], ids=["indexed", "without index"])
 def test_a_small_file_of_a_huge_chunk_takes_bounded_memory(tmp_path: Path, index: bool) -> None:
     """GIVEN 6 kB that become two million messages WHEN read THEN it takes a few times them."""
     size = 2_000_000
