@@ -47,7 +47,7 @@ def test_nis(sound: Flights) -> None:
     assert nis_is_consistent(sound)
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.6])
+@pytest.mark.parametrize("factor", [0.6, pytest.param(1.6, marks=pytest.mark.slow)])
 def test_wrong_noise_is_found_out(factor: float) -> None:
     """Half the runs tell a filter whose noise is wrong by 1.6 from a right one, either way."""
     nees = flown(factor, WRONG_RUNS).nees

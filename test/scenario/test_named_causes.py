@@ -84,6 +84,7 @@ def test_wrong_axes_are_an_error_and_no_clock_offset() -> None:
     assert not any("time_offset" in text for text in drive.warnings())
 
 
+@pytest.mark.slow
 def test_a_sound_flight_is_not_accused() -> None:
     drive = Drive()
     drive.play(0.0, 59.0)

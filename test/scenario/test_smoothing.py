@@ -100,6 +100,7 @@ def smoothed(run: Run, late: float = 0.0, **values: object) -> tuple[np.ndarray,
     )
 
 
+@pytest.mark.slow
 def test_late_fixes_are_smoothed_as_those_in_time() -> None:
     # GIVEN a run, WHEN its fixes come in time, and 0.4 s after their stamps
     run = draw(Scenario("late", rate=100.0, duration=30.0), 1)

@@ -171,6 +171,7 @@ def trusted(place: Path) -> bool:
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_only_a_directory_of_ones_own_is_trusted_among_temporary_files(tmp_path: Path) -> None:
     made, open_to_all, link = tmp_path / "made", tmp_path / "open", tmp_path / "link"
     open_to_all.mkdir()

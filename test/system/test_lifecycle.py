@@ -238,6 +238,7 @@ def test_an_error_in_a_transition_leads_back_to_unconfigured(
     assert processes.stop(node) == 0
 
 
+@pytest.mark.slow
 def test_a_manager_may_restart_an_autostarted_node(
     processes: Processes, tmp_path: Path, manager: Manager
 ) -> None:

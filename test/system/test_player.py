@@ -279,6 +279,7 @@ def test_names_that_ros_refuses(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_with_one_line(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
 ) -> None:

@@ -836,6 +836,7 @@ def test_gyroscope_and_accelerometer_agree_with_the_reference(
         assert np.linalg.norm(lever_b) < 0.6
 
 
+@pytest.mark.slow
 def test_every_recorded_flight_converts(flights: Path, tmp_path: Path) -> None:
     folders = sorted(flights.glob("*/path_*"))
     assert len(folders) == 13

@@ -107,6 +107,7 @@ def test_the_map_has_the_start_of_the_run_a_scale_and_north(whole: Run) -> None:
     assert "50 m" in shown
 
 
+@pytest.mark.slow
 def test_svg_is_well_formed_and_the_same_each_time(whole: Run, tmp_path: Path) -> None:
     for name in ("one.svg", "two.svg"):
         style.save(overview(whole, evaluate_run(whole)), tmp_path / name)
