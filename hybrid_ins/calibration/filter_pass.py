@@ -74,6 +74,8 @@ class FirstState:
     velocity: Array  # (3,) m/s, n
     up_b: Array  # (3,) direction of the specific force, b
     up_n: Array  # (3,) likewise, n: without acceleration, upwards
+    bias_a: Array  # (3,) m/s², b: nominal
+    bias_g: Array  # (3,) rad/s, b: likewise
     P: Array  # (15, 15)
 
 
@@ -125,12 +127,11 @@ def first_state(recording: Recording, offset: float, nominal: Nominal) -> FirstS
     )
     up_b = _mean_force(recording, near, first, nominal)
     up_n = force_n / np.linalg.norm(force_n)
-    return FirstState(offset, first, origin, scale, position, velocity, up_b, up_n, P)
+    biases = nominal.bias_a, nominal.bias_g
+    return FirstState(offset, first, origin, scale, position, velocity, up_b, up_n, *biases, P)
 
 
-def initial_state(
-    first: FirstState, lever_b: Array, nominal: Nominal, yaw: float, yaw_std: float
-) -> Array:
+def initial_state(first: FirstState, lever_b: Array, yaw: float, yaw_std: float) -> Array:
     """
     Return the flat state at which the filter starts.
 
@@ -139,7 +140,6 @@ def initial_state(
     first : FirstState
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m].
-    nominal : Nominal
     yaw, yaw_std : float
         Heading from north and its standard deviation [rad].
     """
@@ -148,7 +148,7 @@ def initial_state(
     P[8, 8] = yaw_std**2
     position = first.position - matrix_from_quat(quat) @ lever_b
     lla = first.origin + position / first.scale
-    return NavState(lla, first.velocity, quat, nominal.bias_a, nominal.bias_g, P).to_flat()
+    return NavState(lla, first.velocity, quat, first.bias_a, first.bias_g, P).to_flat()
 
 
 def _robust_polynomial(design: Array, positions: Array, std: Array) -> tuple[Array, Array]:
@@ -186,12 +186,11 @@ def _levelled(up_b: Array, up_n: Array, yaw: float) -> Array:
 
 def run_filter(
     recording: Recording,
-    start: FirstState,
+    first: FirstState,
     lever_b: Array,
     psd: Array,
     noise: Array,
     gnss_scale: float,
-    nominal: Nominal,
     yaw: float,
     yaw_std: float,
     keep_states: bool = False,
@@ -202,8 +201,8 @@ def run_filter(
     Parameters
     ----------
     recording : Recording
-    start : FirstState
-        See `first_state`; with the clock offset.
+    first : FirstState
+        With the clock offset, see `first_state`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m].
     psd : ndarray, shape (12,)
@@ -212,13 +211,12 @@ def run_filter(
         Factors on those of accelerometer and gyroscope, at each sample.
     gnss_scale : float
         Factor on the covariances of the measurements.
-    nominal : Nominal
     yaw, yaw_std : float
         Heading at the start, from north, and its standard deviation [rad].
     keep_states : bool
         Keep the state after each measurement.
     """
-    nav = initial_state(start, lever_b, nominal, yaw, yaw_std)
+    nav = initial_state(first, lever_b, yaw, yaw_std)
     nav[PSD] = psd
     M = len(recording.aid_t)
     result = FilterPass(
@@ -226,10 +224,10 @@ def run_filter(
     )
     innovations(
         nav,
-        recording.t[start.sample :],
-        recording.samples[start.sample :],
-        noise[start.sample :],
-        recording.aid_t + start.offset,
+        recording.t[first.sample :],
+        recording.samples[first.sample :],
+        noise[first.sample :],
+        recording.aid_t + first.offset,
         recording.aid_kind,
         recording.aid,
         recording.aid_R * gnss_scale,

@@ -152,7 +152,6 @@ class Likelihood:
             psd,
             self._noise(k, *(self.value(x, name) for name in FOLLOW)),
             math.exp(self.value(x, "gnss_scale")),
-            self.nominal,
             yaw,
             YAW_STD,
             keep_states,
@@ -170,23 +169,21 @@ class Likelihood:
                 whole.aid_t[0], whole.aid_t[0] + LONGEST_COARSE
             )
             noise = recording.noise(0.0, 0.0)
-            first = (first_state(recording, offset, nominal) for offset in grid)
-            starts = product(first, yaws)
+            starts = product((first_state(recording, o, nominal) for o in grid), yaws)
 
             def run(
                 start: tuple[FirstState, float],
                 recording: Recording = recording,
                 noise: Array = noise,
             ) -> FilterPass:
-                at_offset, yaw = start
+                first, yaw = start
                 return run_filter(
                     recording,
-                    at_offset,
+                    first,
                     nominal.lever_b,
                     psd,
                     noise,
                     1.0,
-                    nominal,
                     yaw,
                     COARSE_YAW_STD,
                 )

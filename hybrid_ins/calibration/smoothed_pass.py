@@ -59,7 +59,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     logs = [fitted.value(name) for name in ("psd_a", "psd_g", "walk_a", "walk_g")]
     psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
     first = first_state(recording, offset, nominal)
-    nav = initial_state(first, lever_b, nominal, fitted.yaws[k], YAW_STD)
+    nav = initial_state(first, lever_b, fitted.yaws[k], YAW_STD)
     samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
     samples["t_ns"] = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
     samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]

@@ -210,6 +210,7 @@ def test_each_fix_is_told_of_once() -> None:
     ("seed", "by", "opened"),
     [
         (9, -0.2, 1),
+        pytest.param(5, 0.2, 1, marks=pytest.mark.slow),
         pytest.param(5, -0.06, 0, marks=pytest.mark.slow),
         pytest.param(9, 0.1, 0, marks=pytest.mark.slow),
         pytest.param(6, 0.4, 1, marks=pytest.mark.slow),
