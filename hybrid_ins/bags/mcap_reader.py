@@ -1,14 +1,8 @@
 """
-MCAP files read in bulk and as far as they are sound.
+MCAP files read by the library `mcap`, as far as they are sound.
 
-The library `mcap` reads the format's records. Here is what it lacks: messages without a Python
-object for each of their fields, files whose end is missing or that are damaged in the middle, and
-bounded memory.
-
-References
-----------
-MCAP format specification, version 0.
-
+Here is what it lacks: the messages of a chunk without a Python object for each, and files whose end
+is missing or that are damaged in the middle.
 """
 
 from __future__ import annotations
@@ -30,15 +24,12 @@ from struct import Struct
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from lz4.frame import LZ4FrameDecompressor
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel as McapChannel
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
-from zstandard import ZstdDecompressor
+from mcap.stream_reader import get_chunk_data_stream
 
 from hybrid_ins.bags.messages import absolute
 from hybrid_ins.errors import InputError
@@ -47,12 +38,11 @@ MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 1 << 27  # bytes, uncompressed; more is a defect or a decompression bomb
 BATCH = 4096  # messages of a chunk that become Python objects at a time
 
-RECORD = Struct("<BQ")  # opcode, length of what follows
-INDEX = Struct("<BQHI")  # opcode, length, channel, bytes of the entries
+_RECORD = Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = Struct("<HIQQ")  # channel, sequence, log time, publish time
 _TIMES = Struct("<QQ")  # of a chunk: first and last log time
-_FOOTER = Struct("<QQI8s")  # start of the summary, of its offsets, CRC, magic
-MESSAGE = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
-                    ("log_ns", "<u8"), ("publish_ns", "<u8")])  # fmt: skip
+_PLACE = np.dtype([("log_ns", "i8"), ("channel", "i8"), ("begin", "i8"), ("end", "i8")])
+_FOOTER = Struct("<Q8xI8x")  # start of the summary, its checksum, which ends before itself
 _NO_CHUNKS = "it has no chunks"
 
 _log = logging.getLogger(__name__)
@@ -76,11 +66,7 @@ class _Chunk(NamedTuple):
     start_ns: int  # log times of the first and the last message
     end_ns: int
     offset: int  # of its record in the file; 0 stands for all messages outside of chunks
-    indexes: dict[int, int]  # offset of the message index by channel; empty: none is known
-
-
-class _DamageError(Exception):
-    """The bytes are not what the format promises."""
+    channels: set[int]  # empty: nothing is known
 
 
 class McapReader:
@@ -91,7 +77,7 @@ class McapReader:
 
     Attributes
     ----------
-    counts : dict
+    counts : Counter
         Number of messages of each channel.
     start_ns, end_ns : int
         First and last log time; both 0 in a file without messages.
@@ -105,13 +91,12 @@ class McapReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.start_ns = self.end_ns = 0
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
         self._numbers: Counter[int] = Counter()  # of messages, by channel
         self._chunks: list[_Chunk] = []
-        self._data_end = len(MAGIC)  # of what `_recover` could read
-        self._reported: set[int] = set()
+        self._reported: set[int] = set()  # offsets of damaged chunks
+        self._end = len(MAGIC)  # of what is sound, where the file had to be recovered
         with path.open("rb") as file:
             self._file: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
@@ -119,9 +104,11 @@ class McapReader:
         except Exception as error:  # damaged bytes provoke anything in the library
             self._recover(str(error) or type(error).__name__)
         self._chunks.sort(key=itemgetter(0, 2))
-        self.counts: dict[Channel, int] = {}
+        self.start_ns = min((chunk.start_ns for chunk in self._chunks), default=0)
+        self.end_ns = max((chunk.end_ns for chunk in self._chunks), default=0)
+        self.counts: dict[Channel, int] = Counter()
         for number, channel in self._channels.items():
-            self.counts[channel] = self.counts.get(channel, 0) + self._numbers[number]
+            self.counts[channel] += self._numbers[number]
 
     def close(self) -> None:
         """Unmap the file; messages read from it stay valid."""
@@ -135,7 +122,7 @@ class McapReader:
         Messages of equal log time keep the file's order.
         """
         numbers = {number for number, channel in self._channels.items() if wanted(channel)}
-        chunks = [c for c in self._chunks if not c.indexes or numbers & c.indexes.keys()]
+        chunks = [c for c in self._chunks if not c.channels or numbers & c.channels]
         streams = [self._messages(chunk, numbers) for chunk in chunks]
         overlap = any(after.start_ns < before.end_ns for before, after in pairwise(chunks))
         ordered = merge(*streams, key=itemgetter(0)) if overlap else chain.from_iterable(streams)
@@ -147,162 +134,123 @@ class McapReader:
         """Yield log time, channel and data of a chunk's wanted messages; first an empty one."""
         yield chunk.start_ns, 0, b""  # so that a merge opens the chunk only at its turn
         try:
-            content = self._content(chunk.offset)
-            try:
-                offsets = self._indexed(chunk, numbers)
-                heads = _heads(content, offsets)
-            except _DamageError:  # or no index at all
-                span = (0, len(content)) if chunk.offset else (len(MAGIC), self._data_end)
-                walk = (at for opcode, at, _ in _walk(content, *span) if opcode == Opcode.MESSAGE)
-                offsets = np.fromiter(walk, np.int64)
-                heads = _heads(content, offsets)
-        except _DamageError as damage:
-            self._report(chunk, damage)
+            content, begin, end = self._content(chunk.offset)
+            places = np.fromiter(_places(content, begin, end, numbers), _PLACE)
+        except Exception as error:  # damaged bytes provoke anything in the library
+            self._report(chunk, error)
             return
-        rows = np.flatnonzero(np.isin(heads["channel"], [*numbers]))
-        rows = rows[np.lexsort((offsets[rows], heads["log_ns"][rows]))]
-        begins = offsets + MESSAGE.itemsize
-        ends = offsets + RECORD.size + heads["length"].astype(np.int64)
-        columns = heads["log_ns"], heads["channel"], begins, ends
-        for batch in (rows[k : k + BATCH] for k in range(0, len(rows), BATCH)):
-            values = (column[batch].tolist() for column in columns)
-            for log_ns, number, begin, end in zip(*values, strict=True):
+        places = places[np.argsort(places["log_ns"], kind="stable")]
+        for k in range(0, len(places), BATCH):
+            for log_ns, number, begin, end in places[k : k + BATCH].tolist():
                 yield log_ns, number, content[begin:end]
 
-    def _content(self, offset: int) -> Buffer:
-        """Return the records in the chunk at an offset."""
+    def _content(self, offset: int) -> tuple[Buffer, int, int]:
+        """Return what holds the records of the chunk at an offset, and their begin and end."""
         if offset == 0:
-            return self._file
-        self._file.seek(offset + RECORD.size)
-        try:
-            if self._file[offset] != Opcode.CHUNK:
-                raise _DamageError("the index points beside the data")
-            content = _decompressed(records.Chunk.read(ReadDataStream(self._file)))
-            begin = offset - offset % mmap.PAGESIZE  # what is read need not stay in memory
-            self._file.madvise(mmap.MADV_DONTNEED, begin, self._file.tell() - begin)
-            return content
-        except _DamageError:
-            raise
-        except Exception as error:  # damaged bytes provoke anything in the libraries
-            raise _DamageError(f"not readable: {error or type(error).__name__}") from None
+            return self._file, len(MAGIC), self._end
+        if self._file[offset] != Opcode.CHUNK:
+            raise ValueError("the index points beside the data")
+        self._file.seek(offset + _RECORD.size)
+        chunk = records.Chunk.read(ReadDataStream(self._file))
+        page = offset - offset % mmap.PAGESIZE  # what is read need not stay in memory
+        self._file.madvise(mmap.MADV_DONTNEED, page, self._file.tell() - page)
+        if chunk.uncompressed_size > LARGEST_CHUNK:
+            raise ValueError(f"{chunk.uncompressed_size} bytes, more than {LARGEST_CHUNK}")
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(size), 0, size
 
-    def _indexed(self, chunk: _Chunk, numbers: set[int]) -> NDArray[np.int64]:
-        """Return where the wanted messages' records are in a chunk, by its message indexes."""
-        parts = []
-        for number in numbers & chunk.indexes.keys():
-            begin = chunk.indexes[number] + INDEX.size
-            head = self._file[begin - INDEX.size : begin].ljust(INDEX.size)
-            opcode, length, channel, size = INDEX.unpack(head)
-            entries = self._file[begin : begin + size]
-            if (opcode, channel, length) != (Opcode.MESSAGE_INDEX, number, len(entries) + 6):
-                raise _DamageError("an index is damaged")
-            parts.append(np.frombuffer(entries, "<i8")[1::2])  # log time, offset, log time, ...
-        if not parts:
-            raise _DamageError("there is no index")
-        return np.concatenate(parts)
-
-    def _report(self, chunk: _Chunk, damage: _DamageError) -> None:
+    def _report(self, chunk: _Chunk, error: Exception) -> None:
         """Warn of a chunk that is left out, once."""
         if chunk.offset not in self._reported:
             self._reported.add(chunk.offset)
+            start_ns = min(c.start_ns for c in (*self._chunks, chunk))
             _log.warning(
                 "%s: damaged at byte %d (%s): messages from %.2f to %.2f s are missing",
-                *(self.path, chunk.offset, damage),
-                *((t_ns - self.start_ns) * 1e-9 for t_ns in (chunk.start_ns, chunk.end_ns)),
+                *(self.path, chunk.offset, error or type(error).__name__),
+                *((t_ns - start_ns) * 1e-9 for t_ns in (chunk.start_ns, chunk.end_ns)),
             )
 
     def _read_summary(self) -> None:
         """Learn channels, chunks and times from the summary at the end of the file."""
-        end = len(self._file) - _FOOTER.size
-        start, _, crc, magic = _FOOTER.unpack_from(self._file, max(end, 0))
-        if magic != MAGIC:
-            raise _DamageError("it has no end")
-        if crc and crc != zlib.crc32(self._file[start : end + 16]):
-            raise _DamageError("its index fails its checksum")
         summary = SeekingReader(self._file).get_summary()
+        start, crc = _FOOTER.unpack(self._file[-_FOOTER.size :])
+        if crc and crc != zlib.crc32(self._file[start:-12]):
+            raise ValueError("its index fails its checksum")
         if summary is None or summary.statistics is None:
-            raise _DamageError("it has no index")
-        statistics, chunks = summary.statistics, summary.chunk_indexes
-        self._numbers.update(statistics.channel_message_counts)
+            raise ValueError("it has no index")
+        chunks, statistics = summary.chunk_indexes, summary.statistics
         if statistics.message_count and not statistics.chunk_count:
-            raise _DamageError(_NO_CHUNKS)
-        if len(chunks) != statistics.chunk_count or self._numbers.keys() - summary.channels:
-            raise _DamageError("its index is incomplete")
-        self._schemas = {schema.id: schema.name for schema in summary.schemas.values()}
+            raise ValueError(_NO_CHUNKS)
+        if len(chunks) != statistics.chunk_count:
+            raise ValueError("its index is incomplete")
+        self._schemas = {number: schema.name for number, schema in summary.schemas.items()}
         for channel in summary.channels.values():
             self._add_channel(channel)
-        self.start_ns, self.end_ns = statistics.message_start_time, statistics.message_end_time
+        self._numbers.update(statistics.channel_message_counts)
         self._chunks = [
             _Chunk(c.message_start_time, c.message_end_time, c.chunk_start_offset,
-                   c.message_index_offsets)
+                   set(c.message_index_offsets))
             for c in chunks
         ]  # fmt: skip
 
     def _recover(self, reason: str) -> None:
         """Learn the same from the data, up to where they break off."""
         self._numbers.clear()
-        damaged: list[tuple[_Chunk, _DamageError]] = []
+        self._chunks.clear()
         outside = array("Q")  # log times of messages that are in no chunk
         complete = False
         try:
-            for opcode, offset, end in _walk(self._file, len(MAGIC), len(self._file)):
+            for opcode, body, end in _walk(self._file, len(MAGIC), len(self._file)):
                 complete = opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 if complete:
                     break
-                if opcode == Opcode.CHUNK:
-                    try:
-                        times, content = array("Q"), self._content(offset)
-                        for inner in _walk(content, 0, len(content)):
-                            self._learn(content, *inner, times)
-                        if times:
-                            self._chunks.append(_Chunk(min(times), max(times), offset, {}))
-                    except _DamageError as damage:
-                        first_ns, last_ns = _TIMES.unpack_from(self._file, offset + RECORD.size)
-                        damaged.append((_Chunk(first_ns, last_ns, offset, {}), damage))
-                else:
-                    self._learn(self._file, opcode, offset, end, outside)
-                self._data_end = end
-        except _DamageError as damage:
-            reason = f"{reason}; {damage}"
+                self._learn(self._file, opcode, body, end, outside)
+                self._end = end
+        except Exception as error:  # damaged bytes provoke anything in the library
+            reason = f"{reason}; {error or type(error).__name__}"
         if outside:
-            self._chunks.append(_Chunk(min(outside), max(outside), 0, {}))
+            self._chunks.append(_Chunk(min(outside), max(outside), 0, set()))
         if not self._chunks and not complete:
             self.close()
             raise InputError(
-                f"{self.path}: breaks off at byte {self._data_end} before the first whole message"
+                f"{self.path}: breaks off at byte {self._end} before the first whole message"
                 f" ({reason}): fetch the bag again from where it was recorded"
             )
-        self.start_ns = min((chunk.start_ns for chunk in self._chunks), default=0)
-        self.end_ns = max((chunk.end_ns for chunk in self._chunks), default=0)
         if not complete or reason != _NO_CHUNKS:
             _log.warning(
                 "%s: %s (%s): reading its %d whole messages",
                 self.path,
                 "the recording has no usable index"
                 if complete
-                else f"the recording breaks off at byte {self._data_end} of {len(self._file)}",
+                else f"the recording breaks off at byte {self._end} of {len(self._file)}",
                 reason,
                 self._numbers.total(),
             )
-        for chunk, error in damaged:
-            self._report(chunk, error)
 
-    def _learn(self, buffer: Buffer, opcode: int, offset: int, end: int, times: array[int]) -> None:
+    def _learn(self, buffer: Buffer, opcode: int, body: int, end: int, times: array[int]) -> None:
         """Learn from a record; a message's log time is added to `times`."""
-        body = offset + RECORD.size
-        try:
-            if opcode == Opcode.MESSAGE:
-                head = np.frombuffer(buffer, MESSAGE, 1, offset)[0]
-                self._numbers[int(head["channel"])] += 1
-                times.append(int(head["log_ns"]))
-            elif opcode == Opcode.SCHEMA:
-                schema = records.Schema.read(ReadDataStream(BytesIO(buffer[body:end])))
-                self._schemas[schema.id] = schema.name
-            elif opcode == Opcode.CHANNEL:
-                channel = McapChannel.read(ReadDataStream(BytesIO(buffer[body:end])))
-                self._add_channel(channel)
-        except Exception as error:  # damaged bytes provoke anything in the library
-            raise _DamageError(f"a record is not readable: {error}") from None
+        if opcode == Opcode.MESSAGE:
+            number, _, log_ns, _ = _MESSAGE.unpack_from(buffer, body)
+            self._numbers[number] += 1
+            times.append(log_ns)
+        elif opcode == Opcode.SCHEMA:
+            schema = records.Schema.read(ReadDataStream(BytesIO(buffer[body:end])))
+            self._schemas[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(McapChannel.read(ReadDataStream(BytesIO(buffer[body:end]))))
+        elif opcode == Opcode.CHUNK:
+            first_ns, last_ns = _TIMES.unpack_from(buffer, body)
+            chunk = _Chunk(first_ns, last_ns, body - _RECORD.size, set())
+            inner = array("Q")
+            try:
+                content, *span = self._content(chunk.offset)
+                for record in _walk(content, *span):
+                    self._learn(content, *record, inner)
+            except Exception as error:  # damaged bytes provoke anything in the library
+                self._report(chunk, error)
+            else:
+                if inner:
+                    self._chunks.append(chunk._replace(start_ns=min(inner), end_ns=max(inner)))
 
     def _add_channel(self, channel: McapChannel) -> None:
         self._channels[channel.id] = Channel(
@@ -312,53 +260,24 @@ class McapReader:
         )
 
 
-def _walk(buffer: Buffer, offset: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the records between two offsets."""
-    while offset < end:
-        if offset + RECORD.size > end:
-            raise _DamageError("a record is cut off")
-        opcode, length = RECORD.unpack_from(buffer, offset)
-        following = offset + RECORD.size + length
-        if opcode == 0 or following > end:
-            raise _DamageError("a record is cut off")
-        yield opcode, offset, following
-        offset = following
+def _walk(buffer: Buffer, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the records between two places."""
+    while begin < end:
+        if begin + _RECORD.size > end:
+            raise ValueError("a record is cut off")
+        opcode, length = _RECORD.unpack_from(buffer, begin)
+        body, begin = begin + _RECORD.size, begin + _RECORD.size + length
+        if opcode == 0 or begin > end:
+            raise ValueError("a record is cut off")
+        yield opcode, body, begin
 
 
-def _heads(content: Buffer, offsets: NDArray[np.int64]) -> NDArray[np.void]:
-    """Return the heads (N,) of the messages whose records are at `offsets`, checked."""
-    size = MESSAGE.itemsize
-    if not len(offsets):
-        return np.empty(0, MESSAGE)
-    if offsets.min() < 0 or offsets.max() > len(content) - size:
-        raise _DamageError("an index points beside the messages")
-    heads = sliding_window_view(np.frombuffer(content, np.uint8), size)[offsets].view(MESSAGE)
-    heads = heads[:, 0]
-    room = (len(content) - RECORD.size - offsets).astype(np.uint64)
-    length = heads["length"]
-    if np.any(
-        (heads["opcode"] != Opcode.MESSAGE) | (length < size - RECORD.size) | (length > room)
-    ):
-        raise _DamageError("an index points beside the messages")
-    return heads
-
-
-def _decompressed(chunk: records.Chunk) -> bytes:
-    """Return a chunk's content, checked, without more memory than it claims."""
-    size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
-        raise _DamageError(f"a chunk of {size} bytes, more than {LARGEST_CHUNK}")
-    if not chunk.compression:
-        content = chunk.data
-    elif chunk.compression == "zstd":
-        decompressor = ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-        content = decompressor.stream_reader(chunk.data).read(size + 1)
-    elif chunk.compression == "lz4":
-        content = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-    else:
-        raise _DamageError(f"compression {chunk.compression!r} is not supported")
-    if len(content) != size:
-        raise _DamageError("a chunk has another size than it claims")
-    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-        raise _DamageError("a chunk fails its checksum")
-    return content
+def _places(
+    buffer: Buffer, begin: int, end: int, numbers: set[int]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Yield log time, channel, begin and end of the messages of some channels."""
+    for opcode, body, following in _walk(buffer, begin, end):
+        if opcode == Opcode.MESSAGE:
+            number, _, log_ns, _ = _MESSAGE.unpack_from(buffer, body)
+            if number in numbers:
+                yield log_ns, number, body + _MESSAGE.size, following

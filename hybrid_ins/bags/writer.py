@@ -85,7 +85,7 @@ class BagWriter:
             file = self._part / f"{self._target.name}_0.mcap"
         else:
             self._part.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = McapWriter(file, "hybrid_ins")
+        self._writer = McapWriter(file)
         self._numbers: dict[tuple[str, str], int] = {}
 
     def __enter__(self) -> Self:
@@ -123,14 +123,17 @@ class BagWriter:
 
     def _abandon(self) -> None:
         """Keep what was written where that is of use."""
-        written = self._writer.written
-        if not written or not self._keep_partial:
+        if not self._keep_partial:
             self.discard()
             return
         try:
             self._complete()
         except InputError as error:  # the disk is full: this may be why we are here
             _log.warning("%s: is incomplete (%s)", self._part, error)
+            return
+        written = self._writer.counts.total()
+        if not written:
+            self.discard()
             return
         if self._target.exists():
             place = _set_aside(self._part)

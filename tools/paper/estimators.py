@@ -175,8 +175,11 @@ def lengths(args: argparse.Namespace, test: Windows) -> str:
     figures.rmse_against_length(args.figures / "paper_fig4.png", curves, true)
     retrained = len(curves["paper's network"]) > 1
     origin = (
-        "The networks for other lengths than 200 were trained for this figure alone, with "
-        "less data and fewer epochs than those in `models/`, and are not kept."
+        "The networks for other lengths than 200 were trained for this figure alone, in two "
+        "minutes each, with less data and fewer epochs than those in `models/`, by "
+        "`python -m tools.regressor.train --out FOLDER --window N` with "
+        "`--model plateau --name plateau_N --windows 300000` and "
+        "`--model paper --name paper_N --epochs 10`."
         if retrained
         else "The networks' window is fixed at 200; for other lengths train them with "
         "`tools/regressor/train.py --window N` and give their folder by `--by-window`."

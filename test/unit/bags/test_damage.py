@@ -154,7 +154,7 @@ def test_a_damaged_chunk_is_skipped_and_its_seconds_named(
         table = bag.imu()
 
     assert caplog.text.count("are missing") == 1
-    assert "a chunk fails its checksum" in caplog.text
+    assert "crc validation failed" in caplog.text
     begin, end = missing_seconds(caplog.text)
     assert 0.0 < begin < end < begin + 5.0
     there = set(found)
@@ -186,6 +186,22 @@ def test_a_damaged_message_index_costs_nothing(tmp_path: Path, flight: Path) -> 
     (tmp_path / "bag.mcap").write_bytes(data)
     with BagReader(flight) as whole, BagReader(tmp_path / "bag.mcap") as bag:
         assert list(bag.raw()) == list(whole.raw())
+
+
+def test_a_damaged_index_of_the_chunks_costs_nothing(
+    tmp_path: Path, flight: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The summary says that a chunk begins elsewhere."""
+    data = bytearray(flight.read_bytes())
+    with flight.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    place = summary.chunk_indexes[1].chunk_start_offset.to_bytes(8, "little")
+    data[data.rindex(place)] ^= 1
+    (tmp_path / "bag.mcap").write_bytes(data)
+    with BagReader(flight) as whole, BagReader(tmp_path / "bag.mcap") as bag:
+        assert list(bag.raw()) == list(whole.raw())
+    assert "its index fails its checksum" in caplog.text
 
 
 MEMORY = """

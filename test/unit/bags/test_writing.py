@@ -1,10 +1,12 @@
 """Bags are complete or absent, whatever ends their writer."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ from mcap.reader import make_reader
 from support.bags import FIX, imu_message, stamp_ns, write_flight
 from support.paths import ROOT
 
-from hybrid_ins.bags.messages import new_message
+from hybrid_ins.bags.messages import IMU, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
@@ -108,14 +110,42 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
         BagWriter(path, overwrite=True)
 
 
-def test_a_full_disk_is_one_clear_line(tmp_path: Path) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
-    bag = BagWriter(tmp_path / "bag.mcap")
-    bag._writer._file = open("/dev/full", "wb", buffering=0)  # noqa: PTH123, SIM115
-    bag.write("/imu/data", imu_message(0), stamp_ns(0))
-    with pytest.raises(InputError, match="cannot be written: No space left on device"):
-        bag.close()
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file may grow beyond a megabyte."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_is_one_clear_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What there was room for stays, beside the bag's place."""
+
+    def record() -> None:
+        with BagWriter(tmp_path / "bag.mcap") as bag:
+            for k in range(10_000):
+                bag.write("/imu/data", imu_message(k), stamp_ns(k))
+
+    with pytest.raises(InputError, match="cannot be written: File too large"):
+        record()
+    assert "bag.mcap.part: is incomplete" in caplog.text
+    assert not (tmp_path / "bag.mcap").exists()
+    assert count(tmp_path / "bag.mcap.part") > 1000
+
+
+def test_topics_of_one_type_and_of_several(tmp_path: Path) -> None:
+    topics = {"/a": IMU, "/b": IMU, "/c": FIX, "/d": IMU, "/e": FIX}
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        for topic, type_name in topics.items():
+            bag.write(topic, new_message(type_name), stamp_ns(0))
+    with BagReader(tmp_path / "bag.mcap") as bag_read:
+        assert bag_read.topics == topics
+    with (tmp_path / "bag.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert sorted(schema.name for schema in summary.schemas.values()) == sorted({IMU, FIX})
 
 
 def test_misuse_of_the_writer(tmp_path: Path) -> None:
