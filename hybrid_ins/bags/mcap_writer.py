@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hybrid_ins.bags.mcap_reader import Channel
 from hybrid_ins.errors import InputError
 
-CHUNK_SIZE = 1 << 18  # bytes; a killed writer loses three at most
+CHUNK_SIZE = 1 << 18  # bytes; a killed writer loses two at most
 
 
 class McapWriter:
@@ -41,10 +41,9 @@ class McapWriter:
         self._writer = Writer(self._file, CHUNK_SIZE, CompressionType.NONE)
         self._tasks: deque[tuple[Callable[..., Any], tuple[Any, ...]]] = deque()
         self._tasks.append((self._writer.start, ("ros2", "hybrid_ins")))
-        self._size = 0  # bytes of the tasks since the thread was given some
+        self._size = 0  # bytes of the tasks' messages
         self._error: OSError | None = None
         self._thread = ThreadPoolExecutor(1)
-        self._done = self._thread.submit(self._work)
 
     def add_channel(self, channel: Channel, definition: str, metadata: dict[str, str]) -> int:
         """Announce a channel and its type's definition (``ros2msg``); return its number."""
@@ -70,8 +69,6 @@ class McapWriter:
         """Write what is pending, the summary and the end of the file."""
         self._tasks.append((self._finish, ()))
         self._hand_over()
-        self._done.result()
-        self._check()
 
     def abandon(self) -> None:
         """Close the file as it is."""
@@ -90,13 +87,9 @@ class McapWriter:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Let the thread do the tasks, once it has done those before."""
-        self._done.result()
-        self._check()
+        """Wait until the thread has done the tasks."""
         self._size = 0
-        self._done = self._thread.submit(self._work)
-
-    def _check(self) -> None:
+        self._thread.submit(self._work).result()
         if self._error is not None:
             raise InputError(f"{self.path}: cannot be written: {self._error.strerror}")
 
