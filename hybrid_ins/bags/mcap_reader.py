@@ -166,7 +166,7 @@ class McapReader:
             start_ns = min(c.start_ns for c in (*self._chunks, chunk))
             _log.warning(
                 "%s: damaged at byte %d (%s): messages from %.2f to %.2f s are missing",
-                *(self.path, chunk.offset, error or type(error).__name__),
+                *(self.path, chunk.offset, str(error) or type(error).__name__),
                 *((t_ns - start_ns) * 1e-9 for t_ns in (chunk.start_ns, chunk.end_ns)),
             )
 
@@ -181,12 +181,17 @@ class McapReader:
         chunks, statistics = summary.chunk_indexes, summary.statistics
         if statistics.message_count and not statistics.chunk_count:
             raise ValueError(_NO_CHUNKS)
-        if len(chunks) != statistics.chunk_count:
+        self._numbers.update(statistics.channel_message_counts)
+        known = {0, *summary.schemas}  # 0: none
+        if (
+            len(chunks) != statistics.chunk_count
+            or not self._numbers.keys() <= summary.channels.keys()
+            or not all(channel.schema_id in known for channel in summary.channels.values())
+        ):
             raise ValueError("its index is incomplete")
         self._schemas = {number: schema.name for number, schema in summary.schemas.items()}
         for channel in summary.channels.values():
             self._add_channel(channel)
-        self._numbers.update(statistics.channel_message_counts)
         self._chunks = [
             _Chunk(c.message_start_time, c.message_end_time, c.chunk_start_offset,
                    set(c.message_index_offsets))
@@ -207,7 +212,7 @@ class McapReader:
                 self._learn(self._file, opcode, body, end, outside)
                 self._end = end
         except Exception as error:  # damaged bytes provoke anything in the library
-            reason = f"{reason}; {error or type(error).__name__}"
+            reason = f"{reason}; {error}"
         if outside:
             self._chunks.append(_Chunk(min(outside), max(outside), 0, set()))
         if not self._chunks and not complete:

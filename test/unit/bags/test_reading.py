@@ -123,7 +123,15 @@ def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
             assert bag.imu().stamp_ns[-1] == stamp_ns(99)
 
 
-@pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.LZ4}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"compression": CompressionType.LZ4},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+    ],
+)
 def test_recordings_of_other_mcap_writers(tmp_path: Path, options: dict[str, object]) -> None:
     path = tmp_path / "bag.mcap"
     with path.open("wb") as file:
