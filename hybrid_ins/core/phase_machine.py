@@ -267,10 +267,10 @@ class PhaseMachine:
         Return whether the filter beside a clock search is kept.
 
         The search goes on until it is precise, and ends where it confirms the filter's own offset.
-        Where it contradicts that, the filter is to doubt it, too: sure to milliseconds of a clock
-        that has jumped since, it would take minutes to find another one. An offset that is too
-        large for this has to be certain for a while: where the motion hardly shows the clock,
-        chance favours now one offset, now another.
+        Where it contradicts that, the filter's own clock variance is inflated: certain to
+        milliseconds of a clock that has jumped since, it would take minutes to find another one. An
+        offset that is too large for this has to be certain for a while: where the motion hardly
+        shows the clock, chance favours now one offset, now another.
         """
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:

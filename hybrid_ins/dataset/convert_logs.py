@@ -74,20 +74,20 @@ def convert_logs(
     imu, gnss = read_logs(paths, origin)
     _check_times(imu, 2)
     _check_times(gnss, 1)
-    told = ""
+    remarks = ""
     common = min(imu.t[-1], gnss.t[-1]) - max(imu.t[0], gnss.t[0])
     if time_offset is not None:
         imu = replace(imu, t=imu.t + time_offset)
     elif len(paths) > 1 and (imu.is_dated != gnss.is_dated or common <= 0.0):
         found = clock_offset(imu, gnss)
         imu = replace(imu, t=imu.t + found.offset)
-        told = (
+        remarks = (
             f"; clock offset by {found.by} in both, correlation {found.correlation:.2f} "
             "(refine: ins_calibrate)"
         )
     if min(imu.t[-1], gnss.t[-1]) < max(imu.t[0], gnss.t[0]):
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
-    if time_offset is None and not told and imu.is_dated and gnss.is_dated:
+    if time_offset is None and not remarks and imu.is_dated and gnss.is_dated:
         check_clocks(imu, gnss)
     check_velocity(gnss)
     imu = check_imu(imu, gnss)
@@ -97,11 +97,11 @@ def convert_logs(
     estimate = read_estimate(paths[0]) if len(paths) == 1 else None
     if estimate is not None:
         streams.append(_estimate_entries(replace(estimate, t=estimate.t + EPOCH)))
-        told += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
+        remarks += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
     if gnss.velocity_n is not None and (
         gnss.velocity_covariance_n is None or not np.isfinite(gnss.velocity_covariance_n).any()
     ):
-        told += "; velocities have no standard deviation and are left out"
+        remarks += "; velocities have no standard deviation and are left out"
     count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)
     entries = heapq.merge(*streams, key=itemgetter(0, 1))
     with BagWriter(out, overwrite=overwrite) as bag:
@@ -110,7 +110,7 @@ def convert_logs(
     rate = 1.0 / float(np.median(np.diff(imu.t)))
     return (
         f"{out}: {imu.t[-1] - imu.t[0]:.1f} s; {len(imu.t)} samples of {imu.path.name} at "
-        f"{rate:.4g} Hz, {len(gnss.t)} fixes of {gnss.path.name}{told}"
+        f"{rate:.4g} Hz, {len(gnss.t)} fixes of {gnss.path.name}{remarks}"
     )
 
 

@@ -22,7 +22,7 @@ FLOORS = {
     "ros": 2,
     "cli": 4,
 }
-"""Floors of the house; all others are libraries."""
+"""Floors of the package; all others are libraries."""
 NOT_FOR_EVERYONE = {
     "onnxruntime": {"hybrid_ins.noise_regressor.onnx_model"},
     "rclpy": OUTER

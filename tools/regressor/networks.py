@@ -220,16 +220,16 @@ class PlateauNet(nn.Module):
         self.fine2 = nn.Linear(hidden, hidden)
         self.gate = nn.Linear(hidden, energies)
         self.factor = nn.Linear(hidden, 1)
-        self.doubt = nn.Linear(hidden, 1)
+        self.log_scale = nn.Linear(hidden, 1)
         with torch.no_grad():
             # Start from weights by the number of modes averaged: near the best for white noise.
             modes = torch.log(1.0 / self.averages.max(dim=1).values)
-            for layer in (self.coarse_gate, self.gate, self.factor, self.doubt):
+            for layer in (self.coarse_gate, self.gate, self.factor, self.log_scale):
                 layer.weight *= 0.1
                 layer.bias.zero_()
             self.coarse_gate.bias.copy_(modes)
             self.gate.bias.copy_(modes)
-            self.doubt.bias.fill_(-1.0)
+            self.log_scale.bias.fill_(-1.0)
 
     def energies(self, readings: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """
@@ -253,8 +253,8 @@ class PlateauNet(nn.Module):
 
         Returns
         -------
-        level : the answer; coarse : the first stage's answer; doubt : log of the error's scale that
-        the network expects, which training weighs windows with. All (B,).
+        level : the answer; coarse : the first stage's answer; log_scale : log of the scale of
+        the error that the network expects, which training weighs windows with. All (B,).
         """
         x = energies - energies.mean(dim=1, keepdim=True)
         x = torch.cat((0.5 * x.clamp(-self.COARSE_LIMIT, self.COARSE_LIMIT), repeats), dim=1)
@@ -269,7 +269,7 @@ class PlateauNet(nn.Module):
         x = nn.functional.leaky_relu(self.fine2(x), self.SLOPE)
         weights = torch.log_softmax(self.gate(x), dim=1)
         level = torch.logsumexp(weights + energies, dim=1) + self.factor(x)[:, 0]
-        return level, coarse[:, 0], self.doubt(x)[:, 0]
+        return level, coarse[:, 0], self.log_scale(x)[:, 0]
 
     def forward(self, readings: Tensor) -> Tensor:
         """Return variances (B,) of windows (B, N)."""

@@ -19,7 +19,7 @@ class Mix:
     Attributes
     ----------
     coloured : share of windows whose noise is not white (low-passed, vibration, blue, AR). Most
-        are white: a network doubts steady white noise as often as its training gives it reason.
+        are white: a network takes steady white noise for another as often as its training does.
     moving : share with random motion; manoeuvring : share with steps, bumps, ramps or shocks.
     toned : share with one to four vibration tones.
     switching : share whose variance changes inside the window.

@@ -118,7 +118,7 @@ def paper_recipe(args: argparse.Namespace, data: noise_data.Windows) -> Recipe:
 
 
 def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> Recipe:
-    """Return our recipe: energies computed once, errors of log q weighed by the network's doubt."""
+    """Return our recipe: energies computed once, errors of log q in the network's own scale."""
     network = networks.PlateauNet(args.window)
     # Many windows seen few times: a million seen forty times were learned by heart.
     chunk = 4000
@@ -135,10 +135,10 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
 
     def loss(batch: Sequence[Tensor]) -> Tensor:
         energies, repeats, target = batch
-        level, coarse, doubt = network.log_level(energies, repeats)
+        level, coarse, log_scale = network.log_level(energies, repeats)
         # Errors count relative to what the window allows: 10 % on a clean one weighs as much as a
         # factor of two where motion and vibration cover the floor.
-        scale = torch.exp(doubt).clamp_min(0.02)
+        scale = torch.exp(log_scale).clamp_min(0.02)
         nothing = torch.zeros_like(level)
         miss = nn.functional.huber_loss((level - target) / scale, nothing, delta=1.5)
         guide = nn.functional.huber_loss(coarse, target, delta=0.3)
