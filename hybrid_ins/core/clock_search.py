@@ -27,7 +27,16 @@ from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank, mixture_of
 from hybrid_ins.core.position_scatter import horizontal_variance
-from hybrid_ins.core.state import DP, DV, EPS, N_ERROR, VELOCITY, NavState
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DIAGONAL,
+    DP,
+    DV,
+    EPS,
+    N_ERROR,
+    VELOCITY,
+    NavState,
+)
 
 Array = NDArray[np.float64]
 
@@ -40,6 +49,9 @@ OFFSET_BOUNDED = (0.15, 4_000_000_000)  # is enough: the rest is considered, see
 HARMLESS_NS = 20_000_000_000  # so is, for so long, what moves no fix by more than its claimed σ
 BLOCK_NS = 500_000_000  # the filters are many: in longer blocks they cost less
 MIN_SPACING_NS = 150_000_000  # between two fixes of a kind: more of them show hardly more
+IDLE_SPACING_NS = 950_000_000  # the same of a vehicle that has hovered for `IDLE_NS`
+IDLE_NS = 20_000_000_000
+IDLE_SPEED = 0.2  # m/s, at a claimed σ of 1 m: clock and heading move fixes by much less
 WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
 """Before that the filters differ by the time since their inflation: no evidence on the clock."""
 
@@ -115,6 +127,7 @@ class ClockSearch(MultipleModelBank):
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
+        self._spacing_ns = MIN_SPACING_NS
         self._weighed_from_ns = self._first_ns + WARM_UP_NS
         self._fixes = 0
         self._top_speed = 0.0  # m/s
@@ -124,7 +137,7 @@ class ClockSearch(MultipleModelBank):
         """See `MultipleModelBank.measure`; also False for a fix that follows another too soon."""
         if measurement.sensor == GNSS:
             last_ns = self._measured_ns.get(measurement.kind, 0)
-            if abs(measurement.t_ns - last_ns) < MIN_SPACING_NS:
+            if abs(measurement.t_ns - last_ns) < self._spacing_ns:
                 return False
             self._measured_ns[measurement.kind] = measurement.t_ns
         return super().measure(measurement)
@@ -138,6 +151,10 @@ class ClockSearch(MultipleModelBank):
             self._top_speed = max(self._top_speed, speed)
             claimed = math.sqrt(horizontal_variance(measurement.claimed))
             self._harmless = claimed / max(self._top_speed, 1e-3)
+            variance = self.best.nav[COVARIANCE][DIAGONAL[DV]][:2].sum()
+            is_idle = speed < max(IDLE_SPEED * claimed, 3.0 * math.sqrt(max(variance, 0.0)))
+            hovers = self.has_lasted("idle", is_idle, IDLE_NS)
+            self._spacing_ns = IDLE_SPACING_NS if hovers else MIN_SPACING_NS
         if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 

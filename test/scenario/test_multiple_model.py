@@ -195,6 +195,26 @@ def test_fixes_in_quick_succession_are_not_given_to_all_hypotheses() -> None:
     assert used == [False, True, False, False, True]
 
 
+def test_a_vehicle_that_hovers_is_searched_with_a_fix_a_second() -> None:
+    """Rotors shake it, so that it does not stand; its clock stays unknown for as long."""
+    run = standing(draw(SCENE, 4))
+    rng = np.random.default_rng(4)
+    samples = run.samples.copy()
+    samples["f"] += rng.normal(0.0, 0.5, (len(samples), 3))
+    samples["w"] += rng.normal(0.0, 0.05, (len(samples), 3))
+    run = until(replace(run, samples=samples), 30.0)
+    bank = estimating(run).navigator.phase.bank
+    assert isinstance(bank, ClockSearch) and len(bank.filters) > N_HEADINGS
+
+    last = run.fixes[-1]
+    used = [
+        bank.measure(replace(last, t_ns=last.t_ns + round(t * SECOND)))
+        for t in (1.0, 1.2, 1.4, 1.6, 1.8, 2.0)
+    ]
+
+    assert used == [True, False, False, False, False, True]
+
+
 def test_each_fix_is_told_of_once() -> None:
     # GIVEN fixes that wait for their samples, by the clock in force or by the right one
     run = until(stamped_early(draw(SCENE, 4), 0.1), 20.0)
