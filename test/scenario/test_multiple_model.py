@@ -195,14 +195,17 @@ def test_fixes_in_quick_succession_are_not_given_to_all_hypotheses() -> None:
     assert used == [False, True, False, False, True]
 
 
-def test_a_vehicle_that_hovers_is_searched_with_a_fix_a_second() -> None:
+def test_a_vehicle_that_hovers_is_searched_with_a_fix_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Rotors shake it, so that it does not stand; its clock stays unknown for as long."""
+    monkeypatch.setattr(clock_search, "IDLE_NS", 4 * SECOND)
     run = standing(draw(SCENE, 4))
     rng = np.random.default_rng(4)
     samples = run.samples.copy()
     samples["f"] += rng.normal(0.0, 0.5, (len(samples), 3))
     samples["w"] += rng.normal(0.0, 0.05, (len(samples), 3))
-    run = until(replace(run, samples=samples), 30.0)
+    run = until(replace(run, samples=samples), 12.0)
     bank = estimating(run).navigator.phase.bank
     assert isinstance(bank, ClockSearch) and len(bank.filters) > N_HEADINGS
 

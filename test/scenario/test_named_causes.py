@@ -67,6 +67,7 @@ def test_usable_fixes_are_not_blamed() -> None:
     assert not any("of no use" in text for text in drive.warnings())
 
 
+@pytest.mark.slow
 def test_wrong_axes_are_an_error_and_no_clock_offset() -> None:
     """
     GIVEN an IMU whose x and y axes are exchanged

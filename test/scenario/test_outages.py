@@ -71,7 +71,10 @@ def test_constraint_is_not_used_where_the_motion_does_not_show_it(
     assert not any(holds for _, holds, _ in states("car on ice", "auto", monkeypatch))
 
 
-@pytest.mark.parametrize("name", ["car, then on a ferry", "car, later on ice"])
+@pytest.mark.parametrize(
+    "name",
+    ["car, then on a ferry", pytest.param("car, later on ice", marks=pytest.mark.slow)],
+)
 def test_constraint_ends_when_the_motion_contradicts_it(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -78,6 +78,7 @@ def test_rosbags_reads_what_ins_replay_writes_and_agrees_with_ins_evaluate(
     assert rmse == pytest.approx(result["prmse_m"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_evo_agrees_with_ins_evaluate(
     estimate: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,6 +112,7 @@ def run(site: Path, home: Path) -> tuple[int, int]:
     return loaded, compiled
 
 
+@pytest.mark.slow
 def test_a_read_only_installation_compiles_once(installed: Path, tmp_path: Path) -> None:
     """GIVEN no right to write WHEN started twice THEN the second loads what the first kept."""
     home = tmp_path / "home"

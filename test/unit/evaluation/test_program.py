@@ -208,6 +208,7 @@ def test_an_estimate_without_any_usable_message(
     assert "no usable message" in error
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_does_not_lose_picture_report_and_track(
     estimate_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
