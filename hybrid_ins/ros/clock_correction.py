@@ -106,13 +106,16 @@ class ClockCorrection:
         Correct the offset once a second, or warn that it is wrong; call after each fix.
 
         Wrong axes of the IMU have the effect of a wrong offset: there is no warning of it then.
+        While a given heading is being checked, what contradicts the state may be that: the offset
+        is left alone.
         """
         self._axes_are_plausible = axes_are_plausible
         running = self._navigator.filter
         if running is None or running.t_ns < self._next_ns:
             return
         self._next_ns = running.t_ns + CORRECTION_NS
-        correcting = self._estimate and not self._navigator.phases.clock_open
+        phases = self._navigator.phases
+        correcting = self._estimate and not phases.clock_open and not phases.heading_open
         jumped = abs(running.clock.residual) > max(WRONG, 5.0 * running.clock.sigma)
         if correcting:
             self._correct(running)

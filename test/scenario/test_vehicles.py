@@ -48,6 +48,19 @@ def test_velocities_older_than_positions_do_not_draw_the_clock() -> None:
     assert found.rmse < 1.5
 
 
+def test_what_contradicts_a_wrong_heading_is_not_blamed_on_a_known_clock() -> None:
+    """
+    GIVEN a heading wrong by half a turn, and a clock offset that is known from a calibration
+    WHEN the car moves
+    THEN the heading is corrected: the check of it ended when the clock came under suspicion.
+    """
+    row = campaign.one(27, clock_given=True)
+
+    assert (row["motion"], row["given"]) == ("car", "wrong")
+    assert row["offset"] == pytest.approx(row["true_offset"], abs=0.02)
+    assert row["heading"] < 2.0 and row["rmse"] < 0.05 and row["silent"] == 0.0
+
+
 @pytest.mark.slow
 def test_a_right_clock_is_kept_on_a_cruise() -> None:
     """

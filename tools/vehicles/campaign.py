@@ -43,6 +43,7 @@ RECEIVERS = {  # rate [Hz], white, slow [m, horizontal]
     "consumer": ((1.0, 5.0), (0.5, 2.0), (0.0, 2.0)),
 }
 MAX_OFFSET = 0.7  # s, of the clock
+CLOCK_STD = 0.005  # s, of an offset that is given
 IN_MOTION = 75.0  # s
 SOON = 20.0  # s of motion, to align
 
@@ -98,8 +99,12 @@ def draw(seed: int) -> tuple[dict[str, Any], Vehicle]:
     return row, vehicle
 
 
-def one(seed: int, defective: bool = False) -> dict[str, Any]:
-    """Return the row of one run, with the defects of real recordings if ``defective``."""
+def one(seed: int, defective: bool = False, clock_given: bool = False) -> dict[str, Any]:
+    """
+    Return the row of one run.
+
+    It has the defects of real recordings if ``defective``; ``clock_given`` gives its clock offset.
+    """
     row, vehicle = draw(seed)
     recording = record(vehicle, seed)
     if defective:
@@ -107,6 +112,9 @@ def one(seed: int, defective: bool = False) -> dict[str, Any]:
         row["defects"] = names
     drive = from_simulation(recording, defects.DELAY if defective else 0.0)
     values = {**parameters.defaults(), **_heading(row["given"], drive)}
+    if clock_given:
+        values["gnss.time_offset.value"] = row["true_offset"]
+        values["gnss.time_offset.std"] = CLOCK_STD
     if row["given"] == "wrong":
         drive = _later(drive, drive.motion_ns + round(SOON * 1e9))
     found = score(drive, values)
@@ -179,11 +187,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--defects", action="store_true", help="with what real recordings have besides noise"
     )
+    parser.add_argument(
+        "--clock-given",
+        action="store_true",
+        help="give the true clock offset: shows what finding it costs",
+    )
     parser.add_argument("--results", type=Path, metavar="FILE", help="also write all rows, JSON")
     args = parser.parse_args(argv)
     rows = []
-    seeds = [(seed, args.defects) for seed in range(args.first, args.first + args.runs)]
-    for row in progress.track(run_parallel(one, seeds, args.jobs), "drives", total=args.runs):
+    runs = [
+        (seed, args.defects, args.clock_given) for seed in range(args.first, args.first + args.runs)
+    ]
+    for row in progress.track(run_parallel(one, runs, args.jobs), "drives", total=args.runs):
         rows.append(row)
         if row["silent"] > 0.0:
             print({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()})
