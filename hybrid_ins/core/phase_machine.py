@@ -113,11 +113,6 @@ class PhaseMachine:
             self._stamps.steady_ns = min(phase.filter.long_step_ns, self._stamps.max_gap_ns)
 
     @property
-    def heading_open(self) -> bool:
-        """Whether several headings are possible; what contradicts the state may be the heading."""
-        return self.phase.bank is not None and self.phase.bank.heading_open
-
-    @property
     def filters(self) -> list[InsFilter]:
         """All filters that run."""
         running = [] if self.filter is None else [self.filter]

@@ -114,8 +114,10 @@ class ClockCorrection:
         if running is None or running.t_ns < self._next_ns:
             return
         self._next_ns = running.t_ns + CORRECTION_NS
-        phases = self._navigator.phases
-        correcting = self._estimate and not phases.clock_open and not phases.heading_open
+        bank = self._navigator.phase.bank
+        checking_heading = bank is not None and bank.heading_open
+        clock_open = self._navigator.phases.clock_open
+        correcting = self._estimate and not clock_open and not checking_heading
         jumped = abs(running.clock.residual) > max(WRONG, 5.0 * running.clock.sigma)
         if correcting:
             self._correct(running)
