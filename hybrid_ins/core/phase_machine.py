@@ -185,9 +185,11 @@ class PhaseMachine:
         Returns whether alignment has to begin again: the filters mix headings and offsets.
         """
         self.clock_open = unknown
-        if isinstance(self.phase, Running):
-            self._enter(Running(self.phase.filter))
-        return isinstance(self.phase, Searching) and self.phase.bank.clock_open
+        bank = self.phase.bank
+        is_mixed = bank is not None and bank.clock_open
+        if is_mixed and self.filter is not None:
+            self._enter(Running(self.filter))
+        return is_mixed and self.filter is None
 
     def continue_search(self, t_ns: int) -> bool:
         """

@@ -63,6 +63,28 @@ def test_a_wrong_heading_is_named_and_replaced(kind: str, wrong: float) -> None:
     assert all(o < 3.0 for o in off)
 
 
+@pytest.mark.parametrize("unknown", [True, False])
+def test_a_change_of_the_clock_does_not_end_the_check(unknown: bool) -> None:
+    """GIVEN a wrong heading WHEN a user changes the clock offset THEN it is still corrected."""
+    run = scene(car_drive(60.0, 1), seed=1, fix_std=(1.0, 1.0, 2.0))
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0) + math.pi, yaw_std=QUARTER)
+    checked: list[bool] = []
+
+    def after(t: float) -> None:
+        if round(t * 100.0) % 10 == 0:
+            navigator.continue_search()
+        if round(t * 100.0) == 400:
+            assert isinstance(navigator.phase, Running) and navigator.phase.bank is not None
+            checked.append(navigator.phase.bank.heading_open)
+            navigator.open_clock(unknown)
+
+    play(run, navigator, after=after)
+
+    assert checked == [True]
+    assert run.errors(navigator, 60.0)[2] < 0.15
+    assert len(corrections(run)) == 1
+
+
 def test_a_heading_is_given_up_before_another_one_is_known() -> None:
     """GIVEN a slow rover and a wrong heading WHEN the motion excludes it THEN none is claimed."""
     run = scene(slow_rover(60.0, 2, 5.0), seed=2, fix_rate=2.0, fix_std=(0.4, 0.4, 0.6))
