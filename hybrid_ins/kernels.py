@@ -244,7 +244,7 @@ def _compile_smoothing() -> None:
 
 
 def _compile_calibration() -> None:
-    from hybrid_ins.calibration.innovations import innovations
+    from hybrid_ins.calibration.innovations import N_SAID, innovations
 
     empty = np.empty((0, 3))
     innovations(
@@ -263,6 +263,7 @@ def _compile_calibration() -> None:
         np.empty((0, 3, 3)),
         np.empty(0),
         np.empty((0, N_NAV)),
+        np.empty((0, N_SAID)),
     )
 
 

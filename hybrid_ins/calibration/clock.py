@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.fit import KEPT, Fit
-from hybrid_ins.calibration.likelihood import offset_name
+from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.parameters import PARAMETERS
 
@@ -59,16 +59,31 @@ def observe_clock(
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
         rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
     if fitted.drift.value:
-        drift, std = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
-        note = "gnss.time_offset.estimate follows it; the offset is that of the middle"
-        rows.append(("clock drift", drift, std, "identified", note))
-    offsets = [fitted.offset(k) for k in range(count)]
+        drift, sigma_of_drift = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
+        note = "gnss.time_offset.estimate follows it; the file has the offset of the first fix"
+        rows.append(("clock drift", drift, sigma_of_drift, "identified", note))
+    offsets = [
+        fitted.offset(k) - fitted.drift.value * float(np.mean(recording.aid_t) - recording.aid_t[0])
+        for k, recording in enumerate(fitted.recordings)
+    ]
     text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
     if ambiguous:
         return rows, nominal, 0.0, f"{text}; as given"
+    std = _std(fitted, offsets, [row[3] for row in rows])
+    known = not any(name.startswith("offset") for name in fitted.frozen)
+    if known and VELOCITY_AGE not in fitted.frozen:
+        rows.append(_velocity_age(fitted))
     mean = round(float(np.mean(offsets)), 4)
     note = f"{text}; their mean" if own and count > 1 else text
-    return rows, mean, _std(fitted, offsets, [row[3] for row in rows]), note
+    return rows, mean, std, note
+
+
+def _velocity_age(fitted: Fit) -> Row:
+    """Return the row of how much older velocities are than positions with the same stamp."""
+    older, sigma = -fitted.value(VELOCITY_AGE), fitted.sigma(VELOCITY_AGE)
+    verdict = "identified" if sigma <= IDENTIFIED_OFFSET else "weak"
+    note = "behind positions with the same stamp; the filter finds it while running"
+    return ("age of velocities", f"{older:+.3f} s", f"{sigma:.3f} s", verdict, note)
 
 
 def _std(fitted: Fit, offsets: list[float], verdicts: list[str]) -> float:

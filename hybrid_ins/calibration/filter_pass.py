@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.innovations import (
+    N_SAID,
     POSITION,
     empty_states,
     innovations,
     log_likelihood,
 )
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.earth import curvature_scale, normal_gravity
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
@@ -22,7 +24,7 @@ from hybrid_ins.core.rotations import (
     quat_from_rotvec,
     quat_from_rpy,
 )
-from hybrid_ins.core.state import N_ERROR, PSD, NavState
+from hybrid_ins.core.state import N_ERROR, PSD, SENSITIVITY, NavState
 
 Array = NDArray[np.float64]
 
@@ -55,6 +57,7 @@ class FilterPass:
     S: Array  # (M, 3, 3)
     nis: Array  # (M,)
     states: Array  # (M, N_NAV) after each measurement, or (0, N_NAV)
+    clock: Array = field(default_factory=lambda: np.empty((0, N_SAID)))  # likewise, of the clock
 
     @property
     def log_likelihood(self) -> Array:
@@ -193,6 +196,7 @@ def run_filter(
     gnss_scale: float,
     yaw: float,
     yaw_std: float,
+    velocity_age: float = 0.0,
     keep_states: bool = False,
 ) -> FilterPass:
     """
@@ -213,24 +217,34 @@ def run_filter(
         Factor on the covariances of the measurements.
     yaw, yaw_std : float
         Heading at the start, from north, and its standard deviation [rad].
+    velocity_age : float
+        Added to the stamps of velocities, besides the clock offset [s].
     keep_states : bool
-        Keep the state after each measurement.
+        Keep the state after each measurement, and what it says of the clock offset.
     """
     nav = initial_state(first, lever_b, yaw, yaw_std)
     nav[PSD] = psd
-    M = len(recording.aid_t)
+    nav[SENSITIVITY] = initial_sensitivity(first.velocity, np.zeros(3))
+    times = recording.measured_at(first.offset, velocity_age)
+    order = np.argsort(times, kind="stable")
+    M = len(times)
+    kept = M if keep_states else 0
     result = FilterPass(
-        np.empty((M, 3)), np.empty((M, 3, 3)), np.empty(M), empty_states(M if keep_states else 0)
+        np.empty((M, 3)),
+        np.empty((M, 3, 3)),
+        np.empty(M),
+        empty_states(kept),
+        np.empty((kept, N_SAID)),
     )
     innovations(
         nav,
         recording.t[first.sample :],
         recording.samples[first.sample :],
         noise[first.sample :],
-        recording.aid_t + first.offset,
-        recording.aid_kind,
-        recording.aid,
-        recording.aid_R * gnss_scale,
+        times[order],
+        recording.aid_kind[order],
+        recording.aid[order],
+        recording.aid_R[order] * gnss_scale,
         lever_b,
         INTERVAL,
         TAIL,
@@ -238,5 +252,16 @@ def run_filter(
         result.S,
         result.nis,
         result.states,
+        result.clock,
     )
-    return result
+    if velocity_age == 0.0:
+        return result
+    places = np.argsort(order)
+    kept_places = places[:kept]
+    return FilterPass(
+        result.z[places],
+        result.S[places],
+        result.nis[places],
+        result.states[kept_places],
+        result.clock[kept_places],
+    )

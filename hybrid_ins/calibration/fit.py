@@ -21,23 +21,28 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.drift import Drift, remove_drift
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
+from hybrid_ins.calibration.innovations import VELOCITY
 from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
     COARSE_PSD_G,
+    VELOCITY_AGE,
     YAWS,
     Likelihood,
     Prior,
     offset_name,
 )
+from hybrid_ins.calibration.motion import std_by_motion
 from hybrid_ins.calibration.recording import Recording
 
 Array = NDArray[np.float64]
 OnStage = Callable[[str], Callable[[], None]]  # given a stage's name, returns what counts passes
 
 COARSE_STEP = 0.1  # s
+OFFSET_STEP = 0.02  # s, of a finite difference
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
-SIGNIFICANT = 3.0  # standard deviations
-KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
+DIFFERENT = 5.0  # standard deviations: σ is of a model that is only nearly right, and a weak
+# antenna's height was 3.9 σ off
+KEPT = f"as given: less than {DIFFERENT:g} σ from what fits best"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ def fit(
         Standard deviation from which a parameter is held at its nominal value, by name.
     identified_std : mapping
         Standard deviation up to which a parameter is identified, by name. Above it, a parameter
-        that differs from its nominal value by less than ``SIGNIFICANT`` standard deviations is
+        that differs from its nominal value by less than ``DIFFERENT`` standard deviations is
         held there, too: the others are then those that go with the value that is kept.
     held : frozenset of str
         Parameters that are not estimated.
@@ -109,6 +114,8 @@ def fit(
     """
     centre = nominal.time_offset
     reach = round(search / COARSE_STEP)
+    if not any(np.any(recording.aid_kind == VELOCITY) for recording in recordings):
+        held |= {VELOCITY_AGE}
     grid = np.asarray(centre + COARSE_STEP * np.arange(-reach, reach + 1), np.float64)
     coarse = Likelihood([_within(r, centre, search) for r in recordings], nominal, own_offsets)
     coarse.on_pass = on_stage("coarse")
@@ -133,6 +140,8 @@ def fit(
     x[fine.names.index("psd_a")] = math.log(COARSE_PSD_A)
     x[fine.names.index("psd_g")] = math.log(COARSE_PSD_G)
     fine.choose_yaws(x, math.pi / YAWS)
+    if VELOCITY_AGE not in held:
+        x = fine.choose_velocity_age(x)
     fine.frozen = held | {"walk_a", "walk_g"}
     x, _ = maximise(fine, x)
     fine.choose_yaws(x, 0.1)
@@ -141,19 +150,22 @@ def fit(
     std = uncertainty(fine, x)
     limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
+    is_offset = np.array([name.startswith("offset") for name in fine.names])
     while True:  # holding one parameter may reveal another as weak
-        weak = (std > known) & (np.abs(x - nominal_x) < SIGNIFICANT * std)
+        weak = (std > known) & (np.abs(x - nominal_x) < DIFFERENT * std)
         hold = keep | (std > limits) | weak
         if np.all(hold == keep):
             break
         keep = hold
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
         x, converged = maximise(fine, np.where(keep, nominal_x, x))
-        std = np.where(keep, std, uncertainty(fine, x))
-    x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
+        std = np.where(keep, std, _considered(fine, x, uncertainty(fine, x), std))
+    drift = Drift(0.0, math.inf)
+    if np.all(std[is_offset] <= known[is_offset]):
+        x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
     if drift.value:
         converged = refitted
-        std = np.where(keep, std, uncertainty(fine, x))
+        std = np.where(keep, std, _considered(fine, x, uncertainty(fine, x), std))
     return Fit(
         fine.names,
         x,
@@ -214,6 +226,7 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
 
     The outer products of the scores of single measurements are the information [2]_; those of
     sums over a few seconds, assumed to be independent, are the covariance of the scores [1]_.
+    That of a clock offset is no smaller than what the motion shows of it.
     """
     free = likelihood.free()
     scatter = np.zeros((len(free), len(free)))
@@ -233,8 +246,40 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     if blocks > 2 * len(free):
         variance = np.maximum(variance, np.diag(inverse @ scatter @ inverse))
     std = prior.copy()
-    std[free] = np.minimum(np.sqrt(variance), prior[free])
-    return std
+    std[free] = np.sqrt(variance)
+    for i in _offsets(likelihood) & set(free):
+        std[i] = max(std[i], _std_by_motion(likelihood, x, likelihood.names[i]))
+    return np.minimum(std, prior)
+
+
+def _considered(likelihood: Likelihood, x: Array, std: Array, given: Array) -> Array:
+    """
+    Return standard deviations (n,) that hold what clock offsets do that are held, maybe wrongly.
+
+    ``given`` (n,) has the standard deviations of these; the parameters of the largest posterior
+    move with them.
+    """
+    for i in _offsets(likelihood) - set(likelihood.free()):
+        moved = x.copy()
+        moved[i] += OFFSET_STEP
+        moved, _ = maximise(likelihood, moved)
+        slope = (moved - x) / OFFSET_STEP
+        slope[i] = 0.0
+        std = np.hypot(std, slope * given[i])
+    return np.minimum(std, [p.std for p in likelihood.prior])
+
+
+def _offsets(likelihood: Likelihood) -> set[int]:
+    """Return the indices of clock offsets."""
+    return {i for i, name in enumerate(likelihood.names) if name.startswith("offset")}
+
+
+def _std_by_motion(likelihood: Likelihood, x: Array, offset: str) -> float:
+    """Return the standard deviation [s] of a clock offset by the motion alone."""
+    count = range(len(likelihood.recordings))
+    of_clock = [k for k in count if offset_name(k, likelihood.names) == offset]
+    passes = [likelihood.run(k, x, keep_states=True) for k in of_clock]
+    return std_by_motion(passes, [likelihood.recordings[k] for k in of_clock])
 
 
 def filter_passes(fitted: Fit, nominal: Nominal, x: Array) -> list[FilterPass]:

@@ -20,9 +20,15 @@ from math import lgamma, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.clock_sensitivity import (
+    correct_sensitivities,
+    noise_information,
+    sensitivities,
+)
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.kalman import innovation
+from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.propagation import propagate_covariance, step
 from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
@@ -30,11 +36,31 @@ from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
 Array = NDArray[np.float64]
 
 POSITION, VELOCITY = 0, 1
+INFORMATION, OF_NOISE = range(2)
+"""What an innovation says of the clock offset [1/s²], and how much of that is noise of the INS; see
+`hybrid_ins.core.clock_sensitivity`."""
+
+N_SAID = 2
 
 
 @kernel(nogil=True)
 def innovations(  # type: ignore[no-untyped-def]
-    nav, t, samples, noise, aid_t, aid_kind, aid, aid_R, lever_b, interval, tail, z, S, nis, states
+    nav,
+    t,
+    samples,
+    noise,
+    aid_t,
+    aid_kind,
+    aid,
+    aid_R,
+    lever_b,
+    interval,
+    tail,
+    z,
+    S,
+    nis,
+    states,
+    clock,
 ):
     """
     Run the filter from ``nav`` over samples and aiding measurements, up to the last of these.
@@ -62,9 +88,12 @@ def innovations(  # type: ignore[no-untyped-def]
         samples and for a component that was not given (S there: unit diagonal).
     states : ndarray, shape (M, N_NAV) or (0, N_NAV)
         Written if it is not empty: the flat state after each measurement.
+    clock : ndarray, shape (M, N_SAID) or (0, N_SAID)
+        Written if it is not empty: what each innovation says of the clock offset.
     """
     z[:], S[:], nis[:] = np.nan, np.nan, np.nan
-    keep = states.shape[0] > 0
+    keep, keep_clock = states.shape[0] > 0, clock.shape[0] > 0
+    clock[:], nothing = 0.0, np.empty(0)
     count, n, i, k, now = aid_t.shape[0], t.shape[0], 1, 0, t[0]
     nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
     f, w = nav[LAST_F], nav[LAST_W]
@@ -99,14 +128,16 @@ def innovations(  # type: ignore[no-untyped-def]
             residual, H = position_model(nav, aid[k], lever_b)
         else:
             residual, H = velocity_model(nav, aid[k], lever_b)
-        nis[k] = _fuse(nav, residual, H, aid_R[k], tail, z[k], S[k])
+        is_position = aid_kind[k] == POSITION
+        said = clock[k] if keep_clock else nothing
+        nis[k] = _fuse(nav, residual, H, aid_R[k], is_position, tail, z[k], S[k], said)
         if keep:
             states[k] = nav[:N_NAV]
         k += 1
 
 
 @kernel()
-def _fuse(nav, residual, H, R, tail, z, S):  # type: ignore[no-untyped-def]
+def _fuse(nav, residual, H, R, is_position, tail, z, S, said):  # type: ignore[no-untyped-def]
     given = np.flatnonzero(np.isfinite(residual))
     m = given.shape[0]
     r, H_given, R_given = np.empty(m), np.empty((m, N_ERROR)), np.empty((m, m))
@@ -121,9 +152,20 @@ def _fuse(nav, residual, H, R, tail, z, S):  # type: ignore[no-untyped-def]
         z[given[i]] = r[i]
         for j in range(m):
             S[given[i], given[j]] = S_given[i, j]
+    scale = 1.0
     if tail > 0.0 and square > m:
-        R_given *= (tail + square) / (tail + m)
-    update(nav, r, H_given, R_given)
+        scale = (tail + square) / (tail + m)
+        R_given *= scale
+    if said.shape[0] == 0:
+        update(nav, r, H_given, R_given)
+        return square
+    h, _ = sensitivities(nav, H_given)
+    root, to_offset = S_given.copy(), h[:, 0].copy()
+    factorise(root)
+    said[INFORMATION] = whiten(root, to_offset) / scale
+    dx, K = update(nav, r, H_given, R_given)
+    correct_sensitivities(nav, H_given, K, h, dx, is_position)
+    said[OF_NOISE] = noise_information(nav, H_given, K, S_given, is_position) / scale
     return square
 
 

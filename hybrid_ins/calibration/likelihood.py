@@ -32,11 +32,15 @@ from hybrid_ins.calibration.filter_pass import (
     first_state,
     run_filter,
 )
+from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD
 
 Array = NDArray[np.float64]
 
 LEVER = ("lever_x", "lever_y", "lever_z")
+VELOCITY_AGE = "velocity_age"  # s, how much younger velocities are than positions with their stamp
+VELOCITY_AGES = np.linspace(-0.4, 0.2, 13)
 FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
 YAWS = 12  # headings that the coarse search starts with
 COARSE_YAW_STD = 0.3  # rad, of each
@@ -99,11 +103,12 @@ class Likelihood:
             Prior("walk_g", math.log(nominal.walk_g), 0.7 * LN10, 0.2),
             *(Prior(name, 0.0, 1.0, 0.05) for name in FOLLOW),
             Prior("gnss_scale", 0.0, 1.0, 0.05),
+            Prior(VELOCITY_AGE, 0.0, VELOCITY_AGE_STD, 0.001),
         )
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
         self.frozen: frozenset[str] = frozenset()
-        self._by_yaw = np.empty((len(recordings), 0, YAWS))
+        self._by_yaw: list[Array] = []  # (G, YAWS) of the coarse search, by recording
         self.on_pass: Callable[[], None] = lambda: None
         self._last: tuple[object, list[Array]] | None = None  # a point, and `_values` there
         # A search moves one parameter at a time: most passes begin as the last one did.
@@ -154,48 +159,52 @@ class Likelihood:
             math.exp(self.value(x, "gnss_scale")),
             yaw,
             YAW_STD,
+            self.value(x, VELOCITY_AGE),
             keep_states,
         )
 
     def coarse(self, grid: Array) -> Array:
         """Return the log-likelihood (recordings, G) over clock offsets, averaged over headings."""
         profile = np.full((len(self.recordings), len(grid)), -np.inf)
+        for k, whole in enumerate(self.recordings):
+            begin = whole.begin_of_motion(LONGEST_COARSE)
+            moving = whole.with_measurements_between(begin, begin + LONGEST_COARSE)
+            self._by_yaw.append(self._coarse(moving, grid))
+            for g in range(len(grid)):
+                best = np.max(self._by_yaw[k][g])
+                profile[k, g] = best + math.log(np.mean(np.exp(self._by_yaw[k][g] - best)))
+        return profile
+
+    def _coarse(self, whole: Recording, grid: Array) -> Array:
+        """
+        Return the log-likelihood (G, YAWS) over clock offsets and headings at the start.
+
+        It is that of positions: velocities may have another age.
+        """
+        recording = whole.only(whole.aid_kind == POSITION)
         nominal = self.nominal
         psd = np.repeat([COARSE_PSD_A, COARSE_PSD_G, nominal.walk_a**2, nominal.walk_g**2], 3)
         yaws = np.arange(YAWS) * 2.0 * np.pi / YAWS
-        self._by_yaw = np.zeros((len(self.recordings), len(grid), YAWS))
-        for k, whole in enumerate(self.recordings):
-            recording = whole.with_measurements_between(
-                whole.aid_t[0], whole.aid_t[0] + LONGEST_COARSE
-            )
-            noise = recording.noise(0.0, 0.0)
-            starts = product((first_state(recording, o, nominal) for o in grid), yaws)
+        noise = recording.noise(0.0, 0.0)
 
-            def run(
-                start: tuple[FirstState, float],
-                recording: Recording = recording,
-                noise: Array = noise,
-            ) -> FilterPass:
-                first, yaw = start
-                return run_filter(
-                    recording,
-                    first,
-                    nominal.lever_b,
-                    psd,
-                    noise,
-                    1.0,
-                    yaw,
-                    COARSE_YAW_STD,
-                )
-
-            self._by_yaw[k] = np.reshape(
-                [np.sum(p.log_likelihood) for p in self._in_parallel(run, starts)],
-                (len(grid), YAWS),
+        def run(start: tuple[FirstState, float]) -> FilterPass:
+            first, yaw = start
+            return run_filter(
+                recording, first, nominal.lever_b, psd, noise, 1.0, yaw, COARSE_YAW_STD
             )
-            for g in range(len(grid)):
-                best = np.max(self._by_yaw[k, g])
-                profile[k, g] = best + math.log(np.mean(np.exp(self._by_yaw[k, g] - best)))
-        return profile
+
+        starts = product((first_state(recording, o, nominal) for o in grid), yaws)
+        found = [np.sum(p.log_likelihood) for p in self._in_parallel(run, starts)]
+        return np.reshape(found, (len(grid), YAWS))
+
+    def choose_velocity_age(self, x: Array) -> Array:
+        """Return ``x`` with the likeliest of some ages of velocities."""
+        candidates = np.tile(x, (len(VELOCITY_AGES), 1))
+        candidates[:, self._at[VELOCITY_AGE]] = VELOCITY_AGES
+        runs = product(candidates, range(len(self.recordings)))
+        found = self._in_parallel(lambda run: self._run(run[1], run[0], self.yaws[run[1]]), runs)
+        totals = np.reshape([np.sum(p.log_likelihood) for p in found], (len(candidates), -1))
+        return np.asarray(candidates[int(np.argmax(totals.sum(axis=1)))])
 
     def choose_yaws(self, x: Array, width: float) -> None:
         """Set each heading to the most likely one within ``width`` [rad] of it."""
@@ -211,8 +220,11 @@ class Likelihood:
     def choose_coarse_yaws(self, grid: Array, offsets: Sequence[float]) -> None:
         """Set each heading to the most likely one of the coarse search at its offset."""
         for k, offset in enumerate(offsets):
-            g = int(np.argmin(np.abs(grid - offset)))
-            self.yaws[k] = float(np.argmax(self._by_yaw[k, g])) * 2.0 * math.pi / YAWS
+            if self.recordings[k].begin_of_motion(LONGEST_COARSE) > self.recordings[k].aid_t[0]:
+                by_yaw = self._coarse(self.recordings[k], np.array([offset]))[0]
+            else:
+                by_yaw = self._by_yaw[k][int(np.argmin(np.abs(grid - offset)))]
+            self.yaws[k] = float(np.argmax(by_yaw)) * 2.0 * math.pi / YAWS
 
     # The clock offset of one recording does not affect the others.
 

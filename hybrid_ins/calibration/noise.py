@@ -19,13 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.fit import KEPT, SIGNIFICANT, Fit
+from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import FOLLOW
 from hybrid_ins.calibration.loudness import ORDINARY
 from hybrid_ins.calibration.wheels import Row
 
 Array = NDArray[np.float64]
 
+SIGNIFICANT = 3.0  # standard deviations
+KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
 SENSORS = (("accelerometer", "m/s²"), ("gyroscope", "rad/s"))
 
 

@@ -15,7 +15,7 @@ from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.earth import LocalFrame, curvature_scale
 from hybrid_ins.core.samples import sample_period
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, gps_fix
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
+MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
 
@@ -60,9 +61,40 @@ class Recording:
         factors = np.exp(np.array([follow_a, follow_g]) * self.loudness)
         return np.broadcast_to(factors, (len(self.t), 2)).copy()  # a view is another type to numba
 
+    def measured_at(self, offset: float, velocity_age: float) -> Array:
+        """
+        Return when measurements were valid, (M,) [s], by the IMU's clock.
+
+        ``offset`` is added to their stamps; velocities are younger by ``velocity_age`` [s].
+        """
+        return self.aid_t + offset + velocity_age * (self.aid_kind == VELOCITY)
+
+    def begin_of_motion(self, length: float) -> float:
+        """
+        Return the time of the fix [s] from which the vehicle's motion changes most in a length [s].
+
+        The first fix, unless its velocity changes less than half as much there.
+        """
+        fixes = np.flatnonzero(self.aid_kind == POSITION)
+        fixes = fixes[np.isfinite(self.aid[fixes, :2]).all(axis=1)]
+        start = float(self.aid_t[0])
+        t = np.arange(self.aid_t[fixes[0]], self.aid_t[fixes[-1]], MOTION_STEP)
+        if len(t) < 3 or t[-1] - start <= length:
+            return start
+        scale = curvature_scale(self.aid[fixes[0]])[:2]
+        track = [np.interp(t, self.aid_t[fixes], self.aid[fixes, k] * scale[k]) for k in (0, 1)]
+        change = np.sum(np.diff(track, 2) ** 2, axis=0)
+        sums = np.concatenate(([0.0, 0.0], np.cumsum(change)))
+        by_begin = sums[np.minimum(np.searchsorted(t, t + length), len(t) - 1)] - sums[: len(t)]
+        best = int(np.argmax(by_begin))
+        return start if by_begin[0] > 0.5 * by_begin[best] else float(t[best])
+
     def with_measurements_between(self, first: float, last: float) -> Recording:
         """Return the recording with the GNSS measurements of an interval of their clock [s]."""
-        keep = (self.aid_t >= first) & (self.aid_t <= last)
+        return self.only((self.aid_t >= first) & (self.aid_t <= last))
+
+    def only(self, keep: NDArray[np.bool_]) -> Recording:
+        """Return the recording with some of the GNSS measurements, (M,)."""
         return replace(
             self,
             aid_t=self.aid_t[keep],

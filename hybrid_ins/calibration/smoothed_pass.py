@@ -28,7 +28,7 @@ from hybrid_ins.calibration.filter_pass import (
 )
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
-from hybrid_ins.calibration.likelihood import FOLLOW, YAW_STD
+from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.smoother import Smoother
@@ -69,11 +69,13 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
         NavState.from_flat(nav),
         psd,
     )
-    fused = np.flatnonzero(np.isfinite(passed.nis))
-    stamps = EPOCH_NS + np.rint((recording.aid_t + offset) * 1e9).astype(np.int64)
+    times = recording.measured_at(offset, fitted.value(VELOCITY_AGE))
+    stamps = EPOCH_NS + np.rint(times * 1e9).astype(np.int64)
+    order = np.argsort(stamps, kind="stable")
+    fused = order[np.isfinite(passed.nis[order])]
     scale = np.exp(fitted.value("gnss_scale"))
     noise = recording.noise(*map(fitted.value, FOLLOW))
-    sample = np.searchsorted(recording.t[:-1], recording.aid_t + offset)
+    sample = np.searchsorted(recording.t[:-1], times)
     updates = []
     for row in fused:
         there = psd * np.repeat([*noise[sample[row]], 1.0, 1.0], 3)

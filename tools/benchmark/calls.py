@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.calibration.innovations import POSITION, empty_states, innovations
+from hybrid_ins.calibration.innovations import N_SAID, POSITION, empty_states, innovations
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
@@ -163,6 +163,7 @@ def _runs_at_once(run: Run, repetitions: int) -> list[float]:
             S,
             nis,
             empty_states(),
+            np.empty((0, N_SAID)),
         )
 
     fly(0)

@@ -19,6 +19,7 @@ from hybrid_ins.calibration.derived import courses, next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.findings import Calibration, Findings, add_lever_arm, calibrate
 from hybrid_ins.calibration.innovations import (
+    N_SAID,
     POSITION,
     empty_states,
     gaussian_scale,
@@ -91,6 +92,7 @@ def run_pass(run: Recording, nav: Array, tail: float = 0.0) -> tuple[Array, Arra
         S,
         nis,
         empty_states(),
+        np.empty((0, N_SAID)),
     )
     return z, S, nis
 

@@ -1,0 +1,109 @@
+"""What a calibration says of the clock: no more than the motion shows, and of each kind of fix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hybrid_ins import parameters
+from hybrid_ins.calibration.clock import observe_clock
+from hybrid_ins.calibration.drift import Drift
+from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
+
+
+def recorded(vehicle: Vehicle, seed: int) -> Recording:
+    """Return a simulated drive to calibrate with, velocities included."""
+    drive, receiver = record(vehicle, seed), vehicle.receiver
+    kinds = [(POSITION, drive.fix_lla, np.asarray(receiver.claimed_std))]
+    if drive.fix_velocity_n is not None:
+        kinds.append((VELOCITY, drive.fix_velocity_n, np.full(3, receiver.velocity_std)))
+    count = len(drive.fix_stamp)
+    order = np.argsort(np.tile(drive.fix_stamp, len(kinds)), kind="stable")
+    return Recording(
+        vehicle.name,
+        drive.imu.t,
+        np.ascontiguousarray(np.hstack((drive.imu.specific_force, drive.imu.angular_rate))),
+        np.tile(drive.fix_stamp, len(kinds))[order],
+        np.repeat([kind for kind, _, _ in kinds], count)[order],
+        np.vstack([values for _, values, _ in kinds])[order],
+        np.vstack([np.tile(np.diag(std**2), (count, 1, 1)) for *_, std in kinds])[order],
+    )
+
+
+def verdict(found: Calibration, label: str) -> str:
+    [one] = [row.verdict for row in found.findings if row.label == label]
+    return one
+
+
+def test_a_cruise_shows_no_clock_offset() -> None:
+    """
+    GIVEN a shaken IMU on a motorway, precise fixes, and a clock that is wrong by 0.1 s
+    THEN nothing is claimed of it: the likelihood is sure to 4 ms of -0.34 s, by chance.
+    """
+    motorway = replace(VEHICLES["car on a motorway, clock -0.1 s"], duration=100.0)
+    found = calibrate([recorded(motorway, 3)], parameters.defaults(), search=0.5)
+
+    assert verdict(found, "clock offset") == "not identifiable"
+    assert verdict(found, "antenna forward") != "identified"  # it depends on the offset
+    assert found.values["gnss.time_offset.value"] == 0.0
+    assert found.values["gnss.time_offset.std"] == 0.0
+
+
+def test_velocities_older_than_positions_do_not_draw_the_offset() -> None:
+    receiver = Receiver(5.0, offset=0.05, velocity_std=0.03, velocity_age=0.12)
+    car = replace(VEHICLES["car"], receiver=receiver, duration=80.0)
+    found = calibrate([recorded(car, 3)], parameters.defaults(), search=0.3)
+
+    fitted = found.fitted
+    for name, true in (("offset", 0.05), ("velocity_age", -0.12)):
+        assert abs(fitted.value(name) - true) < min(0.02, 4.0 * fitted.sigma(name)), name
+    assert verdict(found, "age of velocities") == "identified"
+
+
+def standing_then_turning(standing: float, turning: float) -> Recording:
+    """Return fixes of a vehicle that stands, then drives circles of 10 m at 5 m/s."""
+    t = np.arange(0.0, standing + turning, 0.2)
+    angle = 0.5 * np.maximum(t - standing, 0.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.02, (len(t), 3))
+    track = np.stack((10.0 * np.sin(angle), 10.0 * (1.0 - np.cos(angle)), 0.0 * t), axis=1) + noise
+    origin = np.array([0.8, 0.1, 50.0])
+    return Recording(
+        "circles",
+        t,
+        np.zeros((len(t), 6)),
+        t,
+        np.full(len(t), POSITION),
+        origin + track / curvature_scale(origin),
+        np.tile(np.eye(3), (len(t), 1, 1)),
+    )
+
+
+def test_the_coarse_search_looks_where_the_vehicle_moves() -> None:
+    assert standing_then_turning(0.0, 200.0).begin_of_motion(90.0) == 0.0
+    assert standing_then_turning(20.0, 100.0).begin_of_motion(90.0) == 0.0
+    begin = standing_then_turning(200.0, 60.0).begin_of_motion(90.0)
+    assert 165.0 <= begin <= 202.0  # all of the motion is within
+
+
+def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -> None:
+    drifting = replace(found_fit, drift=Drift(1e-3, 1e-5))
+    first, middle = (f(found_fit.recordings[0].aid_t) for f in (np.min, np.mean))
+
+    value = observe_clock(found_fit, own=False, nominal=0.0, search=0.5)[1]
+    _, at_start, std, _ = observe_clock(drifting, own=False, nominal=0.0, search=0.5)
+
+    assert at_start == pytest.approx(value - 1e-3 * (middle - first), abs=2e-4)
+    assert std == 0.0  # another day it is another one
+
+
+@pytest.fixture(scope="module")
+def found_fit() -> Fit:
+    car = replace(VEHICLES["car"], duration=60.0)
+    return calibrate([recorded(car, 3)], parameters.defaults(), search=0.2).fitted
