@@ -92,7 +92,9 @@ def _std(fitted: Fit, offsets: list[float], verdicts: list[str]) -> float:
         return 0.0
     sigmas = [fitted.sigma(offset_name(k, fitted.names)) for k in range(len(offsets))]
     spread = float(np.ptp(offsets)) if len(offsets) > 1 else 0.0
-    std = math.hypot(float(np.max(sigmas)), spread)
+    length = max(float(np.ptp(recording.aid_t)) for recording in fitted.recordings)
+    by_drift = fitted.drift.std * length / math.sqrt(12.0)
+    std = math.hypot(float(np.max(sigmas)), spread, by_drift)
     return round(std, 4) if std < SEARCHED_ANYWAY else 0.0
 
 

@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -28,17 +29,18 @@ Array = NDArray[np.float64]
 PRIOR = 1e-3  # standard deviation; crystals agree to 1e-4, logger software to less
 STEP = 0.004  # s, of finite differences, at the ends of a recording
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
-SIGNIFICANT = 5.0  # standard deviations, of a model that is only nearly right: 3.4 were chance
+SIGNIFICANT = 3.0  # standard deviations, from which a drift is looked for
+CERTAIN = 4.0  # likewise, from which what was found is one: 3.4 were chance
 NOTICEABLE = 0.005  # s, of the offset at the ends of the longest recording
 SETTLED = 0.1  # standard deviations
 MOST_PASSES = 8
 
 
 class Drift(NamedTuple):
-    """Rate of change of the clock offset, and its standard deviation [s/s]."""
+    """Rate of change of the clock offset [s/s]."""
 
-    value: float
-    std: float
+    value: float  # 0: none is significant
+    std: float  # root of the mean square of what it may be besides
 
 
 def without_drift(recording: Recording, drift: float) -> Recording:
@@ -79,7 +81,7 @@ def remove_drift(
         moved = total + step.value
         shown = abs(moved) > max(SIGNIFICANT * step.std, 2.0 * NOTICEABLE / longest)
         if not total and not shown:
-            break
+            return x, converged, Drift(0.0, step.std)
         total = moved
         likelihood.use([without_drift(recording, total) for recording in given])
         x, converged = refit(x)
@@ -87,6 +89,9 @@ def remove_drift(
             break
     else:
         converged = False
+    if abs(total) < CERTAIN * step.std:
+        likelihood.use(given)
+        return *refit(x), Drift(0.0, math.hypot(total, step.std))
     return x, converged, Drift(total, step.std)
 
 

@@ -161,10 +161,11 @@ def run(
 def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text: None) -> Score:
     """Run and judge: `Score.silent` all odometry, the rest from when the heading is known."""
     estimator, t_ns, rows = run(drive, values, log)
-    if not drive.absolute and estimator.offsets:
-        drive = replace(drive, truth_ns=_at_offset_in_force(drive, estimator.offsets))
     search_ns = np.array([found.t_ns for found in estimator.search], np.int64)
     everything = np.concatenate([*[f.values[None] for f in estimator.search], rows])
+    if not drive.absolute and estimator.offsets:
+        drive = replace(drive, truth_ns=_at_offset_in_force(drive, estimator.offsets))
+        rows, everything = (_of_antenna(some, values) for some in (rows, everything))
     silent = _silently_wrong(drive, np.concatenate((search_ns, t_ns)), everything)
     nan = math.nan
     if len(t_ns) < 2:
@@ -239,6 +240,13 @@ def _silently_wrong(drive: Drive, t_ns: NDArray[np.int64], rows: Array) -> float
     silent = _lasting(drive.truth_ns, seen & (distance > 3.0 * FAR * sigma + metres))
     yaw_ns, off, std = _heading_errors(drive, t_ns, rows)
     return max(silent, _lasting(yaw_ns, off > 3.0 * FAR * std + radians))
+
+
+def _of_antenna(rows: Array, values: Mapping[str, Any]) -> Array:
+    """Return odometry with the position of the antenna, where the fixes are."""
+    moved = rows.copy()
+    moved[:, :3] += matrix_from_quat(rows[:, 3:7]) @ np.asarray(values["gnss.antenna_position"])
+    return moved
 
 
 def _at_offset_in_force(drive: Drive, offsets: Sequence[tuple[int, float]]) -> NDArray[np.int64]:

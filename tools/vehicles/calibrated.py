@@ -1,0 +1,155 @@
+"""
+The same drives with the default parameters and with what ``ins_calibrate`` finds.
+
+The program calibrates a simulated vehicle from another of its drives, that of the next (odd) seed,
+and a real one from the fixes that it is given of the same recording: there is no other. What it
+declines to write is not used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.bags.flight_bag import UNKNOWN_VARIANCE, Entry, set_vector, stamp
+from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
+from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.parameters import parameter_file
+from hybrid_ins.ros.conversions import DIAGONAL
+from hybrid_ins.simulation.vehicles import VEHICLES, record
+from tools.parallel import run_parallel
+from tools.vehicles.drives import AGE, Drive, from_simulation, load
+from tools.vehicles.evaluate import FEEDS, parser_of_drives
+from tools.vehicles.judge import Score, score
+
+HEADER = (
+    "| drive | default: RMSE, up [m] | NEES/2 | calibrated: RMSE, up [m] | NEES/2 | ratio "
+    "| silently wrong [s] | offset [s] | refused |\n" + "|---" * 9 + "|"
+)
+
+
+def write_bag(drive: Drive, path: Path) -> None:
+    """Write what a drive's node would be given."""
+    entries = heapq.merge(_imu(drive), _fixes(drive), _velocities(drive), key=itemgetter(0, 1))
+    with BagWriter(path) as bag:
+        for log_ns, _, topic, message in entries:
+            bag.write(topic, message, log_ns)
+
+
+def _imu(drive: Drive) -> Iterator[Entry]:
+    message = new_message(IMU)
+    message.orientation_covariance[0] = -1.0
+    for t_ns, force, rate in zip(drive.imu_ns.tolist(), drive.force, drive.rate, strict=True):
+        set_vector(message.linear_acceleration, force)
+        set_vector(message.angular_velocity, rate)
+        yield t_ns, 0, "/imu/data", stamp(message, t_ns, "imu_link")
+
+
+def _fixes(drive: Drive) -> Iterator[Entry]:
+    message = new_message(FIX)
+    for k, stamp_ns in enumerate(drive.fix_ns.tolist()):
+        std = drive.fix_std[k]
+        message.position_covariance_type = DIAGONAL if np.all(np.isfinite(std)) else 0
+        message.position_covariance[[0, 4, 8]] = np.nan_to_num(std) ** 2
+        message.latitude, message.longitude = np.degrees(drive.fix_lla[k, :2]).tolist()
+        message.altitude = float(drive.fix_lla[k, 2])
+        yield int(drive.arrival_ns[k]), 1, "/gnss/fix", stamp(message, stamp_ns, "gnss_link")
+
+
+def _velocities(drive: Drive) -> Iterator[Entry]:
+    if drive.velocity_enu is None or drive.velocity_std is None:
+        return
+    message = new_message(VELOCITY)
+    known = np.isfinite(drive.velocity_enu).all(axis=1)
+    for k in np.flatnonzero(known).tolist():
+        variance = [*np.nan_to_num(drive.velocity_std[k]) ** 2, *np.full(3, UNKNOWN_VARIANCE)]
+        message.twist.covariance[:] = np.diag(variance).ravel()
+        set_vector(message.twist.twist.linear, drive.velocity_enu[k])
+        stamped = stamp(message, int(drive.fix_ns[k]), "gnss_link")
+        yield int(drive.arrival_ns[k]), 2, "/gnss/velocity", stamped
+
+
+def calibrated(drive: Drive, keep: Path | None) -> tuple[dict[str, object] | None, str]:
+    """
+    Return the parameters that the program writes for a drive, None if none, and what it says.
+
+    Its text and its file are kept in the folder ``keep``.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        bag, out = Path(folder, "drive.mcap"), Path(folder, "parameters.yaml")
+        write_bag(drive, bag)
+        command = [sys.executable, "-m", "hybrid_ins.cli.calibrate", str(bag), "--out", str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        values = parameter_file.load(out) if out.exists() else None
+        if keep is not None:
+            text = out.read_text(encoding="utf-8") if out.exists() else ""
+            name = "".join(c if c.isalnum() else "_" for c in f"{drive.name} {drive.imu_ns.size} {drive.fix_lla[0, 0]:.9f}")
+            (keep / f"{name}.txt").write_text(
+                f"{done.stdout}\n{done.stderr}\n{text}", encoding="utf-8"
+            )
+        errors = [line for line in done.stderr.splitlines() if "error:" in line]
+        return values, errors[-1].partition("error: ")[2] if errors else ""
+
+
+def simulated_pair(name: str, seed: int) -> tuple[Drive, Drive]:
+    """Return a simulated drive that judges, and one of the same vehicle to calibrate with."""
+    vehicle = VEHICLES[name]
+    return from_simulation(record(vehicle, seed)), from_simulation(record(vehicle, seed + 1))
+
+
+def one(name: str, seed: int, data: Path | None, feed: str, keep: Path | None) -> str:
+    """Return the row of one drive; a real one if there is a folder ``data``."""
+    judge, other = simulated_pair(name, seed) if data is None else [load(data / name, feed)] * 2
+    default = score(judge, parameters.defaults())
+    values, refused = calibrated(other, keep)
+    found = default if values is None else score(judge, values)
+    return (
+        f"| {judge.name} | {_accuracy(default)} | {_accuracy(found)} "
+        f"| {_error(found) / _error(default):.2f} | {default.silent:.0f}, {found.silent:.0f} "
+        f"| {found.offset:+.3f} | {refused} |"
+    )
+
+
+def _accuracy(found: Score) -> str:
+    return f"{found.rmse:.3f}, {found.rmse_up:.3f} | {found.nees:.2f}"
+
+
+def _error(found: Score) -> float:
+    return float(np.hypot(found.rmse, found.rmse_up))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser: argparse.ArgumentParser = parser_of_drives(__doc__)
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="folder for what ins_calibrate says and writes"
+    )
+    args = parser.parse_args(argv)
+    if args.keep is not None:
+        args.keep.mkdir(parents=True, exist_ok=True)
+    wanted = [(name, seed, None, "") for name in VEHICLES for seed in args.seeds]
+    if args.data is not None:
+        wanted += [(name, 0, args.data, feed) for name in AGE for feed in FEEDS]
+    runs = [
+        (*run, args.keep)
+        for run in wanted
+        if not args.names or any(part in f"{run[0]}, {run[3]}" for part in args.names)
+    ]
+    print(HEADER)
+    for row in run_parallel(one, runs, args.jobs):
+        print(row, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
