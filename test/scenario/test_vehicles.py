@@ -1,15 +1,18 @@
 """Vehicles that are no quadrotor: valid fixes are used, and show motion."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hybrid_ins import parameters
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.core.standstill import FixMotion
+from hybrid_ins.ros.conversions import stamp_ns
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, record
-from tools.vehicles import campaign
+from tools.vehicles import calibrated, campaign
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Score, score
 
@@ -115,3 +118,23 @@ def test_fixes_show_motion_by_their_scatter_not_their_claims(speed: float, moves
     assert (motion.speed > 0.0) == moves
     if moves:
         assert motion.speed == pytest.approx(speed, rel=0.15)
+
+
+def test_the_bag_of_a_drive_holds_what_its_node_is_given(tmp_path: Path) -> None:
+    vehicle = replace(VEHICLES["fixed wing, velocities 0.1 s old"], duration=70.0)
+    drive = from_simulation(record(vehicle, 3), delay=0.2)
+    calibrated.write_bag(drive, tmp_path / "drive.mcap")
+
+    with BagReader(tmp_path / "drive.mcap") as bag:
+        imu = bag.imu("/imu/data")
+        fixes = list(bag.messages("/gnss/fix"))
+        [velocity, *_] = [message for *_, message in bag.messages("/gnss/velocity")]
+
+    assert np.array_equal(imu.stamp_ns, drive.imu_ns)
+    assert np.array_equal(imu.specific_force, drive.force)
+    assert [log_ns for _, log_ns, _ in fixes] == drive.arrival_ns.tolist()
+    assert [stamp_ns(message.header.stamp) for *_, message in fixes] == drive.fix_ns.tolist()
+    assert fixes[9][2].position_covariance[::4] == pytest.approx(drive.fix_std[9] ** 2)
+    assert drive.velocity_enu is not None
+    linear = velocity.twist.twist.linear
+    assert [linear.x, linear.y, linear.z] == drive.velocity_enu[0].tolist()

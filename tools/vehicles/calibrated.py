@@ -8,7 +8,6 @@ declines to write is not used.
 
 from __future__ import annotations
 
-import argparse
 import heapq
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,39 +78,37 @@ def _velocities(drive: Drive) -> Iterator[Entry]:
         yield int(drive.arrival_ns[k]), 2, "/gnss/velocity", stamped
 
 
-def calibrated(drive: Drive, keep: Path | None) -> tuple[dict[str, object] | None, str]:
+def calibrated(drive: Drive, report: Path | None) -> tuple[dict[str, Any] | None, str]:
     """
-    Return the parameters that the program writes for a drive, None if none, and what it says.
+    Return the parameters that the program writes for a drive, None if none, and why there is none.
 
-    Its text and its file are kept in the folder ``keep``.
+    What it prints and writes is kept in the file ``report``.
     """
     with tempfile.TemporaryDirectory() as folder:
         bag, out = Path(folder, "drive.mcap"), Path(folder, "parameters.yaml")
         write_bag(drive, bag)
         command = [sys.executable, "-m", "hybrid_ins.cli.calibrate", str(bag), "--out", str(out)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        values = parameter_file.load(out) if out.exists() else None
-        if keep is not None:
-            text = out.read_text(encoding="utf-8") if out.exists() else ""
-            name = "".join(c if c.isalnum() else "_" for c in f"{drive.name} {drive.imu_ns.size} {drive.fix_lla[0, 0]:.9f}")
-            (keep / f"{name}.txt").write_text(
-                f"{done.stdout}\n{done.stderr}\n{text}", encoding="utf-8"
-            )
-        errors = [line for line in done.stderr.splitlines() if "error:" in line]
-        return values, errors[-1].partition("error: ")[2] if errors else ""
+        written = out.read_text(encoding="utf-8") if out.exists() else ""
+        if report is not None:
+            text = f"{done.stdout}\n{done.stderr}\n{written}"
+            report.write_text(text, encoding="utf-8")
+        errors = [line for line in done.stderr.splitlines() if "error: " in line]
+        why = errors[-1].partition("error: ")[2].partition(f"; {out}")[0] if errors else ""
+        return parameter_file.load(out) if written else None, why
 
 
-def simulated_pair(name: str, seed: int) -> tuple[Drive, Drive]:
-    """Return a simulated drive that judges, and one of the same vehicle to calibrate with."""
-    vehicle = VEHICLES[name]
-    return from_simulation(record(vehicle, seed)), from_simulation(record(vehicle, seed + 1))
-
-
-def one(name: str, seed: int, data: Path | None, feed: str, keep: Path | None) -> str:
-    """Return the row of one drive; a real one if there is a folder ``data``."""
-    judge, other = simulated_pair(name, seed) if data is None else [load(data / name, feed)] * 2
+def one(name: str, variant: int | str, data: Path | None, keep: Path | None) -> str:
+    """Return the row of one drive: of a simulated one by its seed, of a real one by its feed."""
+    if isinstance(variant, int):
+        vehicle = VEHICLES[name]
+        judge, other = (from_simulation(record(vehicle, seed)) for seed in (variant, variant + 1))
+    else:
+        assert data is not None
+        judge = other = load(data / name, variant)
     default = score(judge, parameters.defaults())
-    values, refused = calibrated(other, keep)
+    report = None if keep is None else keep / f"{name}, {variant}.txt"
+    values, refused = calibrated(other, report)
     found = default if values is None else score(judge, values)
     return (
         f"| {judge.name} | {_accuracy(default)} | {_accuracy(found)} "
@@ -129,7 +127,7 @@ def _error(found: Score) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser: argparse.ArgumentParser = parser_of_drives(__doc__)
+    parser = parser_of_drives(__doc__)
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
     parser.add_argument(
         "--keep", type=Path, metavar="DIR", help="folder for what ins_calibrate says and writes"
@@ -137,13 +135,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     if args.keep is not None:
         args.keep.mkdir(parents=True, exist_ok=True)
-    wanted = [(name, seed, None, "") for name in VEHICLES for seed in args.seeds]
+    wanted: list[tuple[str, int | str]] = [(n, seed) for n in VEHICLES for seed in args.seeds]
     if args.data is not None:
-        wanted += [(name, 0, args.data, feed) for name in AGE for feed in FEEDS]
+        wanted += [(name, feed) for name in AGE for feed in FEEDS if name != "car_circles"]
     runs = [
-        (*run, args.keep)
-        for run in wanted
-        if not args.names or any(part in f"{run[0]}, {run[3]}" for part in args.names)
+        (name, variant, args.data, args.keep)
+        for name, variant in wanted
+        if not args.names or any(part in f"{name}, {variant}" for part in args.names)
     ]
     print(HEADER)
     for row in run_parallel(one, runs, args.jobs):
