@@ -7,13 +7,15 @@ specific force points up on average, and a vehicle that keeps one angle to its c
 its nose.
 
 Readings that seem to fit over short intervals are compared over longer ones, too, and over a longer
-window: the fixes' noise hides less there, and the gyroscope's bias explains less.
+window: the fixes' noise hides less there, and the gyroscope's bias explains less. What fits a
+little better may do so by chance, and is believed once motion that is half new shows it again.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,8 @@ from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.imu_axes_faults import (
     DEGREES,
     EXPLANATIONS,
-    ROTATIONS,
     AxesFault,
+    mount_upright,
     to_hypothesis,
 )
 from hybrid_ins.core.imu_axes_fit import (
@@ -52,7 +54,6 @@ PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two chec
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
 TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
-UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
 LEAST_SPEED = 1.5  # m/s, of a course
 NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
 
@@ -172,9 +173,13 @@ class ImuAxesCheck:
             self._times, self._found, self.fault = 0, None, None
         if not isinstance(found, AxesFault):
             return
-        both = None if self._found is None else self._found.in_common(found)
-        self._times = 1 if both is None else self._times + 1
-        self._found = found if both is None else both
+        last = self._found
+        both = None if last is None else last.in_common(found)
+        if last is None or both is None:
+            self._times, self._found = 1, found
+        else:
+            self._times += last.is_confirmed_by(found)
+            self._found = both
         if self._times < CONFIRMATIONS:
             return
         if self.fault is None or not self.fault.same(self._found):
@@ -241,7 +246,7 @@ class ImuAxesCheck:
         if len(grid) < SHORTEST / STEP:
             return False
         begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
-        mount = _mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
+        mount = mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
 
     def _long_motions(self) -> list[Motion]:
@@ -305,15 +310,16 @@ class ImuAxesCheck:
                 plain.append((accelerometer, gyroscope))
             else:
                 with_mount.append(fault)
-        if plain:
-            return AxesFault(tuple(plain), self._mount)
-        return with_mount[0] if with_mount else None
+        fault = AxesFault(tuple(plain), self._mount) if plain else next(iter(with_mount), None)
+        if fault is None or best.left < as_given.left / MUCH_BETTER:
+            return fault
+        return replace(fault, shown_by=(float(motion.fix_t[0]), float(motion.fix_t[-1])))
 
     def _mount_fault(
         self, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
     ) -> AxesFault | None:
         """Return the fault if the mount given does not fit gravity or course."""
-        upright = _mount_upright(self._mount, accelerometer @ motion.impulse.sum(axis=0))
+        upright = mount_upright(self._mount, accelerometer @ motion.impulse.sum(axis=0))
         mount = self._mount if upright is None else upright
         along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
         if upright is None and along is None:
@@ -341,18 +347,6 @@ def _fit_all(
 def _is_slow(hypothesis: Fit) -> bool:
     """Return whether rates were in degrees: without turns the motion fits this, too."""
     return bool(np.allclose(hypothesis.gyroscope, DEGREES * np.eye(3)))
-
-
-def _mount_upright(mount: Array, mean_force: Array) -> Array | None:
-    """Return the mount with which a mean specific force points up; None: the given one."""
-    up = mean_force / max(float(np.linalg.norm(mean_force)), 1e-9)
-    if -(mount @ up)[2] > UP:
-        return None
-    heights = [-(mount @ rotation @ up)[2] for rotation in ROTATIONS]
-    for rotation, height in zip(ROTATIONS, heights, strict=True):  # the least turned first
-        if height > max(heights) - 1e-3:
-            return np.asarray(mount @ rotation)
-    return None
 
 
 def _courses(motion: Motion) -> tuple[Array, Array]:

@@ -33,6 +33,8 @@ class AxesFault:
         The gyroscope shows no turns; nothing else is found.
     at_rest : bool
         Found from gravity alone: the accelerations may be reversed instead.
+    shown_by : tuple of float, optional
+        Beginning and end [s] of the motion that shows it, where that may be chance.
     """
 
     explanations: tuple[tuple[Array, Array], ...]
@@ -41,6 +43,14 @@ class AxesFault:
     by_course: bool = False
     no_turns: bool = False
     at_rest: bool = False
+    shown_by: tuple[float, float] | None = None
+
+    def is_confirmed_by(self, other: AxesFault) -> bool:
+        """Return whether another check that found the same is evidence of its own."""
+        if self.shown_by is None or other.shown_by is None:
+            return True
+        begin, end = other.shown_by
+        return end - self.shown_by[1] >= NEW_MOTION * (end - begin)
 
     def in_common(self, other: AxesFault) -> AxesFault | None:
         """Return the fault with the explanations that another check found, too; None without."""
@@ -79,6 +89,8 @@ def _signed_permutations() -> Array:
 
 PERMUTATIONS = _signed_permutations()
 ROTATIONS = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]
+NEW_MOTION = 0.5  # share of the motion that shows a fault again, where that may be chance
+UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
 SCALES = (DEGREES, 1.0 / DEGREES)
 
 
@@ -105,3 +117,15 @@ def to_hypothesis(accelerometer: Array, gyroscope: Array) -> tuple[float, Array]
     """Return the sign and the gyroscope's factor that fit the motion like an explanation."""
     sign = float(np.linalg.det(accelerometer))
     return sign, (sign * accelerometer).T @ gyroscope
+
+
+def mount_upright(mount: Array, mean_force: Array) -> Array | None:
+    """Return the mount with which a mean specific force points up; None: the given one."""
+    up = mean_force / max(float(np.linalg.norm(mean_force)), 1e-9)
+    if -(mount @ up)[2] > UP:
+        return None
+    heights = [-(mount @ rotation @ up)[2] for rotation in ROTATIONS]
+    for rotation, height in zip(ROTATIONS, heights, strict=True):  # the least turned first
+        if height > max(heights) - 1e-3:
+            return np.asarray(mount @ rotation)
+    return None
