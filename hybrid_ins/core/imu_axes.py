@@ -221,7 +221,7 @@ class ImuAxesCheck:
         if not fitting:
             return self._by_gravity()
         motion, as_given = fitting[-1]
-        fault = self._mount_fault(motion, one, one, as_given)
+        fault = _mount_fault(self._mount, motion, one, one, as_given)
         if fault is not None and not fault.by_course:
             reversed_force = fit(motion, Fit(-1.0, one))
             if reversed_force.left < MUCH_BETTER * as_given.left:
@@ -305,7 +305,7 @@ class ImuAxesCheck:
             found = [f for f in fitting if f.sign == sign and np.allclose(f.gyroscope, factor)]
             if not found:
                 continue
-            fault = self._mount_fault(motion, accelerometer, gyroscope, found[0])
+            fault = _mount_fault(self._mount, motion, accelerometer, gyroscope, found[0])
             if fault is None:
                 plain.append((accelerometer, gyroscope))
             else:
@@ -314,20 +314,6 @@ class ImuAxesCheck:
         if fault is None or best.left < as_given.left / MUCH_BETTER:
             return fault
         return replace(fault, shown_by=(float(motion.fix_t[0]), float(motion.fix_t[-1])))
-
-    def _mount_fault(
-        self, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
-    ) -> AxesFault | None:
-        """Return the fault if the mount given does not fit gravity or course."""
-        upright = mount_upright(self._mount, accelerometer @ motion.impulse.sum(axis=0))
-        mount = self._mount if upright is None else upright
-        along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
-        if upright is None and along is None:
-            return None
-        chosen = mount if along is None else along
-        by_course = along is not None
-        explanation = ((accelerometer, gyroscope),)
-        return AxesFault(explanation, chosen, turned=True, by_course=by_course)
 
 
 def _fit_all(
@@ -372,6 +358,21 @@ def _kinds(motion: Motion) -> list[str]:
     is_curved = len(course) > 0 and float(np.ptp(course)) > TURN
     turns = [f"turn about {axis}" for axis, is_seen in zip("xyz", turned, strict=True) if is_seen]
     return ["speed", *turns, *(["course"] if is_curved else [])]
+
+
+def _mount_fault(
+    given: Array, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
+) -> AxesFault | None:
+    """Return the fault if the mount given, (3, 3), does not fit gravity or course."""
+    upright = mount_upright(given, accelerometer @ motion.impulse.sum(axis=0))
+    mount = given if upright is None else upright
+    along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
+    if upright is None and along is None:
+        return None
+    chosen = mount if along is None else along
+    by_course = along is not None
+    explanation = ((accelerometer, gyroscope),)
+    return AxesFault(explanation, chosen, turned=True, by_course=by_course)
 
 
 def _mount_along_course(
