@@ -89,7 +89,7 @@ class ClockOffsetObserver:
         mean normalised NIS.
     """
 
-    __slots__ = ("_t_ns", "prior", "values")
+    __slots__ = ("_start_ns", "_t_ns", "prior", "values")
 
     def __init__(self, std: float, prior: ClockPrior | None = None) -> None:
         self.prior = prior
@@ -97,11 +97,12 @@ class ClockOffsetObserver:
         self.values[P_RESIDUAL], self.values[P_DRIFT] = std**2, DRIFT_STD**2
         self.values[P_AGE] = VELOCITY_AGE_STD**2
         self.values[NIS_SCALE] = 1.0
-        self._t_ns = 0  # of the last correction
+        self._start_ns = self._t_ns = 0  # of the first and the last correction
 
     def __copy__(self) -> ClockOffsetObserver:
         twin = object.__new__(ClockOffsetObserver)
-        twin.values, twin._t_ns, twin.prior = self.values.copy(), self._t_ns, self.prior
+        twin.values, twin.prior = self.values.copy(), self.prior
+        twin._start_ns, twin._t_ns = self._start_ns, self._t_ns
         return twin
 
     @property
@@ -131,7 +132,19 @@ class ClockOffsetObserver:
         variance = self.sigma**2
         if self.prior is None:
             return self.residual, variance
-        mean, variance = self.prior.posterior(self.residual, variance)
+        # The prior is that of the start, a line back from now but for the walks since.
+        values, age = self.values, (self._t_ns - self._start_ns) * 1e-9
+        factor = variance_factor(values)
+        with_drift = factor * values.item(P_RESIDUAL + DRIFT)
+        of_drift = factor * values.item(P_DRIFT)
+        walked = age * (RANDOM_WALK**2 + (age * DRIFT_WALK) ** 2 / 3.0)
+        mean, variance = self.prior.posterior(
+            self.residual,
+            variance,
+            self.residual - age * values.item(DRIFT),
+            max(variance - 2.0 * age * with_drift + age**2 * of_drift, 0.0) + walked,
+            variance - age * with_drift,
+        )
         return mean, max(variance, MIN_STD**2)
 
     @property
@@ -171,6 +184,7 @@ class ClockOffsetObserver:
 
     def on_corrected(self, t_ns: int) -> None:
         """Note that ``values`` contain a correction with this stamp [ns]."""
+        self._start_ns = self._start_ns or t_ns
         self._t_ns = t_ns
 
     def set_estimate(self, residual: float, sigma: float) -> None:

@@ -39,28 +39,34 @@ class ClockPrior(NamedTuple):
     mean: float
     scale: float
 
-    def posterior(self, estimate: float, variance: float) -> tuple[float, float]:
+    def posterior(
+        self, estimate: float, variance: float, at_start: float, spread: float, shared: float
+    ) -> tuple[float, float]:
         """
-        Return mean [s] and variance [s²] of the offset.
+        Return mean [s] and variance [s²] of the offset now.
+
+        The prior is of the offset at the start: a clock that drifts leaves it behind.
 
         Parameters
         ----------
         estimate, variance : float
-            Of a measurement of it, normally distributed [s, s²].
+            Of a measurement of the offset now, normally distributed [s, s²].
+        at_start, spread, shared : float
+            What the same measurement says of the offset at the start [s], its variance as far as
+            the prior does not contain it, and the covariance of both [s²].
         """
         total, first, second = 0.0, 0.0, 0.0
-        away = estimate - self.mean
+        away = self.mean - at_start
         exponent = -0.5 * away**2
         for share, scale in zip(SHARES, _scales(self.scale), strict=True):
-            square = scale**2
-            sum_ = square + variance
+            sum_ = scale**2 + spread
             weight = share * math.exp(max(exponent / sum_, -600.0)) / math.sqrt(sum_)
-            gain = square / sum_
+            gain = shared / sum_
             total += weight
             first += weight * gain * away
-            second += weight * (gain * variance + (gain * away) ** 2)
+            second += weight * (variance - gain * shared + (gain * away) ** 2)
         mean = first / total
-        return self.mean + mean, max(second / total - mean**2, 0.0)
+        return estimate + mean, max(second / total - mean**2, 0.0)
 
     def probability(self, low: float, high: float) -> float:
         """Return the probability of offsets between two [s], relative to the one in force."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_offset import ClockOffsetObserver, observe
 from hybrid_ins.core.clock_prior import RATIOS, SHARES, ClockPrior
 from hybrid_ins.core.clock_search import OFFSET_BOUNDED, OFFSETS_NS, probabilities
 
@@ -21,25 +21,63 @@ def by_integration(prior: ClockPrior, estimate: float, sigma: float) -> tuple[fl
     return mean, float((tau - mean) ** 2 @ density)
 
 
+def of_steady_clock(prior: ClockPrior, estimate: float, sigma: float) -> tuple[float, float]:
+    """Return the posterior of a clock that does not drift: the offset is that of the start."""
+    return prior.posterior(estimate, sigma**2, estimate, sigma**2, sigma**2)
+
+
 @pytest.mark.parametrize(
     ("estimate", "sigma", "given"), [(0.01, 0.01, 0.0), (0.06, 0.01, 0.0), (-0.2, 0.05, 0.1)]
 )
 def test_the_posterior_is_bayes_rule(estimate: float, sigma: float, given: float) -> None:
     prior = ClockPrior(given, 0.001)
-    mean, variance = prior.posterior(estimate, sigma**2)
+    mean, variance = of_steady_clock(prior, estimate, sigma)
     expected = by_integration(prior, estimate, sigma)
     assert mean == pytest.approx(expected[0], abs=1e-5)
     assert variance == pytest.approx(expected[1], rel=1e-3)
 
 
+def test_the_prior_of_a_drifting_clock_is_that_of_its_start() -> None:
+    # GIVEN offsets now and at the start of 0.03 and 0.005 s, 6 and 12 ms uncertain, correlated
+    now, start, C = 0.03, 0.005, np.array([[0.006**2, 3e-5], [3e-5, 0.012**2]])
+    prior = ClockPrior(0.0, 0.001)
+
+    mean, variance = prior.posterior(now, C[0, 0], start, C[1, 1], C[0, 1])
+
+    # Of the offset now given that at the start, normal distributions know mean and variance.
+    start_mean, start_variance = by_integration(prior, start, 0.012)
+    slope = C[0, 1] / C[1, 1]
+    assert mean == pytest.approx(now + slope * (start_mean - start), abs=1e-6)
+    assert variance == pytest.approx(
+        C[0, 0] - slope * C[0, 1] + slope**2 * start_variance, rel=1e-3
+    )
+
+
+def test_a_drifting_clock_leaves_its_given_offset() -> None:
+    """Given to 2 ms at the start, 100 ppm: the estimate follows, and its σ holds the truth."""
+    rng = np.random.default_rng(5)
+    observer = ClockOffsetObserver(0.5, ClockPrior(0.0, 0.002))
+    errors = []
+    for k in range(1, 301):
+        true = 1e-4 * k
+        h = np.array([[8.0 * np.cos(k), 0.0], [8.0 * np.sin(k), 0.0]])
+        z = h[:, 0] * true + 0.3 * rng.standard_normal(2)
+        observe(observer.values, 1.0 if k > 1 else np.inf, z, h, 0.09 * np.eye(2), 0.0, True)
+        observer.on_corrected(k * 1_000_000_000)
+        missing, variance = observer.missing
+        errors.append((missing - true) / np.sqrt(variance))
+    assert np.mean(np.square(errors)) < 1.5
+    assert np.sqrt(variance) < 0.01
+
+
 def test_chance_is_shrunk_and_evidence_is_not() -> None:
     prior = ClockPrior(0.0, 0.001)
-    assert prior.posterior(0.01, 0.01**2)[0] < 0.004
-    assert prior.posterior(0.1, 0.01**2)[0] == pytest.approx(0.1, abs=0.002)
+    assert of_steady_clock(prior, 0.01, 0.01)[0] < 0.004
+    assert of_steady_clock(prior, 0.1, 0.01)[0] == pytest.approx(0.1, abs=0.002)
 
 
 def test_a_calibrated_clock_that_has_been_replaced_is_still_corrected() -> None:
-    mean, variance = ClockPrior(0.1, 0.005).posterior(-0.3, 0.01**2)
+    mean, variance = of_steady_clock(ClockPrior(0.1, 0.005), -0.3, 0.01)
     assert mean == pytest.approx(-0.3, abs=0.005)
     assert variance < 0.02**2
 
