@@ -131,11 +131,17 @@ class ClockCorrection:
             self._navigator.open_clock(True)
 
     def _correct(self, running: InsFilter) -> None:
-        """Add to the fixes' stamps what a running filter has found missing."""
+        """
+        Add to the fixes' stamps what a running filter has found missing.
+
+        The given offset is left where the innovations contradict it; from then on the offset in
+        force follows them, also back.
+        """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
         worth = abs(missing) > max(0.3 * sigma, 1e-3)
-        if sigma < USABLE and worth and running.clock.contradiction > SIGNIFICANT:
+        contradicted = running.clock.contradiction > SIGNIFICANT
+        if sigma < USABLE and worth and (contradicted or self._moved != 0.0):
             self._moved += missing
             running.submit(ClockShift(running.t_ns, missing))
         if sigma < SETTLED and self._settled is None:
