@@ -134,14 +134,16 @@ class ClockCorrection:
         """
         Add to the fixes' stamps what a running filter has found missing.
 
-        The given offset is left where the innovations contradict it; from then on the offset in
-        force follows them, also back.
+        Only where the innovations contradict the given offset or, once a calibrated one was left,
+        the one in force: chance may have moved it. One that is not calibrated is searched for.
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
         worth = abs(missing) > max(0.3 * sigma, 1e-3)
-        contradicted = running.clock.contradiction > SIGNIFICANT
-        if sigma < USABLE and worth and (contradicted or self._moved != 0.0):
+        contradiction = running.clock.contradiction
+        if self._is_known and self._moved != 0.0:
+            contradiction = max(contradiction, abs(running.clock.residual) / running.clock.sigma)
+        if sigma < USABLE and worth and contradiction > SIGNIFICANT:
             self._moved += missing
             running.submit(ClockShift(running.t_ns, missing))
         if sigma < SETTLED and self._settled is None:
