@@ -10,6 +10,7 @@ the rest.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -101,6 +102,11 @@ class ClockSearch(MultipleModelBank):
         Probability of each state.
     offsets : ndarray, shape (len(OFFSETS_NS),)
         Probability of each offset.
+
+    Attributes
+    ----------
+    in_force_ns : int
+        What has been added to the stamps of fixes since the search began [ns].
     """
 
     clock_open: ClassVar[bool] = True
@@ -122,6 +128,7 @@ class ClockSearch(MultipleModelBank):
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
+        self.in_force_ns = 0
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._log_prior = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
@@ -136,6 +143,9 @@ class ClockSearch(MultipleModelBank):
     def measure(self, measurement: Measurement) -> bool:
         """See `MultipleModelBank.measure`; also False for a fix that follows another too soon."""
         if measurement.sensor == GNSS:
+            if self.in_force_ns:
+                as_at_first = measurement.t_ns - self.in_force_ns
+                measurement = replace(measurement, t_ns=as_at_first)  # type: ignore[type-var]
             last_ns = self._measured_ns.get(measurement.kind, 0)
             if abs(measurement.t_ns - last_ns) < self._spacing_ns:
                 return False
@@ -171,7 +181,7 @@ class ClockSearch(MultipleModelBank):
     @property
     def shift_is_certain(self) -> bool:
         """The offset is not one that a running filter corrects by itself."""
-        offsets_ns = np.abs(self._offsets_ns)
+        offsets_ns = np.abs(np.array(self._offsets_ns) - self.in_force_ns)
         weights = np.exp(self.log_weights)
         return bool(weights[offsets_ns < 1e9 * MIN_SHIFT].sum() < EXCLUDED * weights.sum())
 
@@ -181,7 +191,7 @@ class ClockSearch(MultipleModelBank):
 
     def _clock(self, log_weights: Array) -> tuple[float, float]:
         residuals = [
-            offset_ns * 1e-9 + hypothesis.clock.residual
+            (offset_ns - self.in_force_ns) * 1e-9 + hypothesis.clock.residual
             for offset_ns, hypothesis in zip(self._offsets_ns, self.filters, strict=True)
         ]
         variances = [hypothesis.clock.sigma**2 for hypothesis in self.filters]
@@ -194,15 +204,32 @@ class ClockSearch(MultipleModelBank):
         That by the innovations alone: the filter's clock has a prior of its own.
         """
         decision = super().decide()
-        if decision is None:
+        return None if decision is None else self._with_clock(decision)
+
+    def decide_on_heading(self) -> Decision | None:
+        """
+        Return a copy of the likeliest filter once the heading is known; None before.
+
+        It runs while the hypotheses go on to find the clock offset, which it takes for the
+        mixture's.
+        """
+        if not (self.heading_open and super()._is_known()):
             return None
+        decision = self._decision(copy.copy(self.best))
+        return self._with_clock(decision)._replace(is_final=False)
+
+    def _with_clock(self, decision: Decision) -> Decision:
+        """Give the decision's filter the mixture's clock offset."""
+        tried = self._offsets_ns[self._best] * 1e-9
+        decision = decision._replace(offset=tried - self.in_force_ns * 1e-9)
         prior = np.array([self._log_prior[offset_ns] for offset_ns in self._offsets_ns])
         residual, sigma = self._clock(self.log_weights - prior)
         clock = decision.filter.clock
         clock.set_estimate(residual - decision.offset, sigma)
         if self._prior is not None:
-            clock.prior = self._prior._replace(mean=self._prior.mean - decision.offset)
-        return decision._replace(at_edge=abs(residual) >= MAX_OFFSET_NS * 1e-9)
+            clock.prior = self._prior._replace(mean=self._prior.mean - tried)
+        from_first = residual + self.in_force_ns * 1e-9
+        return decision._replace(at_edge=abs(from_first) >= MAX_OFFSET_NS * 1e-9)
 
     def _is_known(self) -> bool:
         std = self.clock()[1]

@@ -64,6 +64,11 @@ class FilterRecord:
         self.decided: list[Decided] = []
         self.too_old: list[Decided] = []
 
+    def __copy__(self) -> FilterRecord:
+        twin = FilterRecord(self.start)
+        twin.decided, twin.too_old = [*self.decided], [*self.too_old]
+        return twin
+
     def add(
         self,
         event: Event,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
+from hybrid_ins.core.samples import readings_of, steps_since
 from hybrid_ins.core.state import (
     COVARIANCE,
     DP,
@@ -22,6 +23,41 @@ Array = NDArray[np.float64]
 
 GAP_FORCE, GAP_RATE = 0.2, 0.02  # m/s², rad/s: unmeasured motion of a calm vehicle
 MAX_STEP_ROTATION = 0.2  # rad, for which the series of the mechanisation hold
+
+
+def run(
+    nav: Array,
+    t_ns: int,
+    samples: NDArray[np.void],
+    long_step_ns: int,
+    interval: float,
+    rows: Array,
+) -> bool:
+    """
+    Propagate over samples and the gaps between them; return whether there were any.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state at ``t_ns`` [ns]; overwritten.
+    samples : ndarray of SAMPLE_DTYPE
+        At least one, younger than that.
+    long_step_ns : int
+        A longer step [ns] is a gap.
+    interval, rows
+        See `propagation.run`.
+    """
+    steps = steps_since(t_ns, samples["t_ns"])
+    dt, readings = steps * 1e-9, readings_of(samples)
+    gaps, start = (steps > long_step_ns).nonzero()[0].tolist(), 0
+    for k in gaps:
+        propagation.run(nav, dt[start:k], readings[start:k], interval, rows[start:k])
+        bridge(nav, readings[k], dt[k], interval)
+        if len(rows):
+            rows[k] = nav[:N_NAV]
+        start = k + 1
+    propagation.run(nav, dt[start:], readings[start:], interval, rows[start:])
+    return bool(gaps)
 
 
 def bridge(nav: Array, reading: Array, dt: float, interval: float) -> None:

@@ -24,7 +24,7 @@ from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.measurement_update import MeasurementUpdate
-from hybrid_ins.core.measurements import Measurement
+from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
@@ -153,6 +153,14 @@ class InsFilter:
         self._checkpoint()
         self._schedule()
 
+    def __copy__(self) -> InsFilter:
+        twin = object.__new__(InsFilter)
+        twin.__dict__.update(self.__dict__)
+        twin.nav, twin.verdicts, twin._pending = self.nav.copy(), deque(), [*self._pending]
+        twin._update, twin._history = copy.copy(self._update), copy.copy(self._history)
+        twin.record = copy.copy(self.record)
+        return twin
+
     def flat_state(self) -> Array:
         """Return a copy of the flat state after the last sample, its covariance up to date."""
         nav = self.nav.copy()
@@ -280,20 +288,10 @@ class InsFilter:
         """Run samples with no event between them."""
         if len(samples) == 0:
             return
-        stamps, interval = samples["t_ns"], self.covariance_interval
-        steps = steps_since(self.t_ns, stamps)
-        dt = steps * 1e-9
-        readings = readings_of(samples)
-        start = 0
-        for k in (steps > self.long_step_ns).nonzero()[0].tolist():
-            propagation.run(self.nav, dt[start:k], readings[start:k], interval, rows[start:k])
-            gap.bridge(self.nav, readings[k], dt[k], interval)
+        long_step_ns, interval = self.long_step_ns, self.covariance_interval
+        if gap.run(self.nav, self.t_ns, samples, long_step_ns, interval, rows):
             self.noise.restart(keep_weights=True)
-            if len(rows):
-                rows[k] = self.nav[:N_NAV]
-            start = k + 1
-        propagation.run(self.nav, dt[start:], readings[start:], interval, rows[start:])
-        self.t_ns = int(stamps[-1])
+        self.t_ns = int(samples["t_ns"][-1])
 
     def _apply(self, event: Event) -> None:
         """Apply an event to the state at its own stamp, which is the present one."""
@@ -335,6 +333,20 @@ class InsFilter:
         self.verdicts = decided
         self.verdicts.extend(own)
         return True
+
+
+def hand_over(running: InsFilter, winner: InsFilter, by_ns: int) -> list[Measurement]:
+    """
+    Leave what waits for the IMU to a filter that was given the same, with ``by_ns`` on GNSS stamps.
+
+    What ``running`` has judged already is withdrawn from ``winner``. Returns what waits for the
+    first alone: the other one has judged it.
+    """
+    left = {(m.kind, m.t_ns + (by_ns if m.sensor == GNSS else 0)): m for m in running.withdraw()}
+    for measurement in winner.withdraw():
+        if left.pop((measurement.kind, measurement.t_ns), None) is not None:
+            winner.submit(measurement)
+    return list(left.values())
 
 
 def state_at_imu(behind: InsFilter, nav: Array) -> Array:

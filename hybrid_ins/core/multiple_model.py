@@ -84,6 +84,14 @@ def _errors(nav: Array, others: Array) -> Array:
     )
 
 
+def _headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
+    """Return the headings [rad] of filters relative to the best's, (-pi, pi]."""
+    C = matrix_from_quat(np.stack([f.nav[QUAT] for f in filters]))
+    C = C @ matrix_from_quat(best.nav[QUAT]).T
+    turns: Array = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
+    return turns
+
+
 def mixture_of(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
     """Return mean and standard deviation of a quantity of which each hypothesis has its own."""
     weights = np.exp(log_weights - log_weights.max())
@@ -98,6 +106,7 @@ class Decision(NamedTuple):
     filter: InsFilter
     offset: float  # s, that it adds to the stamps of fixes
     at_edge: bool  # what is missing from them is no less than the largest that was tried
+    is_final: bool = True  # otherwise the clock offset is still open: the hypotheses go on
 
 
 class MultipleModelBank:
@@ -286,20 +295,15 @@ class MultipleModelBank:
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
         variances = np.array([h.nav[COVARIANCE][DIAGONAL[EPS][2]] for h in self.filters])
-        mean, std = mixture_of(self._headings(), variances, self.log_weights)
+        mean, std = mixture_of(_headings(self.filters, self.best), variances, self.log_weights)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
-
-    def _headings(self) -> Array:
-        """Return the headings [rad] of the hypotheses relative to the best's, (-pi, pi]."""
-        quats = np.stack([hypothesis.nav[QUAT] for hypothesis in self.filters])
-        C = matrix_from_quat(quats) @ matrix_from_quat(self.best.nav[QUAT]).T
-        turns: Array = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
-        return turns
 
     def probability(self, heading: float, within: float) -> float:
         """Return that of the headings within so much [rad] of one relative to the best's."""
         weights = np.exp(self.log_weights)
-        off = np.abs((self._headings() - heading + math.pi) % (2.0 * math.pi) - math.pi)
+        off = np.abs(
+            (_headings(self.filters, self.best) - heading + math.pi) % (2.0 * math.pi) - math.pi
+        )
         return float(weights[off < within].sum() / weights.sum())
 
     def mixture(self) -> Array:
@@ -322,10 +326,11 @@ class MultipleModelBank:
 
     def decide(self) -> Decision | None:
         """Return the one filter that the mixture has become, its P including all; or None."""
-        if not self._is_known():
-            return None
+        return self._decision(self.best) if self._is_known() else None
+
+    def _decision(self, winner: InsFilter) -> Decision:
+        """Return the decision for the best filter or its copy, whose P then includes all."""
         turn, turn_std = self.heading()
-        winner = self.best
         propagation.propagate_covariance(winner.nav)
         P = covariance(winner.nav)
         P[8, 8] += max(0.0, turn_std**2 + turn**2 - P[8, 8])

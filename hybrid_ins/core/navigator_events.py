@@ -52,7 +52,7 @@ class FaultFound:
 @dataclass(frozen=True, slots=True)
 class ClockOffsetFound:
     """
-    A search has found the clock offset of the fixes.
+    A search has found the clock offset of the fixes, or one to go on with.
 
     Measurements from now on are to be stamped by ``step`` more than before.
     """
@@ -60,6 +60,7 @@ class ClockOffsetFound:
     step: float  # s, to be added to the offset in force
     missing: float  # s, that the filter still finds missing after that
     sigma: float  # s
+    is_final: bool = True  # otherwise the search goes on
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,9 @@ The phase of a navigator with its transitions, and the filters that run in it.
     Aligning -> Searching    alignment found a state for every heading
     Aligning -> Running      alignment found a state for a given heading
     Searching -> Searching   the clock offset is searched for, too
-    Searching -> Running     the hypotheses agree
-    Running -> Running       a search for the clock offset begins or is given up; it or the check of
-                             a given heading has an outcome
+    Searching -> Running     the hypotheses agree, on the heading at least
+    Running -> Running       the hypotheses agree on the clock offset, too; a search for it begins
+                             or is given up; it or the check of a given heading has an outcome
     Running -> Searching     the motion excludes a given heading, and does not show which is right
     any -> Aligning          `PhaseMachine.align`
 """
@@ -20,14 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment
-from hybrid_ins.core.clock_search import OFFSET_KNOWN, OFFSET_STD, ClockSearch
+from hybrid_ins.core.clock_comparison import Comparison, compare, is_excluded, lacking_std
+from hybrid_ins.core.clock_search import OFFSET_STD, ClockSearch
 from hybrid_ins.core.events import Change, ClockInflation, ScatterInForce
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.heading_check import correction, is_contradicted
-from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.ins_filter import InsFilter, hand_over
 from hybrid_ins.core.measurements import Measurement
-from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.multiple_model import Decision, MultipleModelBank
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, HeadingCorrected
 from hybrid_ins.core.phases import (
     Aligning,
@@ -44,11 +45,7 @@ from hybrid_ins.core.stamp_check import ImuStampCheck
 
 Array = NDArray[np.float64]
 
-CONFIRMATION, CONTRADICTION = 1.0, 2.0
-"""Standard deviations, between a search and a filter's own clock offset."""
-
-CERTAIN_NS = 10_000_000_000  # for how long [ns] another offset is certain before it is used
-PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
+PERCEPTIBLE = 0.02  # s, by which a provisional filter is surer of its clock offset than a search
 
 
 class PhaseMachine:
@@ -214,7 +211,7 @@ class PhaseMachine:
     def _give_up_wrong_heading(self) -> None:
         """Search for the heading again if the motion excludes the given one."""
         bank, running = self.phase.bank, self.filter
-        if bank is None or running is None or not bank.heading_open:
+        if bank is None or running is None or not bank.heading_open or self.phase.is_provisional:
             return
         corrected = correction(running, bank)
         if corrected is not None:
@@ -237,65 +234,66 @@ class PhaseMachine:
         bank = self.phase.bank
         if bank is None or self._keeps_running(bank):
             return False
-        decision = bank.decide()
+        decision = bank.decide() or self._decide_on_heading(bank)
         if decision is None:
             return False
         winner, running = decision.filter, self.filter
         missed = self._ring.after(winner.t_ns)
         if len(missed):
             winner.predict_block(missed)
-        if running is not None:
+        if running is not None and not self.phase.is_provisional:
             if bank.heading_open and is_contradicted(running.state, winner.state):
                 self._events.append(HeadingCorrected.between(running.state, winner.state))
             elif not bank.clock_open:
                 self._enter(Running(running))
                 return False
-        if running is not None:  # It has judged each fix already, but for those that wait.
-            winner.withdraw()
+        if running is not None:
             winner.verdicts.clear()
-            waiting = running.withdraw()
+            waiting = hand_over(running, winner, round(decision.offset * 1e9))
             reason = "clock offset found" if bank.clock_open else "heading corrected"
             self._events.extend(Verdict.rejected(m, reason) for m in waiting)
-        if bank.clock_open:
-            self.clock_open = decision.at_edge
+        if isinstance(bank, ClockSearch):
+            self.clock_open = decision.at_edge or not decision.is_final
             missing, variance = winner.clock.missing
-            self._events.append(ClockOffsetFound(decision.offset, missing, math.sqrt(variance)))
+            found = decision.offset, missing, math.sqrt(variance), decision.is_final
+            self._events.append(ClockOffsetFound(*found))
+            bank.in_force_ns += round(decision.offset * 1e9)
         self.collect_verdicts(winner)
-        self._replace(winner, bank, decision.offset)
+        if self._record is not None:
+            self._record.follow(winner, decision.offset, bank.heading_open)
+        self._enter(Running(winner) if decision.is_final else Running(winner, bank, True))
         return bank.clock_open
 
     def _keeps_running(self, bank: MultipleModelBank) -> bool:
-        """
-        Return whether the filter beside a clock search is kept.
-
-        The search goes on until it is precise, and ends where it confirms the filter's own offset.
-        Where it contradicts that, the filter's own clock variance is inflated: certain to
-        milliseconds of a clock that has jumped since, it would take minutes to find another one. An
-        offset that is too large for this has to be certain for a while: where the motion hardly
-        shows the clock, chance favours now one offset, now another.
-        """
+        """Return whether the filter beside a clock search is kept; see `clock_comparison`."""
         running = self.filter
         if running is None or not isinstance(bank, ClockSearch) or bank.heading_open:
             return False
-        certain = bank.shift_is_certain
-        if bank.has_lasted("certain", certain, CERTAIN_NS):
-            return False
-        (found, sigma), own = bank.clock(), running.clock
-        difference, std = abs(found - own.residual), math.hypot(sigma, own.sigma)
-        if sigma <= OFFSET_KNOWN[0] and difference > CONTRADICTION * std:
-            running.submit(ClockInflation(running.t_ns, OFFSET_STD))
-            self.collect_verdicts(running)
-            return True
-        precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
-        if certain or not precise or difference > CONFIRMATION * std:
-            return True
-        self.clock_open = False
-        self._enter(Running(running))
-        self._events.append(ClockOffsetFound(0.0, own.residual, own.sigma))
-        return True
+        comparison = compare(running, bank)
+        if comparison is Comparison.CONTRADICTED:
+            self._inflate_clock(running, OFFSET_STD)
+        elif comparison is Comparison.CONFIRMED:
+            self.clock_open = False
+            self._enter(Running(running))
+            own = running.clock
+            self._events.append(ClockOffsetFound(0.0, own.residual, own.sigma))
+        return comparison is not Comparison.EXCLUDED
 
-    def _replace(self, winner: InsFilter, bank: MultipleModelBank, offset: float) -> None:
-        """Run the filter that a bank has become, with an offset [s] added to its fixes."""
-        if self._record is not None:
-            self._record.follow(winner, offset, bank.heading_open)
-        self._enter(Running(winner))
+    def _inflate_clock(self, running: InsFilter, std: float) -> None:
+        """Allow for another clock offset of a filter by ``std`` [s]."""
+        running.submit(ClockInflation(running.t_ns, std))
+        self.collect_verdicts(running)
+
+    def _decide_on_heading(self, bank: MultipleModelBank) -> Decision | None:
+        """Return a filter to run while the clock offset is open, if one is needed; or None."""
+        if not isinstance(bank, ClockSearch):
+            return None
+        if self.filter is not None:
+            if not self.phase.is_provisional:
+                return None
+            lacking = lacking_std(self.filter, bank)
+            if lacking > PERCEPTIBLE:
+                self._inflate_clock(self.filter, lacking)
+            if not is_excluded(self.filter, bank):
+                return None
+        return bank.decide_on_heading()

@@ -55,6 +55,7 @@ class Aligning:
     alignment: Alignment
 
     filter: ClassVar[InsFilter | None] = None
+    is_provisional: ClassVar[bool] = False
     best: ClassVar[InsFilter | None] = None
     bank: ClassVar[MultipleModelBank | None] = None
 
@@ -71,6 +72,7 @@ class Searching:
     bank: MultipleModelBank
 
     filter: ClassVar[InsFilter | None] = None
+    is_provisional: ClassVar[bool] = False
 
     @property
     def best(self) -> InsFilter:
@@ -85,10 +87,16 @@ class Searching:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """One filter; ``bank`` holds others beside it: of other headings or clock offsets."""
+    """
+    One filter; ``bank`` holds others beside it: of other headings or clock offsets.
+
+    Where it ``is_provisional`` it is a copy of the likeliest of them, whose heading is known and
+    whose clock offset is not: they go on, and one of them will take over.
+    """
 
     filter: InsFilter
     bank: MultipleModelBank | None = None
+    is_provisional: bool = False
 
     @property
     def best(self) -> InsFilter:

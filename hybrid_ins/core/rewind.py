@@ -8,7 +8,8 @@ events since, with the measurement among them, so that the result is that of an 
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,13 @@ class History:
         self._counts: list[int] = []  # of events that were applied before each checkpoint
         self._events: list[Event] = []  # the last ones
         self._count = 0  # of all events ever applied
+
+    def __copy__(self) -> History:
+        twin = object.__new__(History)
+        twin.__dict__.update(self.__dict__)
+        twin._checkpoints = [replace(p, update=copy.copy(p.update)) for p in self._checkpoints]
+        twin._counts, twin._events = [*self._counts], [*self._events]
+        return twin
 
     @property
     def due_ns(self) -> int:

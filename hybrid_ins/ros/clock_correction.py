@@ -91,6 +91,8 @@ class ClockCorrection:
     def on_found(self, found: ClockOffsetFound) -> None:
         """Use what a search has found."""
         self._moved += found.step
+        if not found.is_final:
+            return
         if self._searched_ns:
             changed = found.step != 0.0 or abs(found.missing) > WRONG
             again = min(2 * self._pause_ns, LONGEST_PAUSE_NS)

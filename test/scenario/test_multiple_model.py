@@ -273,6 +273,81 @@ def test_the_filter_that_takes_over_knows_what_all_of_them_did(
     assert winner.clock.missing[1] < winner.clock.sigma**2
 
 
+@pytest.fixture
+def clock_stays_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No offset is ever known well enough."""
+    for name in ("OFFSET_KNOWN", "OFFSET_BOUNDED"):
+        monkeypatch.setattr(clock_search, name, (0.0, 0))
+    monkeypatch.setattr(clock_search, "HARMLESS_NS", 10**18)
+
+
+@pytest.mark.usefixtures("clock_stays_open")
+def test_a_filter_runs_once_the_heading_is_known_while_the_clock_is_searched_for() -> None:
+    # GIVEN a flight of which neither is known
+    run = until(stamped_early(draw(SCENE, 0), -0.35), 20.0)
+    estimator = estimating(run, **AUTO)
+    # THEN a filter follows the IMU, at the likeliest offset, and the others go on
+    phase = estimator.navigator.phase
+    assert phase.is_provisional and phase.filter is not None
+    assert phase.filter.t_ns == estimator.navigator.last_ns
+    assert np.sqrt(phase.filter.state.P[8, 8]) < 0.1
+    assert isinstance(phase.bank, ClockSearch) and phase.filter not in phase.bank.filters
+    assert "the search goes on" in estimator.clock.status().text
+    # AND what they find counts from the offset in force
+    assert offset(estimator) == pytest.approx(-0.35, abs=0.1)
+    assert phase.bank.in_force_ns == round(offset(estimator) * SECOND)
+    missing, sigma = found(estimator)
+    assert offset(estimator) + missing == pytest.approx(-0.35, abs=0.03)
+    # AND the filter is no surer of its clock than they are together
+    assert phase.filter.clock.sigma > 0.9 * sigma
+    # AND each fix is told of once
+    told = told_and_waiting(estimator)
+    np.testing.assert_allclose(told, [f.t_ns for f in run.fixes], rtol=0, atol=0.05 * SECOND)
+
+
+@pytest.mark.usefixtures("clock_stays_open")
+def test_another_filter_runs_where_the_search_excludes_the_offset_of_the_first() -> None:
+    # GIVEN a filter that runs at one of the offsets
+    estimator = estimating(until(stamped_early(draw(SCENE, 0), -0.35), 20.0), **AUTO)
+    first, bank = estimator.navigator.filter, estimator.navigator.phase.bank
+    assert first is not None and isinstance(bank, ClockSearch)
+    # WHEN the fixes show another one, half a second away
+    bank._offsets_ns = [offset_ns + SECOND // 2 for offset_ns in bank._offsets_ns]
+    bank._log_prior = dict.fromkeys(bank._offsets_ns, 0.0)
+    before = offset(estimator)
+    estimator.navigator.continue_search()
+    estimator._handle_events()
+    # THEN a filter runs at that
+    second = estimator.navigator.filter
+    assert estimator.navigator.phase.is_provisional and second is not None and second is not first
+    assert offset(estimator) == pytest.approx(before + 0.5)
+    assert bank.in_force_ns == round(offset(estimator) * SECOND)
+
+
+def test_the_filter_of_the_likeliest_offset_goes_on_once_that_is_known(
+    monkeypatch: pytest.MonkeyPatch, clock_stays_open: None
+) -> None:
+    # GIVEN a filter that runs while the clock is open
+    run = stamped_early(draw(SCENE, 0), -0.35)
+    estimator = estimating(until(run, 20.0), **AUTO)
+    bank = estimator.navigator.phase.bank
+    assert isinstance(bank, ClockSearch)
+    # WHEN the offset is known, and a fix waits for the IMU
+    monkeypatch.setattr(clock_search, "OFFSET_KNOWN", (1.0, 0))
+    last = next(f for f in run.fixes if f.t_ns > run.fixes[0].t_ns + 20 * SECOND)
+    waits = replace(last, t_ns=estimator.navigator.last_ns + SECOND // 10)
+    estimator.navigator.measure(waits)
+    estimator.navigator.continue_search()
+    estimator._handle_events()
+    # THEN the search has ended, with its best filter
+    phase = estimator.navigator.phase
+    assert not phase.is_provisional and phase.bank is None and phase.filter is bank.best
+    # AND the fix still waits
+    assert [m.lla.tolist() for m in phase.filter.withdraw()] == [waits.lla.tolist()]
+    assert not estimator.navigator.phases.clock_open
+    assert offset(estimator) == pytest.approx(-0.35, abs=0.1)
+
+
 def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() -> None:
     """With an IMU much noisier than was assumed, chance favoured a clock 0.6 s away."""
     estimator = estimating(until(draw(SCENE, 4), 4.0))

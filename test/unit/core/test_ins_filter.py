@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 
 import numpy as np
@@ -218,6 +219,32 @@ def test_late_and_out_of_order_fixes_give_the_result_of_an_in_order_run(
     assert {v.measurement.t_ns for v in late.verdicts} == set(FIX_TIMES)
     for verdict in late.verdicts:
         assert verdict.accepted
+
+
+def test_a_copy_goes_on_alike_and_changes_nothing_of_the_first() -> None:
+    # GIVEN a filter with a fix behind it and one ahead of it, two copies, and one without any
+    truth = flight()
+    samples, times = imu(truth), (SECOND, 2 * SECOND)
+    first, alone = make_filter(truth), make_filter(truth)
+    for ins in (first, alone):
+        for t_ns in times:
+            ins.submit(fix(truth, t_ns, (0.1, -0.2, 0.1)))
+        fly_block(ins, samples[1:151])
+    alike, other = copy.copy(first), copy.copy(first)
+    # WHEN one copy gets another late fix than the others do
+    other.submit(fix(truth, 6 * SECOND // 5, (1.0, 1.0, 1.0)))
+    other.predict_block(samples[151:251])
+    for ins in (first, alike, alone):
+        ins.submit(fix(truth, 6 * SECOND // 5, (-0.1, 0.0, 0.2)))
+    # THEN those that get the same are the same
+    for ins in (first, alone):
+        fly_block(ins, samples[151:251])
+    alike.predict_block(samples[151:251])
+    np.testing.assert_array_equal(first.nav[:N_NAV], alone.nav[:N_NAV])
+    np.testing.assert_array_equal(alike.nav[:N_NAV], alone.nav[:N_NAV])
+    assert np.abs(difference(other.nav, alone.nav)[:3]).max() > 0.02
+    # AND a copy has told nothing of what was decided before
+    assert [len(ins.verdicts) for ins in (first, alike, other)] == [3, 2, 2]
 
 
 def test_age_of_a_late_fix_is_reported() -> None:
