@@ -73,6 +73,8 @@ class WarmStart:
         running = navigator.filter
         if running is None:
             raise InputError("nothing to save: the filter does not run yet")
+        if navigator.phase.is_provisional:
+            raise InputError("nothing to save: the clock offset of the fixes is not known yet")
         saved = SavedState.of(
             running.state,
             navigator.last_ns,
@@ -87,10 +89,17 @@ class WarmStart:
         self._saved_ns, self._saved_standing = saved.stamp_ns, saved.standing
         return f"saved to {self.path}"
 
+    @property
+    def _has_something(self) -> bool:
+        """There is a file to write, and a filter with a clock offset that is known."""
+        navigator = self._estimator.navigator
+        running = navigator.filter is not None and not navigator.phase.is_provisional
+        return self.path is not None and running
+
     def save_where_due(self) -> None:
         """Save every half a minute, and as soon as the vehicle stops or moves off."""
         navigator = self._estimator.navigator
-        if self.path is None or navigator.filter is None:
+        if not self._has_something:
             return
         aged = abs(navigator.last_ns - self._saved_ns) >= SAVED_EVERY_NS
         if aged or navigator.monitor.standing != self._saved_standing:
@@ -98,7 +107,7 @@ class WarmStart:
 
     def save_at_end(self) -> None:
         """Save where there is something to save; failures are logged."""
-        if self.path is None or self._estimator.navigator.filter is None:
+        if not self._has_something:
             return
         try:
             self.save()

@@ -12,6 +12,7 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.phases import Running
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import set_stamp
@@ -204,3 +205,20 @@ def test_nothing_can_be_saved_without_a_file_or_a_filter(tmp_path: Path) -> None
     nowhere.wait(3.0)
     with pytest.raises(InputError, match="No such file or directory: not saved"):
         nowhere.warm_start.save()
+
+
+def test_nothing_is_saved_while_the_clock_offset_is_searched_for(file: Path) -> None:
+    """GIVEN a filter whose offset may be another WHEN it is saved THEN the file stays as it was."""
+    run = Parked(file, 70.0)
+    run.wait(4.0)
+    phases = run.estimator.navigator.phases
+    assert isinstance(phases.phase, Running)
+    phases.phase = replace(phases.phase, is_provisional=True)
+    before = file.read_bytes()
+
+    run.warm_start.save_where_due()
+    run.warm_start.save_at_end()
+
+    assert file.read_bytes() == before
+    with pytest.raises(InputError, match="clock offset of the fixes is not known yet"):
+        run.warm_start.save()
