@@ -220,5 +220,6 @@ def test_nothing_is_saved_while_the_clock_offset_is_searched_for(file: Path) -> 
     run.warm_start.save_at_end()
 
     assert file.read_bytes() == before
+    assert not any("not known yet" in line for line in run.log)
     with pytest.raises(InputError, match="clock offset of the fixes is not known yet"):
         run.warm_start.save()
