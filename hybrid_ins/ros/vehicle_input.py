@@ -15,6 +15,7 @@ from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSe
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.near_standstill import WINDOW_NS, NearStandstillDetector
 from hybrid_ins.core.nonholonomic import Nose
 from hybrid_ins.core.sideslip import WindObserver
 from hybrid_ins.noise_regressor.slip import SlipReader
@@ -57,6 +58,10 @@ class VehicleInput:
         The constraint was fused at the last observation.
     slip : SlipReader
         What the samples show of the constraint's covariance.
+    stands : NearStandstillDetector
+        Whether the samples are those of a stand with the engine on.
+    near_standstill : bool
+        They were at the last observation, in an outage.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class VehicleInput:
         values = self._values
         slip_std = np.array(values["vehicle.slip_std"])
         self.slip = SlipReader(values["vehicle.slip_model"], slip_std, mount, self._log)
+        self.stands = NearStandstillDetector()
         self.restart()
         yaw, pitch = values["vehicle.nose"]
         if values["vehicle.kind"] == "fixed_wing":
@@ -109,7 +115,8 @@ class VehicleInput:
     def restart(self) -> None:
         """Restart, as the filter did; the vehicle is the same."""
         self._next_ns = 0
-        self.fused = False
+        self.fused = self.near_standstill = False
+        self.stands.restart()
 
     def run_periodic(self, t_ns: int) -> None:
         """Observe the motion at a stamp [ns], and constrain it, where that is due."""
@@ -117,7 +124,7 @@ class VehicleInput:
             return
         self._next_ns = t_ns + PERIOD_NS
         running = self._navigator.filter
-        self.fused = False
+        self.fused = self.near_standstill = False
         if running is None or self._navigator.monitor.standing or not self._fixes.started:
             return
         if self.wind is not None:
@@ -137,16 +144,23 @@ class VehicleInput:
         observer = self.observer
         assert observer is not None
         nav = running.flat_state()
-        rate_b = self._navigator.ring.after(t_ns - RATE_NS)["w"].mean(axis=0)
+        samples = self._navigator.ring.after(t_ns - WINDOW_NS)
+        rate_b = samples["w"][samples["t_ns"] > t_ns - RATE_NS].mean(axis=0)
         held = observer.holds
-        fused = not self._fixes.settled(t_ns)
-        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=fused)
+        settled = self._fixes.settled(t_ns)
+        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=not settled)
         if observer.holds != held:
             self._log_change()
         self.fused = self._fixes.outage(t_ns) and observer.holds
+        if settled:
+            self.stands.learn(samples, nav, PERIOD_NS * 1e-9, observer.nose)
         if self.fused:
             slip = self.slip.read(self._navigator.ring, observer.nose, t_ns)
             self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9, slip))
+            stand = self.stands.measurement(samples, nav, rate_b, observer.nose)
+            self.near_standstill = stand is not None
+            if stand is not None:
+                self._navigator.measure(stand)
 
     def _log_change(self) -> None:
         observer = self.observer
@@ -174,6 +188,8 @@ class VehicleInput:
             return status("vehicle", 0, f"{kind}: no constraint", {"kind": kind})
         if self.fused:
             text = f"outage: the velocity is constrained to the nose, slip: {self.slip.source}"
+            if self.near_standstill:
+                text += "; it stands or crawls"
             if self.slip.fault:
                 text += f"; last window refused: {self.slip.fault}"
         elif observer.holds:
@@ -191,6 +207,7 @@ class VehicleInput:
             {
                 "kind": kind,
                 "constraint": "fused" if self.fused else "holds" if observer.holds else "off",
+                "stands_recognised": self.stands.distinguishes,
                 "evidence": observer.evidence,
                 "evidence_recent": observer.recent,
                 "nose_yaw_deg": -math.degrees(observer.nose.yaw),

@@ -10,12 +10,14 @@ from support.outage_drives import calibrated, drive
 
 from hybrid_ins import parameters
 from hybrid_ins.core.constraint_observer import ConstraintObserver
+from hybrid_ins.core.near_standstill import NearStandstillDetector
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.noise_regressor.slip import SlipReader
 from hybrid_ins.ros.vehicle_input import VehicleInput
-from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
-from hybrid_ins.simulation.vehicles import record
+from hybrid_ins.simulation.road_vehicles import MEASURED, MEMS, ROAD_VEHICLES
+from hybrid_ins.simulation.vehicles import VEHICLES, Vehicle, record
+from tools.robustness.endurance import smooth_drive
 from tools.vehicles.constraint import row
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Judged, run
@@ -126,6 +128,59 @@ def test_the_constraint_has_the_variances_that_the_samples_show(
     values = dict(estimator.aids.vehicle.status().values)
     assert values["slip_source"] == "learned (slip)"
     assert float(values["slip_std_left_used"]) == pytest.approx(fused[-1][0, 0] ** 0.5, rel=1e-4)
+
+
+def near_standstills(vehicle: Vehicle, seed: int) -> tuple[list[float], End]:
+    """
+    Return what comes of an outage from 100 to 160 s in a drive of a vehicle that has wheels.
+
+    The true speeds [m/s] while a stand is fused, and the error at its end.
+    """
+    made = record(replace(vehicle, duration=167.0), seed)
+    whole, speed = from_simulation(made), np.linalg.norm(made.truth.velocity_n, axis=1)
+    seen: list[float] = []
+    run_periodic = VehicleInput.run_periodic
+
+    def observed(self: VehicleInput, t_ns: int) -> None:
+        run_periodic(self, t_ns)
+        if self.near_standstill:
+            seen.append(float(speed[int(np.searchsorted(whole.imu_ns, t_ns))]))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(VehicleInput, "run_periodic", observed)
+        found = ends(whole, calibrated(**{"vehicle.kind": "ground"}), starts=np.array([100.0]))
+    return seen, found[-1]
+
+
+def test_a_stand_with_the_engine_on_bounds_the_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    GIVEN a car that stands for 10 s of an outage of 60 s with its engine on
+    THEN it is found to stand then and only then, and its error at the end is the smaller for it.
+    """
+    speeds, end = near_standstills(ROAD_VEHICLES["road car"], 5)
+    assert len(speeds) > 10
+    assert max(speeds) < 0.3
+
+    monkeypatch.setattr(NearStandstillDetector, "distinguishes", False)
+    speeds, without = near_standstills(ROAD_VEHICLES["road car"], 5)
+    assert not speeds
+    assert end.error < 0.8 * without.error
+
+
+SMOOTH_DRIVE = Vehicle("smooth drive", smooth_drive, MEASURED, MEMS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("vehicle", [VEHICLES["slow rover"], SMOOTH_DRIVE], ids=lambda v: v.name)
+def test_what_drives_as_smoothly_as_it_stands_is_not_found_to_stand(vehicle: Vehicle) -> None:
+    """
+    GIVEN wheels that a road does not shake, slow ones, and a car that brakes steadily
+    WHEN fixes are missing for 60 s
+    THEN no stand is fused.
+    """
+    speeds, _ = near_standstills(vehicle, 5)
+
+    assert not speeds
 
 
 def test_the_wind_is_for_vehicles_that_are_said_to_be_planes() -> None:
