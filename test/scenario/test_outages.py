@@ -130,13 +130,13 @@ def test_the_constraint_has_the_variances_that_the_samples_show(
     assert float(values["slip_std_left_used"]) == pytest.approx(fused[-1][0, 0] ** 0.5, rel=1e-4)
 
 
-def near_standstills(vehicle: Vehicle, seed: int) -> tuple[list[float], End]:
+def near_standstills(vehicle: Vehicle, seed: int, begin: float = 100.0) -> tuple[list[float], End]:
     """
-    Return what comes of an outage from 100 to 160 s in a drive of a vehicle that has wheels.
+    Return what comes of an outage of 60 s, which begins at a time [s], with wheels.
 
     The true speeds [m/s] while a stand is fused, and the error at its end.
     """
-    made = record(replace(vehicle, duration=167.0), seed)
+    made = record(replace(vehicle, duration=begin + 67.0), seed)
     whole, speed = from_simulation(made), np.linalg.norm(made.truth.velocity_n, axis=1)
     seen: list[float] = []
     run_periodic = VehicleInput.run_periodic
@@ -148,7 +148,7 @@ def near_standstills(vehicle: Vehicle, seed: int) -> tuple[list[float], End]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(VehicleInput, "run_periodic", observed)
-        found = ends(whole, calibrated(**{"vehicle.kind": "ground"}), starts=np.array([100.0]))
+        found = ends(whole, calibrated(**{"vehicle.kind": "ground"}), starts=np.array([begin]))
     return seen, found[-1]
 
 
@@ -165,6 +165,24 @@ def test_a_stand_with_the_engine_on_bounds_the_speed(monkeypatch: pytest.MonkeyP
     speeds, without = near_standstills(ROAD_VEHICLES["road car"], 5)
     assert not speeds
     assert end.error < 0.8 * without.error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_ferry_that_sets_off_is_no_stand(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    GIVEN a car that stands on a ferry, without fixes since it boarded
+    WHEN the ferry sets off as smoothly as its engine runs
+    THEN the stand ends, and the error is no larger than if it had never been fused.
+    """
+    ferry = ROAD_VEHICLES["car, then on a ferry"]
+    speeds, end = near_standstills(ferry, seed, 140.0)
+    assert len(speeds) > 10
+    assert max(speeds) < 1.0
+
+    monkeypatch.setattr(NearStandstillDetector, "distinguishes", False)
+    _, without = near_standstills(ferry, seed, 140.0)
+    assert end.error < without.error
 
 
 SMOOTH_DRIVE = Vehicle("smooth drive", smooth_drive, MEASURED, MEMS)
