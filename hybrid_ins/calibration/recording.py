@@ -50,6 +50,8 @@ class Recording:
     # of a fix, less its own
     loudness: Array = field(default_factory=lambda: np.zeros((1, 2)))  # (N, 2) or (1, 2): logarithm
     # of the noise that accelerometer and gyroscope seem to have, relative to its mean
+    origin_ns: int = 0  # the IMU's stamp at time 0
+    begin: float = 0.0  # s, time 0 after the first sample
 
     @property
     def period(self) -> float:
@@ -88,6 +90,36 @@ class Recording:
         by_begin = sums[np.minimum(np.searchsorted(t, t + length), len(t) - 1)] - sums[: len(t)]
         best = int(np.argmax(by_begin))
         return start if by_begin[0] > 0.5 * by_begin[best] else float(t[best])
+
+    def part_in_motion(self, length: float) -> Recording:
+        """Return the part of at most a length [s] in which the motion changes most."""
+        last = float(self.t[-1])
+        if last <= length:
+            return self
+        at = int(np.searchsorted(self.t, min(self.begin_of_motion(length), last - length)))
+        begin = float(self.t[at])
+        samples = slice(at, int(np.searchsorted(self.t, begin + length, side="right")))
+        used = self.with_measurements_between(
+            begin - BEFORE_AND_AFTER, begin + length + BEFORE_AND_AFTER
+        )
+        begin_ns = round(begin * 1e9)
+        shifted = (replace(one, t_ns=one.t_ns - begin_ns) for one in self.body_velocity)
+        attitude = self.attitude
+        return replace(
+            used,
+            origin_ns=self.origin_ns + begin_ns,
+            begin=begin,
+            t=self.t[samples] - begin,
+            samples=self.samples[samples],
+            aid_t=used.aid_t - begin,
+            attitude=None if attitude is None else (attitude[0] - begin, attitude[1]),
+            body_velocity=tuple(one for one in shifted if 0 <= one.t_ns <= length * 1e9),
+        )
+
+    @property
+    def end_ns(self) -> int:
+        """The IMU's stamp of the last sample."""
+        return self.origin_ns + round(1e9 * float(self.t[-1]))
 
     def with_measurements_between(self, first: float, last: float) -> Recording:
         """Return the recording with the GNSS measurements of an interval of their clock [s]."""
@@ -128,7 +160,7 @@ def read_recording(
     use_truth : bool
         Use the positions of the truth in place of the fixes.
     longest : float
-        Use only this much time from the first sample on [s].
+        Use only so much time [s], see `Recording.part_in_motion`.
 
     Returns
     -------
@@ -191,8 +223,7 @@ def read_recording(
     stamps, samples = stamps[part], samples[part]
     origin = int(stamps[0])
     t = np.asarray((stamps - origin) * 1e-9, float)
-    keep = t <= longest
-    first, last = -BEFORE_AND_AFTER, min(t[-1], longest) + BEFORE_AND_AFTER
+    first, last = -BEFORE_AND_AFTER, t[-1] + BEFORE_AND_AFTER
     rows = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
     positions = [row for row in rows if row[1] == POSITION]
     if len(positions) < FEWEST_FIXES or (positions[-1][0] - positions[0][0]) < SHORTEST * 1e9:
@@ -203,10 +234,10 @@ def read_recording(
     reference = None
     if attitude is not None:
         reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
-    return Recording(
+    whole = Recording(
         path.name,
-        t[keep],
-        np.ascontiguousarray(samples[keep]),
+        t,
+        samples,
         np.array([(row[0] - origin) * 1e-9 for row in rows]),
         np.array([row[1] for row in rows], np.int64),
         np.array([row[2] for row in rows]),
@@ -215,10 +246,12 @@ def read_recording(
         tuple(
             replace(one, t_ns=one.t_ns - origin)
             for one in wheels
-            if 0 <= (one.t_ns - origin) * 1e-9 <= min(t[-1], longest)
+            if 0 <= (one.t_ns - origin) * 1e-9 <= t[-1]
         ),
         np.array(delay_ns) * 1e-9,
+        origin_ns=origin,
     )
+    return whole.part_in_motion(longest)
 
 
 def antenna_is_base(

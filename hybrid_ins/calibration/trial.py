@@ -28,6 +28,7 @@ MAX_STEP = 0.6  # s between two odometry messages that are interpolated
 TRIM = 0.95  # share of the withheld fixes that count: a receiver's outliers are no one's fault
 WORSE = 1.05  # factor on the error at the withheld fixes from which parameters are worse
 LESS_USED = 0.02  # share of the fixes
+ALWAYS = (0, 2**63 - 1)  # ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ class _Withheld:
 
 
 def run_trial(
-    path: Path, values: Mapping[str, Any], topics: InputTopics, longest: float = math.inf
+    path: Path, values: Mapping[str, Any], topics: InputTopics, span_ns: tuple[int, int] = ALWAYS
 ) -> Trial:
     """
     Run the estimator over a bag with some fixes withheld, and compare it with them.
@@ -97,11 +98,11 @@ def run_trial(
         Checked parameters.
     topics : InputTopics
         Where the input is.
-    longest : float
-        Use only this much time from the first sample on [s].
+    span_ns : tuple of int
+        The IMU's stamps [ns] of the first and the last sample that are used.
     """
     estimator = Estimator(values, lambda level, text: None)
-    track, withheld, given = _run(path, values, topics, longest, estimator)
+    track, withheld, given = _run(path, values, topics, span_ns, estimator)
     antenna_b = np.asarray(values["gnss.antenna_position"], float)
     error, nis = np.full(len(withheld), np.nan), np.full(len(withheld), np.nan)
     if track is not None:
@@ -114,7 +115,7 @@ def _run(
     path: Path,
     values: Mapping[str, Any],
     topics: InputTopics,
-    longest: float,
+    span_ns: tuple[int, int],
     estimator: Estimator,
 ) -> tuple[_Track | None, list[_Withheld], int]:
     """Return the odometry, the withheld fixes, and how many an aligned estimator was given."""
@@ -123,11 +124,10 @@ def _run(
     t_blocks, pose_blocks = [np.empty(0, np.int64)], [np.empty((0, 43))]
     with BagReader(path) as bag:
         imu = bag.imu(topics["imu_topic"])
-        end_ns = int(imu.stamp_ns[0]) + round(min(longest, 1e9) * 1e9)
         fix_topic = bag.require(topics["fix_topic"], messages.FIX, "--fix-topic")
         velocity_topic = topics["velocity_topic"]
         has_velocity = bag.topics.get(velocity_topic) == messages.VELOCITY
-        usable = imu.has_reading & (imu.stamp_ns <= end_ns)
+        usable = imu.has_reading & (imu.stamp_ns >= span_ns[0]) & (imu.stamp_ns <= span_ns[1])
         stamps, log_ns = imu.stamp_ns[usable], imu.log_ns[usable]
         force, rate = imu.specific_force[usable], imu.angular_rate[usable]
         estimator.noise.preload(stamps, force, rate)

@@ -65,7 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument(
         "--longest", type=options.positive, default=300.0, metavar="S",
-        help="use the first S s of each recording (default: %(default)g)",
+        help="use at most S s of each recording, those in which its motion changes most (default: "
+        "%(default)g)",
     )  # fmt: skip
     parser.add_argument(
         "--nose-first", action="store_true",
@@ -102,6 +103,12 @@ def _body(args: argparse.Namespace) -> int:
         for path in args.bags
     ]
     for recording in recordings:
+        if recording.begin > 0.0:
+            log_message(
+                "info",
+                f"{recording.name}: {recording.t[-1]:.0f} s are used, from {recording.begin:.0f} s "
+                "on, where the motion changes most: --longest sets how much",
+            )
         fault = axes_fault(recording, values)
         if fault is not None:
             log_message("warn", f"{recording.name}: {describe(fault).text}")
@@ -151,16 +158,20 @@ def _replays(
     Other processes begin with that at once, where they are worth their start; otherwise it is done
     when the result is asked for.
     """
-    trial = partial(run_trial, topics=options.topics(args), longest=args.longest)
+    trial = partial(run_trial, topics=options.topics(args))
+    spans = [(recording.origin_ns, recording.end_ns) for recording in recordings]
     seconds = sum(recording.t[-1] - recording.t[0] for recording in recordings)
     processors = os.cpu_count() or 1
     workers = min(processors, 2 * len(args.bags), int(2.0 * seconds / WORTH_A_PROCESS))
     if processors == 1 or workers == 0:
-        yield lambda values: map(trial, args.bags, repeat(values))
+        yield lambda values: (
+            trial(path, values, span_ns=span_ns)
+            for path, span_ns in zip(args.bags, spans, strict=True)
+        )
         return
     with worker_processes(workers) as executor:
         run = partial(_run_elsewhere, trial)
-        yield lambda values: executor.map(run, args.bags, repeat(values))
+        yield lambda values: executor.map(run, args.bags, repeat(values), spans)
 
 
 def _compare(trials: Iterable[Trial], count: int) -> Comparison:
@@ -173,10 +184,12 @@ def _compare(trials: Iterable[Trial], count: int) -> Comparison:
     return compare(done[:count], done[count:])
 
 
-def _run_elsewhere(trial: Callable[..., Trial], path: Path, values: Mapping[str, Any]) -> Trial:
+def _run_elsewhere(
+    trial: Callable[..., Trial], path: Path, values: Mapping[str, Any], span_ns: tuple[int, int]
+) -> Trial:
     """Run a trial in a process that may have no kernels yet."""
     kernels.prepare()
-    return trial(path, values)
+    return trial(path, values, span_ns=span_ns)
 
 
 def _objection(found: Calibration, comparison: Comparison | None) -> str:

@@ -92,6 +92,23 @@ def test_the_coarse_search_looks_where_the_vehicle_moves() -> None:
     assert 165.0 <= begin <= 202.0  # all of the motion is within
 
 
+def test_of_a_long_recording_the_part_in_motion_is_used() -> None:
+    whole = replace(standing_then_turning(200.0, 60.0), origin_ns=7_000_000_000)
+    assert whole.part_in_motion(300.0) is whole
+
+    part = whole.part_in_motion(90.0)
+
+    shift = (part.origin_ns - whole.origin_ns) * 1e-9
+    assert 165.0 <= shift <= 170.0
+    used = (whole.t > shift - 0.1) & (whole.t < shift + 90.1)
+    np.testing.assert_allclose(part.t + shift, whole.t[used])
+    assert part.end_ns - part.origin_ns == pytest.approx(90e9)
+    # Fixes up to 10 s before and after are kept: by another clock they may belong to it.
+    near = (whole.aid_t > shift - 10.1) & (whole.aid_t < shift + 100.1)
+    np.testing.assert_allclose(part.aid_t + shift, whole.aid_t[near])
+    np.testing.assert_array_equal(part.aid, whole.aid[near])
+
+
 def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -> None:
     drifting = replace(found_fit, drift=Drift(1e-3, 1e-5))
     first, middle = (f(found_fit.recordings[0].aid_t) for f in (np.min, np.mean))

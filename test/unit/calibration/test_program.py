@@ -45,7 +45,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
     monkeypatch.chdir(tmp_path)
-    short = SimpleNamespace(t=np.zeros(2))
+    short = SimpleNamespace(t=np.zeros(2), begin=0.0, origin_ns=0, end_ns=0)
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: short)
     monkeypatch.setattr(program, "axes_fault", lambda *args: None)
     monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
@@ -153,7 +153,7 @@ def test_what_makes_withheld_fixes_worse_is_written_only_by_force(
     monkeypatch.setattr(
         program,
         "run_trial",
-        lambda path, values, **_: trial(offsets[values["gnss.time_offset.value"]]),
+        lambda path, values, *_, **__: trial(offsets[values["gnss.time_offset.value"]]),
     )
 
     assert run("bag", "--out", "robot.yaml") == 2
