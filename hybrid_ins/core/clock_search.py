@@ -128,6 +128,7 @@ class ClockSearch(MultipleModelBank):
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
+        self.motion.moves = self.motion.shown = True  # else no search begins
         self.in_force_ns = 0
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._log_prior = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))

@@ -57,6 +57,8 @@ def correction(running: InsFilter, bank: MultipleModelBank) -> HeadingCorrected 
     bank : MultipleModelBank
         The filters beside it, which may be behind.
     """
+    if not bank.motion.shown:
+        return None
     best = yaw_of(state_at_imu(bank.best, bank.best.nav)[QUAT])
     own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.state.P[8, 8])
     if bank.probability(own - best, max(GROSS, SIGNIFICANT * std)) > EXCLUDED:

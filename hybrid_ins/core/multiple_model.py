@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.events import Change
+from hybrid_ins.core.events import Change, CovarianceInflation
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
+from hybrid_ins.core.motion_evidence import MotionEvidence
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
     quat_conjugate,
@@ -44,6 +45,7 @@ from hybrid_ins.core.state import (
     DIAGONAL,
     EPS,
     LLA,
+    N_ERROR,
     N_NAV,
     PLACES,
     QUAT,
@@ -92,6 +94,15 @@ def _headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
     return turns
 
 
+def _restore_cells(filters: Sequence[InsFilter]) -> None:
+    """Make each filter as uncertain of its heading as it was: what a stand showed is chance."""
+    for hypothesis in filters:
+        std = np.zeros(N_ERROR)
+        variance = hypothesis.nav[COVARIANCE][DIAGONAL[EPS]][2]
+        std[EPS.stop - 1] = math.sqrt(max(HEADING_STD**2 - variance, 0.0))
+        hypothesis.submit(CovarianceInflation(hypothesis.t_ns, std))
+
+
 def mixture_of(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
     """Return mean and standard deviation of a quantity of which each hypothesis has its own."""
     weights = np.exp(log_weights - log_weights.max())
@@ -136,6 +147,8 @@ class MultipleModelBank:
         Each state has another heading.
     clock_open : bool
         The hypotheses also differ in the clock offset of fixes.
+    motion : MotionEvidence
+        Whether the vehicle moves: before, nothing is evidence on the heading.
     """
 
     clock_open: ClassVar[bool] = False
@@ -162,6 +175,7 @@ class MultipleModelBank:
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale = 1.0
+        self.motion = MotionEvidence()
         self._told: set[tuple[str, int]] = set()  # of those that wait: their verdicts are known
         self._since: dict[object, int] = {}  # ns, when a condition became true that still is
 
@@ -266,7 +280,10 @@ class MultipleModelBank:
             verdict = replace(verdicts[self._best], measurement=self._waiting.pop(key))
             if key not in self._told:
                 weighed.append(verdict)
-            self._weigh(verdicts)
+            if not self.motion.shown and self.motion.observe(verdict.measurement, self.best):
+                _restore_cells(self.filters)
+            if self.motion.moves or not self.heading_open:
+                self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
             self.log_weights = np.delete(self.log_weights, k)
@@ -301,9 +318,8 @@ class MultipleModelBank:
     def probability(self, heading: float, within: float) -> float:
         """Return that of the headings within so much [rad] of one relative to the best's."""
         weights = np.exp(self.log_weights)
-        off = np.abs(
-            (_headings(self.filters, self.best) - heading + math.pi) % (2.0 * math.pi) - math.pi
-        )
+        turns = _headings(self.filters, self.best) - heading
+        off = np.abs((turns + math.pi) % (2.0 * math.pi) - math.pi)
         return float(weights[off < within].sum() / weights.sum())
 
     def mixture(self) -> Array:
@@ -345,7 +361,7 @@ class MultipleModelBank:
             self.has_lasted(("heading", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in HEADING_KNOWN
         ]
-        return not self.heading_open or any(known)
+        return not self.heading_open or (self.motion.shown and any(known))
 
     def has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
         """Return whether a condition is true, and was for so long [ns]."""

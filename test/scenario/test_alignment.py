@@ -5,9 +5,23 @@ import pytest
 from support.scenes import heading_std, make_navigator, play, scene
 
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.multiple_model import HEADING_STD, N_HEADINGS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import rpy_from_quat
-from hybrid_ins.core.state import BIAS_A, BIAS_G, COVARIANCE, DIAGONAL, DP, DV, LLA, QUAT, total_std
+from hybrid_ins.core.state import (
+    BIAS_A,
+    BIAS_G,
+    COVARIANCE,
+    DIAGONAL,
+    DP,
+    DV,
+    LLA,
+    QUAT,
+    covariance,
+    pack,
+    total_std,
+)
 from hybrid_ins.ros.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
     START_LLA,
@@ -144,6 +158,7 @@ def test_a_heading_known_less_well_is_decided_on_later(
     play(scene(static(6.0)), navigator)
     bank = navigator.phase.bank
     assert bank is not None
+    bank.motion.shown = True
     first_ns, decided = bank.best.t_ns, []
     monkeypatch.setattr(bank, "heading", lambda: (0.5, sigma))
 
@@ -158,6 +173,35 @@ def test_a_heading_known_less_well_is_decided_on_later(
         assert decided[0] == pytest.approx(after, abs=0.11)
         P = bank.best.nav[COVARIANCE][DIAGONAL]
         assert P[8] == pytest.approx(sigma**2 + 0.5**2)
+
+
+def test_a_stand_shows_nothing_of_the_heading() -> None:
+    navigator = make_navigator()
+
+    play(scene(static(40.0)), navigator)
+
+    bank = navigator.phase.bank
+    assert bank is not None
+    assert len(bank.filters) == N_HEADINGS
+    assert np.ptp(bank.log_weights) == 0.0
+
+
+def test_after_a_stand_the_headings_are_a_cell_wide_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    navigator = make_navigator()
+    play(scene(static(6.0)), navigator)
+    bank = navigator.phase.bank
+    assert bank is not None
+    for hypothesis in bank.filters:
+        P = covariance(hypothesis.nav)
+        P[8, :8] = P[:8, 8] = P[8, 9:] = P[9:, 8] = 0.0
+        P[8, 8] = 1e-4
+        pack(P, hypothesis.nav[COVARIANCE])
+
+    monkeypatch.setattr(bank.motion, "observe", lambda *_: True)
+    bank.measure(PositionFix(bank.best.t_ns, START_LLA, np.eye(3), np.zeros(3)))
+    bank.end_block()
+    for hypothesis in bank.filters:
+        assert hypothesis.state.P[8, 8] == pytest.approx(HEADING_STD**2, rel=0.05)
 
 
 def test_outlier_while_undecided_hurts_nobody() -> None:

@@ -1,0 +1,65 @@
+"""
+Whether a vehicle has moved since filters of several headings began.
+
+At rest nothing shows the heading, yet some heading always fits best: that in which the wander of
+the fixes has the direction of the tilt that a gyroscope's bias feigns. A real fixed wing stood for
+200 s; with the noise of its aerobatics assumed, its heading was "known" to 10° after a minute, and
+129° off.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.position_scatter import horizontal_variance
+from hybrid_ins.core.state import COVARIANCE, DIAGONAL, DV, VELOCITY
+
+Array = NDArray[np.float64]
+
+FAST, FAR = 3.0, 4.0  # standard deviations, of the speed from zero and of a fix from the first one
+LASTING_NS = 2_000_000_000  # of either: one fix may be an outlier
+
+
+class MotionEvidence:
+    """
+    Compares speed and displacement with their uncertainty.
+
+    Attributes
+    ----------
+    moves : bool
+        The last measurement shows motion.
+    shown : bool
+        It was shown for a while: the vehicle has moved.
+    """
+
+    def __init__(self) -> None:
+        self.moves = self.shown = False
+        self._first_lla: Array | None = None
+        self._since_ns = 0  # of the motion, if there is one
+
+    def observe(self, measurement: Measurement, best: InsFilter) -> bool:
+        """
+        Use a measurement and the likeliest filter.
+
+        Returns whether a motion begins here.
+        """
+        variance = float(best.nav[COVARIANCE][DIAGONAL[DV]][:2].sum())
+        speed = float(np.linalg.norm(best.nav[VELOCITY][:2]))
+        before, self.moves = self.moves, speed > FAST * math.sqrt(max(variance, 0.0))
+        if isinstance(measurement, PositionFix):
+            if self._first_lla is None:
+                self._first_lla = measurement.lla
+            away = ((measurement.lla - self._first_lla) * curvature_scale(self._first_lla))[:2]
+            std = math.sqrt(2.0 * horizontal_variance(measurement.claimed))
+            self.moves = self.moves or bool(np.linalg.norm(away) > FAR * std)
+        if self.moves and not before:
+            self._since_ns = best.t_ns
+        elif self.moves and best.t_ns - self._since_ns >= LASTING_NS:
+            self.shown = True
+        return self.moves and not before
