@@ -295,7 +295,6 @@ class InsFilter:
 
     def _apply(self, event: Event) -> None:
         """Apply an event to the state at its own stamp, which is the present one."""
-        self._checkpoint()
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
         outcome = self._update.apply(self.nav, event, self._age(event), self._consider_clock)
@@ -303,6 +302,7 @@ class InsFilter:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:
             self.record.add(event, outcome, self.noise, self.clock)
+        self._checkpoint()
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""

@@ -236,8 +236,7 @@ class MultipleModelBank:
 
     def begin_block(self, ring: ImuRing, now_ns: int) -> None:
         """Choose the samples that the filters take until `end_block`; see `advance`."""
-        samples = ring.after(self.best.t_ns)
-        samples = samples[: np.searchsorted(samples["t_ns"], now_ns - self._lag_ns, side="right")]
+        samples = ring.between(self.best.t_ns, now_ns - self._lag_ns)
         if len(samples) and samples["t_ns"][-1] - self.best.t_ns >= self._block_ns:
             self._block, self._behind = samples, self.filters[::-1]
             self._begun_ns = now_ns

@@ -69,7 +69,7 @@ class History:
 
     @property
     def last_event(self) -> Event | None:
-        """The youngest event within the time span."""
+        """The event that was applied last."""
         return self._events[-1] if self._events else None
 
     @property
@@ -89,7 +89,8 @@ class History:
         oldest_ns = checkpoint.t_ns - self.horizon_ns
         while len(self._checkpoints) > 1 and self._checkpoints[1].t_ns < oldest_ns:
             del self._checkpoints[0], self._counts[0]
-        del self._events[: len(self._events) - (self._count - self._counts[0])]
+        # All since the oldest checkpoint, and the last one in any case.
+        del self._events[: len(self._events) - max(self._count - self._counts[0], 1)]
 
     def before(self, t_ns: int) -> Checkpoint | None:
         """Return the youngest checkpoint before a stamp [ns]; None where there is none."""

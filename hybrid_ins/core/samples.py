@@ -119,6 +119,7 @@ class ImuRing:
         self.count = 0
         self.capacity = capacity
         self._samples = np.zeros(capacity, SAMPLE_DTYPE)
+        self._stamps = self._samples["t_ns"]
         self._bytes = self._samples.view(np.uint8).data
         self._pack = struct.Struct("=q6d").pack_into
         self._size = SAMPLE_DTYPE.itemsize
@@ -143,19 +144,32 @@ class ImuRing:
     def latest(self, n: int) -> NDArray[np.void]:
         """Copy of the last ``n`` samples (fewer if fewer came), oldest first."""
         n = min(n, self.count, self.capacity)
-        start = (self.count - n) % self.capacity
-        if start + n <= self.capacity:
-            return self._samples[start : start + n].copy()
-        return np.concatenate((self._samples[start:], self._samples[: start + n - self.capacity]))
+        return self._copy(self.count - n, n)
 
     def after(self, t_ns: int) -> NDArray[np.void]:
         """Copy of the samples that are younger than ``t_ns``, oldest first."""
-        n = 32
-        while True:
-            tail = self.latest(n)
-            if len(tail) < n or tail["t_ns"][0] <= t_ns:
-                return tail[tail["t_ns"].searchsorted(t_ns, side="right") :]
-            n *= 4
+        return self.latest(self._count_after(t_ns))
+
+    def between(self, t_ns: int, end_ns: int) -> NDArray[np.void]:
+        """Copy of the samples that are younger than ``t_ns`` and no younger than ``end_ns``."""
+        n = self._count_after(t_ns)
+        return self._copy(self.count - n, max(n - self._count_after(end_ns), 0))
+
+    def _copy(self, begin: int, n: int) -> NDArray[np.void]:
+        """Copy of ``n`` samples from the one on that was the ``begin``-th."""
+        begin %= self.capacity
+        if begin + n <= self.capacity:
+            return self._samples[begin : begin + n].copy()
+        return np.concatenate((self._samples[begin:], self._samples[: begin + n - self.capacity]))
+
+    def _count_after(self, t_ns: int) -> int:
+        """Return how many samples are younger than ``t_ns``."""
+        first = self.count % self.capacity  # behind the youngest: the oldest, in a full ring
+        n = first - int(self._stamps[:first].searchsorted(t_ns, side="right"))
+        if n == first and self.count >= self.capacity:
+            oldest = self._stamps[first:]
+            n += len(oldest) - int(oldest.searchsorted(t_ns, side="right"))
+        return n
 
     def clear(self) -> None:
         """Drop all samples."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.analytic_motion import Series, Truth, Wave, difference, travel
 
 from hybrid_ins.core import earth
-from hybrid_ins.core.events import NoiseChange
+from hybrid_ins.core.events import Event, NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, Measurement
@@ -257,6 +257,29 @@ def test_age_of_a_late_fix_is_reported() -> None:
     (verdict,) = ins.verdicts
     assert verdict.accepted
     assert verdict.age == pytest.approx(0.5)
+
+
+def test_a_late_fix_repeats_only_the_events_that_are_younger(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    applied: list[int] = []
+    apply = InsFilter._apply
+
+    def counting(ins: InsFilter, event: Event) -> None:
+        applied.append(event.t_ns)
+        apply(ins, event)
+
+    truth, younger_ns = flight(), SECOND + 450_000_000
+    ins = make_filter(truth)
+    for t_ns in (SECOND, younger_ns):
+        ins.submit(fix(truth, t_ns))
+    fly(ins, imu(truth)[1:151])
+    monkeypatch.setattr(InsFilter, "_apply", counting)
+
+    late_ns = SECOND + 400_000_000
+    ins.submit(fix(truth, late_ns))
+
+    assert applied == [late_ns, younger_ns]
 
 
 def test_velocity_and_position_of_one_stamp_are_fused_in_one_order() -> None:
@@ -512,6 +535,9 @@ def test_ring_holds_the_latest_samples(capacity: int, blocks: list[int]) -> None
     for t_ns in range(-1, len(everything) + 1):
         expected = everything[-capacity:]
         np.testing.assert_array_equal(ring.after(t_ns), expected[expected["t_ns"] > t_ns])
+        for end_ns in (t_ns - 1, t_ns + 2, t_ns + 20):
+            inside = (expected["t_ns"] > t_ns) & (expected["t_ns"] <= end_ns)
+            np.testing.assert_array_equal(ring.between(t_ns, end_ns), expected[inside])
 
 
 def test_state_is_a_copy_with_its_covariance_up_to_date() -> None:
