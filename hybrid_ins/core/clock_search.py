@@ -61,10 +61,15 @@ EXCLUDED = 0.01  # weight of offsets below that, at which a running filter is re
 SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
 
 
-def state_at_offset(state: NavState, offset: float) -> NavState:
-    """Return a state, inflated, as if the fixes that led to it were ``offset`` [s] younger."""
+def state_at_offset(state: NavState, offset: float, calm: bool) -> NavState:
+    """
+    Return a state as if the fixes that led to it were ``offset`` [s] younger.
+
+    It is inflated, unless the motion has been ``calm``: see `ClockSearch`.
+    """
     std = np.zeros(N_ERROR)
-    std[DV], std[EPS] = SPEED_STD, TILT_STD
+    if not calm:
+        std[DV], std[EPS] = SPEED_STD, TILT_STD
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
@@ -102,6 +107,9 @@ class ClockSearch(MultipleModelBank):
         Probability of each state.
     offsets : ndarray, shape (len(OFFSETS_NS),)
         Probability of each offset.
+    calm : bool
+        The vehicle stood, or its velocity was constant, for the longest offset before and after the
+        time of the states: with a wrong offset they are displaced, and no more.
 
     Attributes
     ----------
@@ -118,10 +126,11 @@ class ClockSearch(MultipleModelBank):
         settings: FilterSettings,
         headings: Array,
         offsets: Array,
+        calm: bool,
     ) -> None:
         self._prior = settings.clock_prior
         super().__init__(
-            [state_at_offset(s, offset * 1e-9) for offset in OFFSETS_NS for s in states],
+            [state_at_offset(s, offset * 1e-9, calm) for offset in OFFSETS_NS for s in states],
             make_filter,
             replace(settings, clock_std=OFFSET_STD, clock_prior=None),
             (offsets[:, None] * headings).ravel(),
@@ -136,8 +145,8 @@ class ClockSearch(MultipleModelBank):
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._spacing_ns = MIN_SPACING_NS
-        self._weighed_from_ns = self._first_ns + WARM_UP_NS
-        self._fixes = 0
+        self._weighed_from_ns = self._first_ns + (0 if calm else WARM_UP_NS)
+        self._fixes = WARM_UP_FIXES if calm else 0
         self._top_speed = 0.0  # m/s
         self._harmless = 0.0  # s, an offset that moves fixes by no more than they claim
 

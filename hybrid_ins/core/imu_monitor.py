@@ -57,6 +57,8 @@ class ImuMonitor:
         What the last check found.
     standing : bool
         The vehicle stood at the last check.
+    calm : tuple of int
+        Stamps [ns] between which it may have stood, the last time that it did.
     """
 
     def __init__(self, zero_updates: bool) -> None:
@@ -73,6 +75,7 @@ class ImuMonitor:
         """Restart, as the filter did; the biases stay."""
         self.fault: ImuFault | None = None
         self.standing = False
+        self.calm = 0, 0
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._standing_force = StandingForce()
         self._next_ns = 0
@@ -143,6 +146,8 @@ class ImuMonitor:
             self._calm_ns = t_ns + STEADY_NS
         elif self._calm_ns is None:
             self._calm_ns = int(samples["t_ns"][0])
+        if self._calm_ns is not None:
+            self.calm = self._calm_ns, t_ns
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
             best
         )

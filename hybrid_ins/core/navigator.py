@@ -214,7 +214,7 @@ class Navigator:
             return
         self.phases.follow_imu(t_ns)
         self.check_imu()
-        self.phases.include_clock(self.monitor.may_stand)
+        self.phases.include_clock(self.monitor.may_stand, self.monitor.calm)
         if isinstance(self.phase, Searching) and self.phases.decide():
             self._measurements.forget_stamps()
 
@@ -225,7 +225,7 @@ class Navigator:
 
     def continue_search(self) -> None:
         """Check a given heading, search for the clock offset; due some times a second."""
-        self.phases.include_clock(self.monitor.may_stand)
+        self.phases.include_clock(self.monitor.may_stand, self.monitor.calm)
         if self.phases.continue_search(self.last_ns):
             self._measurements.forget_stamps()
 

@@ -153,15 +153,16 @@ class PhaseMachine:
         if isinstance(self.phase, Aligning):
             start = self.phase.alignment.attempt()
             if start is not None:
-                self._enter(phase_after_alignment(start, self._parts, self._ring))
+                parts, ring = self._parts, self._ring
+                self._enter(phase_after_alignment(start, parts, ring, self.clock_open))
 
     def follow_imu(self, t_ns: int) -> None:
         """Let the filters of several headings follow the IMU to a stamp [ns]."""
         if isinstance(self.phase, Searching):
             self._events.extend(self.phase.bank.advance(self._ring, t_ns))
 
-    def include_clock(self, may_stand: bool) -> None:
-        """Search for the clock offset together with the heading, unless the vehicle may stand."""
+    def include_clock(self, may_stand: bool, calm: tuple[int, int]) -> None:
+        """Search for clock offset and heading, unless the vehicle may stand; see `ImuMonitor`."""
         bank, running = self.phase.bank, self.filter
         if may_stand or bank is None or not self.clock_open or bank.clock_open:
             return
@@ -169,7 +170,7 @@ class PhaseMachine:
         waiting = bank.filters[0].withdraw()
         n = len(bank.filters)
         headings = np.full(n, 1.0 / n) if running is None else np.exp(bank.log_weights)
-        search = search_heading_and_clock(bank.filters, headings, self._parts, self._ring)
+        search = search_heading_and_clock(bank.filters, headings, self._parts, self._ring, calm)
         self._enter(Searching(search) if running is None else Running(running, search))
         for measurement in waiting:
             if not search.measure(measurement) and running is None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import heading_check
 from hybrid_ins.core.alignment import Alignment, Start
-from hybrid_ins.core.clock_search import ClockSearch, probabilities
+from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch, probabilities
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 PERIOD_SAMPLES = 256  # that show the IMU's sample period
 CHECK_LAG_NS = 500_000_000  # of a check of the heading: a late fix costs a rewind of each filter
+STAND_LAG_NS = MAX_OFFSET_NS + 900_000_000  # a motion is noticed so much after its begin, at most
 
 
 class FilterParts(Protocol):
@@ -112,19 +113,32 @@ class Running:
 Phase = Aligning | Searching | Running
 
 
-def phase_after_alignment(start: Start, parts: FilterParts, ring: ImuRing) -> Searching | Running:
-    """Return the phase that begins with the first states that alignment found."""
+def phase_after_alignment(
+    start: Start, parts: FilterParts, ring: ImuRing, clock_open: bool
+) -> Searching | Running:
+    """
+    Return the phase that begins with the first states that alignment found.
+
+    Where the clock offset is to be found as well (``clock_open``), the filters stay so far behind
+    the IMU that a motion is noticed before they come to it: the search for the offset begins there.
+    """
+    lag_ns = STAND_LAG_NS if clock_open else 0
     period = sample_period(ring.latest(PERIOD_SAMPLES)["t_ns"])
     begin = _factory(parts, ring, start.t_ns, start.sample, partial(parts.noise, period))
     if start.given:
         known = heading_check.prior(len(start.states))
-        check = MultipleModelBank(start.states, begin, parts.settings, known, CHECK_LAG_NS)
+        check_lag_ns = max(lag_ns, CHECK_LAG_NS)
+        check = MultipleModelBank(start.states, begin, parts.settings, known, check_lag_ns)
         return Running(begin(start.states[0], parts.settings), check)
-    return Searching(MultipleModelBank(start.states, begin, parts.settings))
+    return Searching(MultipleModelBank(start.states, begin, parts.settings, lag_ns=lag_ns))
 
 
 def search_heading_and_clock(
-    filters: Sequence[InsFilter], headings: Array, parts: FilterParts, ring: ImuRing
+    filters: Sequence[InsFilter],
+    headings: Array,
+    parts: FilterParts,
+    ring: ImuRing,
+    calm: tuple[int, int],
 ) -> ClockSearch:
     """
     Return filters under several clock offsets for each of several headings.
@@ -136,13 +150,16 @@ def search_heading_and_clock(
         under a wrong heading or clock it is wrong.
     headings : ndarray
         Probabilities of the headings.
+    calm : tuple of int
+        `ImuMonitor.calm` [ns].
     """
     first = filters[0]
     noise = partial(parts.noise, first.noise.process.period)
     begin = _factory(parts, ring, first.t_ns, first.sample, noise)
     offsets = probabilities(parts.settings.clock_prior)
     states = [known.state for known in filters]
-    return ClockSearch(states, begin, parts.settings, headings, offsets)
+    is_calm = calm[0] < first.t_ns - MAX_OFFSET_NS and first.t_ns + MAX_OFFSET_NS < calm[1]
+    return ClockSearch(states, begin, parts.settings, headings, offsets, is_calm)
 
 
 def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> ClockSearch:
@@ -161,7 +178,7 @@ def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> Clock
     begin = _factory(parts, ring, running.t_ns, running.sample, noise)
     clock = running.clock
     offsets = probabilities(parts.settings.clock_prior, clock.residual, clock.sigma)
-    return ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets)
+    return ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets, False)
 
 
 def _factory(

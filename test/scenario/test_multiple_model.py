@@ -315,13 +315,13 @@ def test_another_filter_runs_where_the_search_excludes_the_offset_of_the_first()
     # WHEN the fixes show another one, half a second away
     bank._offsets_ns = [offset_ns + SECOND // 2 for offset_ns in bank._offsets_ns]
     bank._log_prior = dict.fromkeys(bank._offsets_ns, 0.0)
-    before = offset(estimator)
+    likeliest_ns = bank._offsets_ns[bank._best]
     estimator.navigator.continue_search()
     estimator._handle_events()
     # THEN a filter runs at that
     second = estimator.navigator.filter
     assert estimator.navigator.phase.is_provisional and second is not None and second is not first
-    assert offset(estimator) == pytest.approx(before + 0.5)
+    assert offset(estimator) == pytest.approx(1e-9 * likeliest_ns)
     assert bank.in_force_ns == round(offset(estimator) * SECOND)
 
 
@@ -336,7 +336,7 @@ def test_the_filter_of_the_likeliest_offset_goes_on_once_that_is_known(
     # WHEN the offset is known, and a fix waits for the IMU
     monkeypatch.setattr(clock_search, "OFFSET_KNOWN", (1.0, 0))
     last = next(f for f in run.fixes if f.t_ns > run.fixes[0].t_ns + 20 * SECOND)
-    waits = replace(last, t_ns=estimator.navigator.last_ns + SECOND // 10)
+    waits = replace(last, t_ns=estimator.navigator.last_ns + SECOND // 4)
     estimator.navigator.measure(waits)
     estimator.navigator.continue_search()
     estimator._handle_events()
@@ -445,7 +445,7 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
         np.zeros(3),
         np.diag(np.full(15, 1e-4)),
     )
-    there = state_at_offset(state, 0.5)
+    there = state_at_offset(state, 0.5, calm=False)
 
     moved = (there.lla - state.lla) * curvature_scale(state.lla)
     np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
@@ -455,3 +455,9 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
     np.testing.assert_allclose(std[DP], np.hypot(0.01, 0.5 * SPEED_STD))
     # A velocity that was too low has put the state too little back.
     np.testing.assert_allclose(there.P[DP, DV], -0.5 * SPEED_STD**2 * np.eye(3))
+    # In calm motion a wrong clock does no more than displace the state.
+    there = state_at_offset(state, 0.5, calm=True)
+    np.testing.assert_allclose((there.lla - state.lla) * curvature_scale(state.lla), moved)
+    np.testing.assert_allclose(np.diag(there.P)[DV], 1e-4)
+    np.testing.assert_allclose(np.diag(there.P)[EPS], 1e-4)
+    np.testing.assert_allclose(there.P[DP, DV], -0.5e-4 * np.eye(3))

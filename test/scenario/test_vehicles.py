@@ -64,6 +64,23 @@ def test_what_contradicts_a_wrong_heading_is_not_blamed_on_a_known_clock() -> No
     assert row["heading"] < 2.0 and row["rmse"] < 0.05 and row["silent"] == 0.0
 
 
+def test_what_sets_off_from_a_stand_is_aligned_within_its_first_steps() -> None:
+    """
+    GIVEN a pedestrian who has stood, and of whom neither heading nor clock offset is known
+    WHEN he walks
+    THEN both are known after some seconds: the search began in motion, with a tilt of 0.1 rad and
+    3 m/s to be found out, and needed 17 s.
+    """
+    row, walk = campaign.draw(95)
+    found = score(
+        from_simulation(record(replace(walk, duration=walk.rest + 12.0), 95)), parameters.defaults()
+    )
+
+    assert (row["motion"], row["given"]) == ("pedestrian", "nothing")
+    assert found.aligned < 7.0
+    assert found.heading_at_start < 3.0
+
+
 @pytest.mark.slow
 def test_a_right_clock_is_kept_on_a_cruise() -> None:
     """
