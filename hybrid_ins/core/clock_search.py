@@ -145,8 +145,9 @@ class ClockSearch(MultipleModelBank):
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._spacing_ns = MIN_SPACING_NS
-        self._weighed_from_ns = self._first_ns + (0 if calm else WARM_UP_NS)
-        self._fixes = WARM_UP_FIXES if calm else 0
+        warm_up_ns, self._warm_up_fixes = (0, 0) if calm else (WARM_UP_NS, WARM_UP_FIXES)
+        self._weighed_from_ns = self._first_ns + warm_up_ns
+        self._fixes = 0
         self._top_speed = 0.0  # m/s
         self._harmless = 0.0  # s, an offset that moves fixes by no more than they claim
 
@@ -163,7 +164,7 @@ class ClockSearch(MultipleModelBank):
         return super().measure(measurement)
 
     def _weigh(self, verdicts: list[Verdict]) -> None:
-        """See `MultipleModelBank`; the first fixes only make the filters alike."""
+        """See `MultipleModelBank`; the first fixes only make inflated filters alike."""
         measurement = verdicts[self._best].measurement
         if isinstance(measurement, PositionFix):
             self._fixes += 1
@@ -175,7 +176,7 @@ class ClockSearch(MultipleModelBank):
             is_idle = speed < max(IDLE_SPEED * claimed, 3.0 * math.sqrt(max(variance, 0.0)))
             hovers = self.has_lasted("idle", is_idle, IDLE_NS)
             self._spacing_ns = IDLE_SPACING_NS if hovers else MIN_SPACING_NS
-        if self._fixes > WARM_UP_FIXES and measurement.t_ns > self._weighed_from_ns:
+        if self._fixes > self._warm_up_fixes and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 
     @property

@@ -314,10 +314,9 @@ class InsFilter:
         point = self._history.before(late.t_ns)
         if point is None:
             return False
-        samples = self.ring.after(point.t_ns)
-        if len(samples) == self.ring.capacity:
+        if self.ring.has_lost(point.t_ns):
             return False
-        samples = samples[: np.searchsorted(samples["t_ns"], self.t_ns, side="right")]
+        samples = self.ring.between(point.t_ns, self.t_ns)
         waiting, again = self._pending, self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)

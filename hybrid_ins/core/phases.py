@@ -28,7 +28,8 @@ Array = NDArray[np.float64]
 
 PERIOD_SAMPLES = 256  # that show the IMU's sample period
 CHECK_LAG_NS = 500_000_000  # of a check of the heading: a late fix costs a rewind of each filter
-STAND_LAG_NS = MAX_OFFSET_NS + 900_000_000  # a motion is noticed so much after its begin, at most
+NOTICED_NS = 900_000_000  # a motion is noticed so long after it has begun, at most
+STAND_LAG_NS = MAX_OFFSET_NS + NOTICED_NS  # of filters that still stand then, by all of the clocks
 
 
 class FilterParts(Protocol):

@@ -155,6 +155,10 @@ class ImuRing:
         n = self._count_after(t_ns)
         return self._copy(self.count - n, max(n - self._count_after(end_ns), 0))
 
+    def has_lost(self, t_ns: int) -> bool:
+        """Return whether samples that are younger than ``t_ns`` may have been overwritten."""
+        return self._count_after(t_ns) == self.capacity
+
     def _copy(self, begin: int, n: int) -> NDArray[np.void]:
         """Copy of ``n`` samples from the one on that was the ``begin``-th."""
         begin %= self.capacity

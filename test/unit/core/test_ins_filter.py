@@ -535,6 +535,7 @@ def test_ring_holds_the_latest_samples(capacity: int, blocks: list[int]) -> None
     for t_ns in range(-1, len(everything) + 1):
         expected = everything[-capacity:]
         np.testing.assert_array_equal(ring.after(t_ns), expected[expected["t_ns"] > t_ns])
+        assert ring.has_lost(t_ns) == (np.count_nonzero(everything["t_ns"] > t_ns) >= capacity)
         for end_ns in (t_ns - 1, t_ns + 2, t_ns + 20):
             inside = (expected["t_ns"] > t_ns) & (expected["t_ns"] <= end_ns)
             np.testing.assert_array_equal(ring.between(t_ns, end_ns), expected[inside])
