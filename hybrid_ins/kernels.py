@@ -27,7 +27,6 @@ from hybrid_ins.core import (
     kalman,
     linalg,
     measurements,
-    noise_hypotheses,
     noise_multiple_model,
     noise_multiple_model_step,
     position_scatter,
@@ -184,9 +183,9 @@ def _compile_output() -> None:
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
     values = np.ones(noise_multiple_model.WEIGHTS.stop)
-    estimates = np.zeros((noise_multiple_model_step.N_ROWS, noise_hypotheses.COUNT))
+    estimates = np.zeros((noise_multiple_model_step.N_ROWS, noise_multiple_model.WIDTH))
     noise_multiple_model.update_hypotheses(
-        noise_hypotheses.HYPOTHESES,
+        noise_multiple_model.WIDE_HYPOTHESES,
         estimates,
         estimates.copy(),
         values,

@@ -72,7 +72,10 @@ _R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYP
 _LOG_PRIOR_OF_R = np.empty(COUNT)
 for _level in _R_LEVELS:
     _LOG_PRIOR_OF_R[_level] = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][_level])
-_HYPOTHESES_OF_IMU = HYPOTHESES.copy()  # about R there are none for what is no fix
+# Vector instructions take several hypotheses at once: the last one is repeated to fill them.
+WIDTH = COUNT + -COUNT % 16
+WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
+_HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2] = 1.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
@@ -113,7 +116,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     slow_std : float
         Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
         none.
-    estimates : ndarray, shape (N_ROWS, COUNT), or None
+    estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
 
     See Also
@@ -206,7 +209,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
         filter's covariance, and their likelihoods stay as they were.
         """
-        have_risen = self._update(correction, psd, HYPOTHESES, True)
+        have_risen = self._update(correction, psd, WIDE_HYPOTHESES, True)
         self._read_factors()
         return self._state_correction() if have_risen else None
 
@@ -226,10 +229,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         before, T = self.estimates, self._time_to(correction)
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
-            T, before = 0.0, np.zeros((N_ROWS, COUNT))
+            T, before = 0.0, np.zeros((N_ROWS, WIDTH))
             before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
             self._values[PENDING_G] = _START[PENDING_G]
-        self.estimates = np.empty((N_ROWS, COUNT))
+        self.estimates = np.empty((N_ROWS, WIDTH))
         self._t_ns = correction.t_ns
         have_risen = update_hypotheses(
             hypotheses,
@@ -257,9 +260,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         values, weights = self._values, self._values[WEIGHTS]
         G = values[PENDING_G].reshape(N_ERROR, N_ERROR)
         covariances, offsets = self.estimates[:OFFSETS], self.estimates[OFFSETS:]
-        mean = offsets @ weights
+        mean = offsets[:, :COUNT] @ weights
         deviation = offsets - mean[:, None]
-        P = (covariances @ weights)[PLACES] + (weights * deviation) @ deviation.T
+        spread = deviation[:, :COUNT]
+        P = (covariances[:, :COUNT] @ weights)[PLACES] + (weights * spread) @ spread.T
         dx = G @ mean
         self.estimates = np.vstack((covariances, deviation))
         values[LAST_VELOCITY] += dx[DV]
@@ -275,9 +279,9 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (12, COUNT)
-        `HYPOTHESES`.
-    before, after : ndarray, shape (N_ROWS, COUNT)
+    hypotheses : ndarray, shape (12, WIDTH)
+        `HYPOTHESES`, the last one repeated.
+    before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.
     values : ndarray, shape (WEIGHTS.stop,)
         What is known besides; overwritten.
@@ -331,7 +335,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
     rotation(nav[QUAT], values[LAST_C])
     fading = np.exp(-T / MEMORY)
-    for h in range(len(log_likelihood)):
+    for h in range(COUNT):
         values[LOG_LIKELIHOOD][h] *= fading
     if not weigh:
         return False
