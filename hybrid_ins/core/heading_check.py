@@ -24,7 +24,7 @@ from hybrid_ins.core.alignment import yaw_of
 from hybrid_ins.core.ins_filter import InsFilter, state_at_imu
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator_events import HeadingCorrected
-from hybrid_ins.core.state import QUAT, NavState
+from hybrid_ins.core.state import HEADING_VARIANCE, QUAT, NavState
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def correction(running: InsFilter, bank: MultipleModelBank) -> HeadingCorrected 
     if not bank.motion.shown:
         return None
     best = yaw_of(state_at_imu(bank.best, bank.best.nav)[QUAT])
-    own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.state.P[8, 8])
+    own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.flat_state()[HEADING_VARIANCE])
     if bank.probability(own - best, max(GROSS, SIGNIFICANT * std)) > EXCLUDED:
         return None
     mean, sigma = bank.heading()

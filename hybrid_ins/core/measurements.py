@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import earth_rate_n, radii
+from hybrid_ins.core.samples import as_numbers
+from hybrid_ins.core.standstill import mean_and_std
 from hybrid_ins.core.state import B_G, BIAS_G, DV, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
 
@@ -202,9 +204,9 @@ class Standstill:
     @classmethod
     def of(cls, samples: NDArray[np.void]) -> Standstill:
         """Return the one that ``samples`` (``SAMPLE_DTYPE``) of a standing IMU make."""
-        rate = samples["w"]
-        std = np.hypot(rate.std(axis=0) / np.sqrt(len(rate)), STANDING_RATE_STD)
-        return cls(int(samples["t_ns"][-1]), rate.mean(axis=0), std)
+        mean, std = mean_and_std(as_numbers(samples))
+        std = np.hypot(std[3:] / np.sqrt(len(samples)), STANDING_RATE_STD)
+        return cls(int(samples["t_ns"][-1]), mean[3:], std)
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`; [1]_ section 15.3."""

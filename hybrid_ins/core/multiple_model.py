@@ -42,8 +42,8 @@ from hybrid_ins.core.state import (
     BIAS_A,
     BIAS_G,
     COVARIANCE,
-    DIAGONAL,
     EPS,
+    HEADING_VARIANCE,
     LLA,
     N_ERROR,
     N_NAV,
@@ -98,7 +98,7 @@ def _restore_cells(filters: Sequence[InsFilter]) -> None:
     """Make each filter as uncertain of its heading as it was: what a stand showed is chance."""
     for hypothesis in filters:
         std = np.zeros(N_ERROR)
-        variance = hypothesis.nav[COVARIANCE][DIAGONAL[EPS]][2]
+        variance = hypothesis.nav.item(HEADING_VARIANCE)
         std[EPS.stop - 1] = math.sqrt(max(HEADING_STD**2 - variance, 0.0))
         hypothesis.submit(CovarianceInflation(hypothesis.t_ns, std))
 
@@ -238,8 +238,7 @@ class MultipleModelBank:
         """Choose the samples that the filters take until `end_block`; see `advance`."""
         samples = ring.between(self.best.t_ns, now_ns - self._lag_ns)
         if len(samples) and samples["t_ns"][-1] - self.best.t_ns >= self._block_ns:
-            self._block, self._behind = samples, self.filters[::-1]
-            self._begun_ns = now_ns
+            self._block, self._behind, self._begun_ns = samples, self.filters[::-1], now_ns
 
     def continue_block(self, now_ns: int) -> None:
         """
@@ -310,7 +309,7 @@ class MultipleModelBank:
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
-        variances = np.array([h.nav[COVARIANCE][DIAGONAL[EPS][2]] for h in self.filters])
+        variances = np.array([h.nav.item(HEADING_VARIANCE) for h in self.filters])
         mean, std = mixture_of(_headings(self.filters, self.best), variances, self.log_weights)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
 
@@ -355,12 +354,14 @@ class MultipleModelBank:
 
     def _is_known(self) -> bool:
         """Return whether one filter can do the rest."""
+        if not (self.heading_open and (self.motion.moves or self.motion.shown)):
+            return not self.heading_open  # what was known at rest is not once a motion begins
         std = self.heading()[1]
         known = [
             self.has_lasted(("heading", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in HEADING_KNOWN
         ]
-        return not self.heading_open or (self.motion.shown and any(known))
+        return self.motion.shown and any(known)
 
     def has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
         """Return whether a condition is true, and was for so long [ns]."""

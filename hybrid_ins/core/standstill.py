@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.samples import readings_of
+from hybrid_ins.core.samples import as_numbers, readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
 STANDING_RATE_STD = 0.02  # rad/s
@@ -46,7 +46,8 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     noise, slow = _spread(readings[-MEANS * size :], size)
     if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
-    return bool(np.all(np.abs(readings[:, 3:].mean(axis=0)) < LARGEST_MEAN_RATE))
+    mean, _ = mean_and_std(as_numbers(samples))
+    return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
 
 
 def may_be_zero(velocity_n: NDArray[np.float64], covariance_n: NDArray[np.float64]) -> bool:
@@ -71,9 +72,9 @@ class StandingForce:
 
     def changes(self, samples: NDArray[np.void]) -> bool:
         """Return whether the mean of ``samples`` is another than when the stand began."""
-        force = samples["f"]
-        mean, before = force.mean(axis=0), self._mean
-        noise = 4.0 * float(force.std(axis=0).max()) / np.sqrt(len(force))
+        means, stds = mean_and_std(as_numbers(samples))
+        mean, before = means[:3], self._mean
+        noise = 4.0 * float(stds[:3].max()) / np.sqrt(len(samples))
         changed = before is not None and bool(
             np.linalg.norm(mean - before) > np.hypot(SLOW_FORCE_STD, noise)
         )
@@ -86,20 +87,36 @@ class StandingForce:
 def _spread(readings, size):  # type: ignore[no-untyped-def]
     """Return the standard deviations (6,) of readings (N, 6), and of means over ``size`` each."""
     count, parts = readings.shape[0], readings.shape[0] // size
-    noise, slow = np.zeros(6), np.zeros(6)
+    noise, slow, mean = np.zeros(6), np.zeros(6), np.zeros(6)
     means = np.zeros((parts, 6))
+    for part in range(parts):
+        for k in range(part * size, (part + 1) * size):
+            for c in range(6):
+                means[part, c] += readings[k, c] / size
+        for c in range(6):
+            mean[c] += means[part, c] / parts
     for k in range(count):
         for c in range(6):
-            means[k // size, c] += readings[k, c] / size
-    for c in range(6):
-        mean = 0.0
-        for part in range(parts):
-            mean += means[part, c] / parts
-        for k in range(count):
-            noise[c] += (readings[k, c] - mean) ** 2 / count
-        for part in range(parts):
-            slow[c] += (means[part, c] - mean) ** 2 / parts
+            noise[c] += (readings[k, c] - mean[c]) ** 2 / count
+    for part in range(parts):
+        for c in range(6):
+            slow[c] += (means[part, c] - mean[c]) ** 2 / parts
     return np.sqrt(noise), np.sqrt(slow)
+
+
+@kernel()
+def mean_and_std(numbers):  # type: ignore[no-untyped-def]
+    """Return mean and standard deviation (6,) of the readings in `samples.as_numbers`, (N, 7)."""
+    count = numbers.shape[0]
+    mean, std = np.zeros(6), np.zeros(6)
+    for k in range(count):
+        for c in range(6):
+            mean[c] += numbers[k, 1 + c]
+    mean /= count
+    for k in range(count):
+        for c in range(6):
+            std[c] += (numbers[k, 1 + c] - mean[c]) ** 2
+    return mean, np.sqrt(std / count)
 
 
 class FixMotion:

@@ -63,6 +63,7 @@ PLACES[PACKED_ROWS, PACKED_COLUMNS] = PLACES[PACKED_COLUMNS, PACKED_ROWS] = np.a
     len(PACKED_ROWS)
 )
 DIAGONAL = np.array([i * N_ERROR - i * (i - 1) // 2 for i in range(N_ERROR)])
+HEADING_VARIANCE = COVARIANCE.start + int(DIAGONAL[8])  # place of P[8, 8] in the flat state
 
 
 @register_jitable

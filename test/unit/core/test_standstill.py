@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero
+from hybrid_ins.core.samples import SAMPLE_DTYPE, as_numbers, readings_of
+from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero, mean_and_std
 
 RATE = 200.0
 
@@ -26,6 +26,14 @@ def samples(force_std=0.02, rate_std=0.002, seconds=1.0, force=None, rate=None):
 
 def test_a_calm_sensor_stands() -> None:
     assert is_standing(samples())
+
+
+def test_mean_and_standard_deviation_are_those_of_the_readings() -> None:
+    table = samples(force=lambda t: t)
+    mean, std = mean_and_std(as_numbers(table))
+    readings = readings_of(table)
+    np.testing.assert_allclose(mean, readings.mean(axis=0), rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(std, readings.std(axis=0), rtol=1e-12)
 
 
 def test_a_biased_sensor_that_stands_stands() -> None:
