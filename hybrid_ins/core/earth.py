@@ -179,6 +179,17 @@ def curvature_scale(lla):  # type: ignore[no-untyped-def]
     return np.array([meridian + lla[2], (transverse + lla[2]) * np.cos(lla[0]), -1.0])
 
 
+def displacement(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return north, east, down [m], shape (..., 3), from a position to others near by.
+
+    Latitude, longitude [rad] and height [m], (3,) and (..., 3); the date line may be between them.
+    """
+    change = end - start
+    change[..., 1] -= 2.0 * math.pi * np.round(change[..., 1] / (2.0 * math.pi))
+    return np.asarray(change * curvature_scale(start))
+
+
 def horizontal_displacement(
     start: tuple[float, float], end: tuple[float, float]
 ) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.imu_axes_faults import (
     DEGREES,
     EXPLANATIONS,
@@ -266,7 +266,7 @@ class ImuAxesCheck:
         fix_t, lla = fix_t[inside], lla[inside]
         if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
             return []
-        position_n = np.nan_to_num((lla - lla[0]) * curvature_scale(lla[0]))
+        position_n = np.nan_to_num(displacement(lla[0], lla))
         steps = np.diff(grid[:, 1:], axis=0)
         motions = []
         for interval, least in list(zip(INTERVALS, LEAST_CHANGE, strict=True))[shortest:]:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Measurement, PositionFix
 from hybrid_ins.core.position_scatter import horizontal_variance
@@ -55,7 +55,7 @@ class MotionEvidence:
         if isinstance(measurement, PositionFix):
             if self._first_lla is None:
                 self._first_lla = measurement.lla
-            away = ((measurement.lla - self._first_lla) * curvature_scale(self._first_lla))[:2]
+            away = displacement(self._first_lla, measurement.lla)[:2]
             std = math.sqrt(2.0 * horizontal_variance(measurement.claimed))
             self.moves = self.moves or bool(np.linalg.norm(away) > FAR * std)
         if self.moves and not before:

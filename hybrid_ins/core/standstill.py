@@ -158,7 +158,9 @@ def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
     north, east, _ = curvature_scale(last)
     for k in range(count):
         t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
-        places[k, 0], places[k, 1] = (lla[k, 0] - last[0]) * north, (lla[k, 1] - last[1]) * east
+        turn = lla[k, 1] - last[1]
+        turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+        places[k, 0], places[k, 1] = (lla[k, 0] - last[0]) * north, turn * east
     t -= t.mean()
     square, residual, speed = np.sum(t * t), 0.0, 0.0
     for axis in range(2):

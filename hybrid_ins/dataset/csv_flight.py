@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.earth import LocalFrame, displacement
 from hybrid_ins.core.rotations import (
     matrix_from_quat,
     quat_conjugate,
@@ -167,7 +167,7 @@ def read_position(directory: Path, layout: PositionMap, faults: Faults) -> Posit
         lla = LocalFrame(layout.origin_lla).lla(local)
     if table.t.size < 5:
         raise InputError(f"{table.path}: {table.t.size} usable positions: too few")
-    steps = np.diff(lla, axis=0) * curvature_scale(lla[0])
+    steps = np.diff(displacement(lla[0], lla), axis=0)
     speed = np.median(np.linalg.norm(steps, axis=1) / np.diff(table.t))
     if speed > 300.0:
         raise InputError(

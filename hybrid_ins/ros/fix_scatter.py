@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.ros.conversions import Refused
@@ -74,8 +74,8 @@ class FixScatter:
         t = np.array([stamp for stamp, *_ in self._fixes]) * 1e-9
         dt = float(np.median(np.diff(t)))
         even = np.abs(np.diff(t) - dt) < 0.25 * dt
-        places = np.array([place[:2] for _, place, *_ in self._fixes])
-        places = (places - places[0]) * curvature_scale(self._fixes[0][1])[:2]
+        places = np.array([place for _, place, *_ in self._fixes])
+        places = displacement(places[0], places)[:, :2]
         third = np.diff(places, 3, axis=0)[even[:-2] & even[1:-1] & even[2:]]
         if len(third) < KEPT // 3:
             return 0.0

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins.core.alignment import Alignment
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.standstill import is_standing
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.conversions import STATUS_FIX, Message
@@ -179,7 +179,7 @@ class WarmStart:
         if not is_standing(samples):
             return "the vehicle moves"
         lla = np.array([math.radians(message.latitude), math.radians(message.longitude), 0.0])
-        away = (curvature_scale(known.lla) * (lla - known.lla))[:2]
+        away = displacement(known.lla, lla)[:2]
         fix_std = math.sqrt(max(message.position_covariance[0], message.position_covariance[4], 0))
         distance = float(np.linalg.norm(away))
         limit = SAME_PLACE * math.hypot(known.position_std, math.sqrt(2.0) * fix_std) + self._lever

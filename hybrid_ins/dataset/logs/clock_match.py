@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.trajectory import Array
@@ -128,7 +128,7 @@ def _horizontal_velocity(gnss: GnssLog) -> tuple[Array, Array]:
 def positions(gnss: GnssLog) -> Array:
     """Return positions relative to the first one [m], NED; a height may be missing."""
     lla = np.nan_to_num(gnss.lla)
-    return np.asarray((lla - lla[0]) * curvature_scale(lla[0]))
+    return displacement(lla[0], lla)
 
 
 def imu_turn_rate(imu: ImuLog) -> tuple[Array, Array]:

@@ -170,3 +170,14 @@ def test_local_frame_turns_from_n() -> None:
     d = frame.position(lla + 1e3 * step / earth.curvature_scale(lla)) - frame.position(lla)
 
     np.testing.assert_allclose(d, 1e3 * frame.C_from_n(lla) @ step, atol=2e-6)
+
+
+def test_a_displacement_crosses_the_date_line() -> None:
+    start = np.array([-0.3, np.pi - 1e-7, 20.0])
+    ends = np.array([[-0.3 + 1e-7, -np.pi + 1e-7, 25.0], [-0.3, np.pi - 2e-7, 20.0]])
+
+    moved = earth.displacement(start, ends)
+
+    expected = np.array([[1e-7, 2e-7, 5.0], [0.0, -1e-7, 0.0]]) * earth.curvature_scale(start)
+    np.testing.assert_allclose(moved, expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(earth.displacement(start, ends[0]), moved[0])

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.samples import SAMPLE_DTYPE, as_numbers, readings_of
-from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero, mean_and_std
+from hybrid_ins.core.standstill import (
+    StandingForce,
+    is_standing,
+    may_be_zero,
+    mean_and_std,
+    significant_speed,
+)
 
 RATE = 200.0
 
@@ -84,3 +90,15 @@ def test_noise_is_no_change_of_the_mean() -> None:
 @pytest.mark.parametrize(("speed", "plausible"), [(1.0, True), (5.0, False)])
 def test_zero_is_plausible_within_the_covariance(speed: float, plausible: bool) -> None:
     assert may_be_zero(np.array([speed, 0.0, 0.0]), np.eye(3)) == plausible
+
+
+def test_a_speed_across_the_date_line_is_no_other() -> None:
+    t_ns = np.arange(20) * 100_000_000
+    lla = np.zeros((20, 3))
+    lla[:, 1] = np.linspace(0.0, 2e-7, 20)
+    beyond = lla.copy()
+    beyond[:, 1] = (lla[:, 1] + np.pi - 1e-7 + np.pi) % (2.0 * np.pi) - np.pi
+
+    assert beyond[0, 1] > 0.0 > beyond[-1, 1]
+    assert significant_speed(t_ns, beyond) == pytest.approx(significant_speed(t_ns, lla), rel=1e-6)
+    assert significant_speed(t_ns, lla) > 0.5
