@@ -61,6 +61,7 @@ class Receiver:
     drift: float = 0.0  # s/s
     velocity_std: float | None = None  # m/s; None: it reports no velocity
     velocity_age: float = 0.0  # s, of a velocity behind the position with the same stamp
+    antenna_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, relative to the IMU
 
 
 @dataclass(frozen=True)
@@ -116,11 +117,14 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
     error = np.asarray(receiver.white_std) * rng.standard_normal((len(fix_t), 3))
     decay = float(np.exp(-1.0 / receiver.rate / receiver.slow_time))
     error += gauss_markov(receiver.slow_std, decay, len(fix_t), rng)
+    error += at.C_nb @ np.asarray(receiver.antenna_b)
     lla = at.lla + error / np.array([earth.curvature_scale(place) for place in at.lla])
     stamp = fix_t - receiver.offset - receiver.drift * fix_t
     velocity_n = None
     if receiver.velocity_std is not None:
-        velocity_n = sample(motion, fix_t - receiver.velocity_age).velocity_n
+        then = sample(motion, fix_t - receiver.velocity_age)
+        swing_b = np.cross(then.angular_rate_eb_b, np.asarray(receiver.antenna_b))
+        velocity_n = then.velocity_n + (then.C_nb @ swing_b[..., None])[..., 0]
         velocity_n = velocity_n + receiver.velocity_std * rng.standard_normal((len(fix_t), 3))
     return Recording(vehicle, truth, imu, fix_t, stamp, lla, velocity_n)
 

@@ -2,8 +2,8 @@
 Many short drives with everything drawn at random: which are silently wrong, which align soon.
 
 Vehicle, receiver, claim, clock offset and drift, IMU rate and noise, and what is known of the
-heading are drawn for each run, on request also the defects of real recordings (`defects`); the
-parameters are the defaults.
+heading are drawn for each run, on request also where the antenna is, which is given, and the
+defects of real recordings (`defects`); all other parameters are the defaults.
 """
 
 from __future__ import annotations
@@ -99,13 +99,27 @@ def draw(seed: int) -> tuple[dict[str, Any], Vehicle]:
     return row, vehicle
 
 
-def one(seed: int, defective: bool = False, clock_given: bool = False) -> dict[str, Any]:
+def with_antenna(vehicle: Vehicle, seed: int) -> Vehicle:
+    """Return a vehicle whose antenna is up to three metres from its IMU."""
+    rng = np.random.default_rng([seed, 33])
+    away = math.exp(rng.uniform(*np.log((0.1, 3.0))))
+    direction = rng.standard_normal(3) * [1.0, 0.5, 0.5]
+    antenna_b = away * direction / np.linalg.norm(direction)
+    return replace(vehicle, receiver=replace(vehicle.receiver, antenna_b=tuple(antenna_b)))
+
+
+def one(
+    seed: int, defective: bool = False, clock_given: bool = False, antenna: bool = False
+) -> dict[str, Any]:
     """
     Return the row of one run.
 
-    It has the defects of real recordings if ``defective``; ``clock_given`` gives its clock offset.
+    It has the defects of real recordings if ``defective``; ``clock_given`` gives its clock offset;
+    with ``antenna`` that is away from the IMU, where the parameters say.
     """
     row, vehicle = draw(seed)
+    if antenna:
+        vehicle = with_antenna(vehicle, seed)
     recording = record(vehicle, seed)
     if defective:
         recording, names = defects.draw(recording, np.random.default_rng([seed, 32]))
@@ -115,6 +129,8 @@ def one(seed: int, defective: bool = False, clock_given: bool = False) -> dict[s
     if clock_given:
         values["gnss.time_offset.value"] = row["true_offset"]
         values["gnss.time_offset.std"] = CLOCK_STD
+    forward, right, down = vehicle.receiver.antenna_b
+    values["gnss.antenna_position"] = [forward, -right, -down]
     if row["given"] == "wrong":
         drive = _later(drive, drive.motion_ns + round(SOON * 1e9))
     found = score(drive, values)
@@ -192,11 +208,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         action="store_true",
         help="give the true clock offset: shows what finding it costs",
     )
+    parser.add_argument(
+        "--antenna", action="store_true", help="up to 3 m from the IMU, and where is given"
+    )
     parser.add_argument("--results", type=Path, metavar="FILE", help="also write all rows, JSON")
     args = parser.parse_args(argv)
     rows = []
     runs = [
-        (seed, args.defects, args.clock_given) for seed in range(args.first, args.first + args.runs)
+        (seed, args.defects, args.clock_given, args.antenna)
+        for seed in range(args.first, args.first + args.runs)
     ]
     for row in progress.track(run_parallel(one, runs, args.jobs), "drives", total=args.runs):
         rows.append(row)
