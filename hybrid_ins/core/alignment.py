@@ -17,16 +17,23 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import earth_rate_n
+from hybrid_ins.core.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.first_motion import Motion, first_motion
 from hybrid_ins.core.imu_health import ImuFault, find_fault
-from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.inflation import about_antenna
+from hybrid_ins.core.measurements import (
+    Measurement,
+    PositionFix,
+    VelocityFix,
+    position_model,
+    velocity_model,
+)
 from hybrid_ins.core.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.rotations import (
     UNKNOWN_ANGLE_STD,
@@ -225,19 +232,19 @@ class Alignment:
         if not fixes:
             self.waiting = Waiting(Need.FIX)
             return None
-        reading = np.concatenate((samples["f"][-1], samples["w"][-1]))
+        reading, lever_b = np.concatenate((samples["f"][-1], samples["w"][-1])), fixes[-1].lever_b
         motion = first_motion(fixes, self._velocity, now)
         given = self._given_heading(motion)
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
             known = given or (0.0, UNKNOWN_ANGLE_STD)
-            self.provisional = self._states(samples, motion, [known])[0].to_flat()
+            self.provisional = self._states(samples, motion, [known], lever_b)[0].to_flat()
             self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
             return None
         yaws = [] if given is None else [given]
         yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
-        states = self._states(samples, motion, yaws)
+        states = self._states(samples, motion, yaws, lever_b)
         return Start(tuple(states), given is not None, now, reading)
 
     def _recent_fixes(self, now: int) -> list[PositionFix]:
@@ -260,7 +267,11 @@ class Alignment:
         return Waiting(Need.SPEED, motion.speed, self._settings.course_min_speed)
 
     def _states(
-        self, samples: NDArray[np.void], motion: Motion, yaws: Sequence[tuple[float, float]]
+        self,
+        samples: NDArray[np.void],
+        motion: Motion,
+        yaws: Sequence[tuple[float, float]],
+        lever_b: Array,
     ) -> list[NavState]:
         """Return a state at the last of ``samples`` for each heading and its σ [rad]."""
         bias_a, bias_g, bias_P = self._first_biases(int(samples["t_ns"][-1]))
@@ -286,7 +297,8 @@ class Alignment:
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0
                 P[B_G, B_G] = np.eye(3) * bias_g_std**2
-            states.append(NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P))
+            antenna = NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P)
+            states.append(_at_imu(antenna, samples["w"][-1], lever_b))
         return states
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
@@ -324,6 +336,21 @@ class Alignment:
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / motion.speed
             return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
         return None
+
+
+def _at_imu(antenna: NavState, rate_b: Array, lever_b: Array) -> NavState:
+    """Return the state of an IMU whose antenna has that position and velocity."""
+    nav = antenna.to_flat()
+    nav[LAST_W] = rate_b
+    away = position_model(nav, antenna.lla, lever_b)[0]
+    moving = velocity_model(nav, antenna.velocity_n, lever_b)[0]
+    T = about_antenna(nav, lever_b)
+    return replace(
+        antenna,
+        lla=antenna.lla + away / curvature_scale(antenna.lla),
+        velocity_n=antenna.velocity_n + moving,
+        P=T @ antenna.P @ T.T,
+    )
 
 
 def _down(samples: NDArray[np.void]) -> Array:

@@ -23,7 +23,7 @@ from hybrid_ins.core.clock_offset import share_of_motion
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.inflation import inflate_covariance
+from hybrid_ins.core.inflation import inflate
 from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank, mixture_of
@@ -37,6 +37,7 @@ from hybrid_ins.core.state import (
     N_ERROR,
     VELOCITY,
     NavState,
+    covariance,
 )
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ EXCLUDED = 0.01  # weight of offsets below that, at which a running filter is re
 SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
 
 
-def state_at_offset(state: NavState, offset: float, calm: bool) -> NavState:
+def state_at_offset(state: NavState, offset: float, calm: bool, lever_b: Array) -> NavState:
     """
     Return a state as if the fixes that led to it were ``offset`` [s] younger.
 
@@ -73,7 +74,9 @@ def state_at_offset(state: NavState, offset: float, calm: bool) -> NavState:
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
-    return replace(state, lla=lla, P=moved @ inflate_covariance(state.P, std) @ moved.T)
+    nav = state.to_flat()
+    inflate(nav, std, lever_b)
+    return replace(state, lla=lla, P=moved @ covariance(nav) @ moved.T)
 
 
 def probabilities(
@@ -130,7 +133,11 @@ class ClockSearch(MultipleModelBank):
     ) -> None:
         self._prior = settings.clock_prior
         super().__init__(
-            [state_at_offset(s, offset * 1e-9, calm) for offset in OFFSETS_NS for s in states],
+            [
+                state_at_offset(s, offset * 1e-9, calm, settings.lever_b)
+                for offset in OFFSETS_NS
+                for s in states
+            ],
             make_filter,
             replace(settings, clock_std=OFFSET_STD, clock_prior=None),
             (offsets[:, None] * headings).ravel(),

@@ -49,10 +49,11 @@ class ClockInflation:
 
 @dataclass(frozen=True, slots=True)
 class CovarianceInflation:
-    """At its stamp the errors may be as large as ``std``, whatever the covariance says."""
+    """At its stamp the errors may be as large as ``std``: see `inflation.inflate`."""
 
     t_ns: int
     std: Array  # (15,) in the order of the error state; 0 where nothing is inflated
+    lever_b: Array  # (3,) m, antenna relative to the IMU
     kind: ClassVar[str] = "covariance inflation"
 
 

@@ -36,6 +36,8 @@ ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keep
 MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
 SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
 UNREMARKABLE = 1.5  # a scale that is forgotten
+UNCONFIRMED = "innovation beyond the gate after a pause: waits for a fix that agrees"
+LEAST_PATIENCE_NS = 1_000_000_000  # with a state that rests on one fix
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,11 @@ class Gate(ShallowCopy):
     times as long. Where the covariance has grown meanwhile until such a measurement is just below
     the threshold, the state is as wrong, and the covariance is inflated as well.
 
+    A state is believed no longer than it has been confirmed for: after a pause, or an inflation,
+    one measurement decides where it is, and if that was the outlier, the following ones need to
+    agree for as long as it was followed, not for ``patience``. After a pause, one above the
+    threshold has to wait for another one that agrees with it.
+
     A jump is out of proportion to the innovations before it: a receiver that claims centimetres and
     scatters by decimetres does not jump at every fix. The scale, the mean of NIS / m of those that
     were fused last, is counted from the first above the threshold until it is ordinary again. It
@@ -128,6 +135,7 @@ class Gate(ShallowCopy):
     def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
+        self._confirmed_since_ns = -self._patience_ns
         self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
         self._scales: dict[str, float] = {}  # likewise; 1 where there is none
 
@@ -135,15 +143,24 @@ class Gate(ShallowCopy):
         """Return the largest NIS of a measurement that agrees, by its number of components."""
         return self._thresholds[components]
 
-    def ordinary_limit(self, kind: str, components: int) -> float:
+    def ordinary_limit(self, kind: str, components: int, interval: float) -> float:
         """
         Return the NIS up to which `judge` accepts a GNSS measurement by its NIS alone.
 
-        -1 after rejections and large innovations: more than its NIS decides then.
+        -1 after rejections, large innovations and a pause: more than its NIS counts then.
         """
-        if kind in self._rejections or kind in self._scales:
+        if kind in self._rejections or kind in self._scales or self._is_pause(interval):
             return -1.0
         return self._thresholds.get(components, -1.0)
+
+    def _is_pause(self, interval: float) -> bool:
+        """Return whether after an interval [s] one measurement decides where the state is."""
+        return interval * 1e9 > self._patience_ns
+
+    @property
+    def rejects(self) -> bool:
+        """The last measurement of a kind was rejected as a jump: it is wrong, or the state."""
+        return any(run.jump for run in self._rejections.values())
 
     def judge(
         self,
@@ -163,6 +180,8 @@ class Gate(ShallowCopy):
         verdict = self._decide(measurement, z, R, S, nis, age, interval)
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
+            if verdict.inflated or self._is_pause(interval):
+                self._confirmed_since_ns = measurement.t_ns
         return verdict
 
     def _learn_scale(self, verdict: Verdict) -> None:
@@ -201,7 +220,8 @@ class Gate(ShallowCopy):
         others = {k: run for k, run in self._rejections.items() if k != kind}
         first_ns = last.first_ns if last else t_ns
         consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
-        patience_ns = self._patience_ns
+        confirmed_ns = max(first_ns - self._confirmed_since_ns, LEAST_PATIENCE_NS)
+        patience_ns = min(self._patience_ns, confirmed_ns)
         if nis <= plain.threshold:
             marginal = nis > MARGINAL * plain.threshold and t_ns - consistent_ns > patience_ns // 3
             if not (marginal and is_gnss):
@@ -215,6 +235,8 @@ class Gate(ShallowCopy):
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             if is_gnss and not jump:
+                if self._is_pause(interval) and not of_state:
+                    return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
                 return replace(plain, reason="large innovation")
             return replace(
                 plain,

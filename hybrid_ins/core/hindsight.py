@@ -151,7 +151,7 @@ def _record(running: InsFilter) -> FilterRecord:
 def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
     event, verdict = step.decided.event, step.decided.verdict
     if isinstance(event, CovarianceInflation):
-        return Update(event.t_ns, psd, std=event.std)
+        return Update(event.t_ns, psd, inflation=event)
     if verdict is None:
         return None
     plain, split = verdict.accepted and not verdict.inflated, step.decided.split

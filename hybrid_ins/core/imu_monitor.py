@@ -18,6 +18,7 @@ from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import Standstill
 from hybrid_ins.core.phase_machine import PhaseMachine
+from hybrid_ins.core.phases import FilterParts
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.standstill import StandingForce, is_standing, may_be_zero
 from hybrid_ins.core.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
@@ -48,6 +49,8 @@ class ImuMonitor:
 
     Parameters
     ----------
+    parts : FilterParts
+        What the filters are made of: it knows where the antenna is.
     zero_updates : bool
         Use standing as a measurement.
 
@@ -61,7 +64,8 @@ class ImuMonitor:
         Stamps [ns] between which it may have stood, the last time that it did.
     """
 
-    def __init__(self, zero_updates: bool) -> None:
+    def __init__(self, parts: FilterParts, zero_updates: bool) -> None:
+        self._parts = parts
         self._zero_updates = zero_updates
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self.reset()
@@ -129,7 +133,7 @@ class ImuMonitor:
         for fault in (before, self.fault):  # what happened between the checks misled the filters
             std = None if fault is None else _error_std_after(fault)
             if std is not None:
-                phases.submit(CovarianceInflation(t_ns, std))
+                phases.submit(CovarianceInflation(t_ns, std, self._parts.settings.lever_b))
         if self.fault is not None and self.fault.unusable:
             return True
         if phases.filter is not None and self.fault is None and not manoeuvres:

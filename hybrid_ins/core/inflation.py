@@ -5,14 +5,52 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.state import COVARIANCE, DP, DV, covariance, pack
+from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.state import (
+    COVARIANCE,
+    DP,
+    DV,
+    EPS,
+    LLA,
+    N_ERROR,
+    VELOCITY,
+    covariance,
+    pack,
+)
 
 Array = NDArray[np.float64]
 
 
-def inflate_covariance(P: Array, std: Array) -> Array:
-    """Return P, shape (n, n), with variances of at least the square of ``std``, shape (n,)."""
-    return np.asarray(P + np.diag(np.maximum(std**2 - np.diag(P), 0.0)))
+def inflate(nav: Array, std: Array, lever_b: Array) -> None:
+    """
+    Inflate the covariance of a flat state to variances of at least the square of ``std``.
+
+    Parameters
+    ----------
+    nav : ndarray, shape (N_FLAT,)
+        Flat state with nothing pending; its covariance is changed in place.
+    std : ndarray, shape (15,)
+        In the order of the error state; 0 where nothing is inflated.
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b: see `about_antenna`.
+    """
+    P, T = covariance(nav), about_antenna(nav, lever_b)
+    added = np.maximum(std**2 - np.diag(P), 0.0)
+    pack(P + (T * added) @ T.T, nav[COVARIANCE])
+
+
+def about_antenna(nav: Array, lever_b: Array) -> Array:
+    """
+    Return what an error of attitude does to the others where the antenna is known, shape (15, 15).
+
+    Fixes show where the antenna is, not the IMU: a vehicle whose attitude may be another turns
+    about it. As independent errors, position and attitude would let the next fix take the
+    difference for evidence on the attitude.
+    """
+    T = np.eye(N_ERROR)
+    T[DP, EPS] = -position_model(nav, nav[LLA], lever_b)[1][:, EPS]
+    T[DV, EPS] = -velocity_model(nav, nav[VELOCITY], lever_b)[1][:, EPS]
+    return T
 
 
 def inflate_to_innovation(nav: Array, z: Array, H: Array, interval: float) -> None:

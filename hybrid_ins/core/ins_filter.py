@@ -10,7 +10,7 @@ from __future__ import annotations
 import bisect
 import copy
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ NO_ROWS = np.empty((0, N_NAV))
 NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: in a longer step samples are missing
 MIN_GAP = 0.025  # s
+TOO_OLD = "too old"  # the reason of a measurement that comes too late
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,8 @@ class FilterSettings:
         Scatter of positions from fix to fix, relative to the standard deviations they claim.
     learn_scatter : bool
         Learn that from the fixes, see `PositionScatter`.
+    lever_b : ndarray, shape (3,)
+        Antenna relative to the IMU [m], b, as in the fixes.
     """
 
     covariance_interval: float = 0.01
@@ -79,6 +82,7 @@ class FilterSettings:
     keep_record: bool = False
     position_scatter: float = 1.0
     learn_scatter: bool = False
+    lever_b: Array = field(default_factory=lambda: np.zeros(3))
 
     def scatter(self) -> PositionScatter:
         """Return the scatter of positions that a filter begins with."""
@@ -114,8 +118,6 @@ class InsFilter:
         Its stamp [ns].
     long_step_ns : int
         A longer step [ns] is a gap in the samples.
-    covariance_interval : float
-        Time that is pending when the covariance is propagated [s].
     verdicts : deque of Verdict
         One per measurement submitted, in order of decision; the owner empties it.
     record : FilterRecord or None
@@ -176,6 +178,11 @@ class InsFilter:
     def noise(self) -> FilterNoise:
         """The noise in force."""
         return self._update.noise
+
+    @property
+    def gate(self) -> Gate:
+        """What decides on measurements."""
+        return self._update.gate
 
     @property
     def clock(self) -> ClockOffsetObserver:
@@ -251,7 +258,7 @@ class InsFilter:
         elif isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
-            verdict = Verdict.rejected(event, "too old", self._age(event))
+            verdict = Verdict.rejected(event, TOO_OLD, self._age(event))
             self.verdicts.append(verdict)
             if self.record is not None:
                 threshold = self._update.gate.threshold(len(event.linearise(self.nav)[0]))

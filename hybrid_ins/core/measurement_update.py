@@ -46,7 +46,7 @@ from hybrid_ins.core.fix_update import (
     fuse_ordinary_fix,
 )
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
+from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate
@@ -68,7 +68,6 @@ from hybrid_ins.core.state import (
     QUAT,
     SENSITIVITY,
     VELOCITY,
-    covariance,
     pack,
 )
 
@@ -157,7 +156,7 @@ class MeasurementUpdate:
         elif isinstance(event, ClockShift):
             inject(nav, self.clock.shift(event.by, nav))
         elif isinstance(event, CovarianceInflation):
-            pack(inflate_covariance(covariance(nav), event.std), nav[COVARIANCE])
+            inflate(nav, event.std, event.lever_b)
             self.noise.restart(keep_weights=True)
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
@@ -206,6 +205,7 @@ class MeasurementUpdate:
         claimed = fix.claimed
         m, noise, clock = len(claimed), self.noise, self.clock
         uses_corrections = noise.uses_corrections
+        interval = (fix.t_ns - self._corrected_ns) * 1e-9
         before = np.empty(len(nav) if uses_corrections else 0)
         result = np.empty(N_RESULT)
         if not fuse_ordinary_fix(
@@ -221,13 +221,12 @@ class MeasurementUpdate:
             noise.fix_factor,
             clock.values,
             clock.interval(fix.t_ns),
-            self.gate.ordinary_limit(fix.kind, m),
+            self.gate.ordinary_limit(fix.kind, m, interval),
             before,
             result,
         ):
             return None
         clock.on_corrected(fix.t_ns)
-        interval = (fix.t_ns - self._corrected_ns) * 1e-9
         self._corrected_ns = fix.t_ns
         nis, log_det, weight, found = result[: SIGMA.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.events import Change, CovarianceInflation
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.inflation import inflate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.motion_evidence import MotionEvidence
@@ -51,9 +52,9 @@ from hybrid_ins.core.state import (
     QUAT,
     VELOCITY,
     NavState,
-    covariance,
     pack,
 )
+from hybrid_ins.core.unexplained import Unexplained
 
 Array = NDArray[np.float64]
 FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
@@ -77,7 +78,7 @@ def _errors(nav: Array, others: Array) -> Array:
     """Return the errors (N, 15) of a flat state if others (N, N_NAV) are right."""
     return np.hstack(
         (
-            (others[:, LLA] - nav[LLA]) * curvature_scale(nav[LLA]),
+            displacement(nav[LLA], others[:, LLA]),
             others[:, VELOCITY] - nav[VELOCITY],
             -rotvec_from_quat(quat_multiply(others[:, QUAT], quat_conjugate(nav[QUAT]))),
             others[:, BIAS_A] - nav[BIAS_A],
@@ -94,13 +95,13 @@ def _headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
     return turns
 
 
-def _restore_cells(filters: Sequence[InsFilter]) -> None:
+def _restore_cells(filters: Sequence[InsFilter], lever_b: Array) -> None:
     """Make each filter as uncertain of its heading as it was: what a stand showed is chance."""
     for hypothesis in filters:
         std = np.zeros(N_ERROR)
         variance = hypothesis.nav.item(HEADING_VARIANCE)
         std[EPS.stop - 1] = math.sqrt(max(HEADING_STD**2 - variance, 0.0))
-        hypothesis.submit(CovarianceInflation(hypothesis.t_ns, std))
+        hypothesis.submit(CovarianceInflation(hypothesis.t_ns, std, lever_b))
 
 
 def mixture_of(means: Array, variances: Array, log_weights: Array) -> tuple[float, float]:
@@ -167,14 +168,14 @@ class MultipleModelBank:
         self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
-        self._lag_ns = lag_ns
+        self._lag_ns, self._lever_b = lag_ns, settings.lever_b
         self._block_ns = 0  # they follow it in steps of at least that
         self._begun_ns = 0  # where the IMU was when the block was chosen
         self._behind: list[InsFilter] = []  # that have not taken ``_block`` yet
         self._block = np.empty(0, SAMPLE_DTYPE)
         self._waiting: dict[tuple[str, int], Measurement] = {}  # that are not weighed yet
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
-        self._nis_scale = 1.0
+        self._nis_scale, self._unexplained = 1.0, Unexplained()
         self.motion = MotionEvidence()
         self._told: set[tuple[str, int]] = set()  # of those that wait: their verdicts are known
         self._since: dict[object, int] = {}  # ns, when a condition became true that still is
@@ -279,7 +280,7 @@ class MultipleModelBank:
             if key not in self._told:
                 weighed.append(verdict)
             if not self.motion.shown and self.motion.observe(verdict.measurement, self.best):
-                _restore_cells(self.filters)
+                _restore_cells(self.filters, self._lever_b)
             if self.motion.moves or not self.heading_open:
                 self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
@@ -289,7 +290,7 @@ class MultipleModelBank:
 
     def _weigh(self, verdicts: list[Verdict]) -> None:
         """Update the weights by the verdicts on one measurement under each hypothesis."""
-        if not all(math.isfinite(v.nis) for v in verdicts):
+        if not all(math.isfinite(v.nis) for v in verdicts) or self._unexplained.observe(verdicts):
             return
         # The likelihood of a measurement beyond the gate is that at the gate: outliers hit all.
         nis = np.array([min(v.nis, v.threshold) for v in verdicts])
@@ -346,9 +347,9 @@ class MultipleModelBank:
         """Return the decision for the best filter or its copy, whose P then includes all."""
         turn, turn_std = self.heading()
         propagation.propagate_covariance(winner.nav)
-        P = covariance(winner.nav)
-        P[8, 8] += max(0.0, turn_std**2 + turn**2 - P[8, 8])
-        pack(P, winner.nav[COVARIANCE])
+        std = np.zeros(N_ERROR)
+        std[EPS.stop - 1] = math.hypot(turn_std, turn)
+        inflate(winner.nav, std, self._lever_b)
         winner.verdicts.extendleft(reversed(self._decided[self._best].values()))
         return Decision(winner, self._offsets_ns[self._best] * 1e-9, False)
 

@@ -78,7 +78,7 @@ class Navigator:
     ) -> None:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
-        self.monitor = ImuMonitor(zero_updates)
+        self.monitor = ImuMonitor(parts, zero_updates)
         self._events: deque[Event] = deque()
         self.phases = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
         self._alignment_settings = alignment
@@ -280,9 +280,12 @@ class Navigator:
         return bool(self._events)
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        """Restart after repeated covariance resets: the heading is wrong."""
+        """Restart where a covariance reset does not help: the heading is wrong, or all of them."""
         self.monitor.on_verdict(verdict)
-        reset = verdict.inflated and self.filter is not None
-        if reset and self._resets.add(verdict.measurement.t_ns, self._speed):
+        if not verdict.inflated:
+            return
+        if isinstance(self.phase, Searching):
+            self.give_up(RestartCause.FIXES_JUMPED)
+        elif self.filter is not None and self._resets.add(verdict.measurement.t_ns, self._speed):
             self.monitor.discard_biases()
             self.give_up(RestartCause.REPEATED_RESETS)

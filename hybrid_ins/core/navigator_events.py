@@ -24,6 +24,7 @@ class RestartCause(Enum):
     IMU_UNUSABLE = "the IMU is unusable"
     NOT_FINITE = "the state was lost"
     REPEATED_RESETS = "the state did not fit the fixes"
+    FIXES_JUMPED = "the fixes jumped before the heading was known"
 
 
 @dataclass(frozen=True, slots=True)

@@ -204,7 +204,7 @@ class PhaseMachine:
             if self.filter is not None and self.phase.bank is not None:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
-        if self.clock_open:
+        if self.clock_open and not self.phase.filter.gate.rejects:  # fixes: the state may be wrong
             bank = search_clock(self.phase.filter, self._parts, self._ring)
             self._enter(Running(self.phase.filter, bank))
         return False

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, iterated_update
 from hybrid_ins.core.backward_propagation import run_backward
-from hybrid_ins.core.inflation import inflate_covariance, inflate_to_innovation
+from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import change_slow_error
@@ -48,7 +48,6 @@ from hybrid_ins.core.smoother_step import (
     smoothed_rows,
 )
 from hybrid_ins.core.state import (
-    COVARIANCE,
     LAST_F,
     LAST_W,
     N_ERROR,
@@ -57,7 +56,6 @@ from hybrid_ins.core.state import (
     PLACES,
     PSD,
     NavState,
-    covariance,
     pack,
 )
 
@@ -330,8 +328,8 @@ class Smoother:
 
 def _inflate(nav: Array, update: Update) -> None:
     """Add what is not known any more, before an update's measurement is fused."""
-    if update.std is not None:
-        pack(inflate_covariance(covariance(nav), update.std), nav[COVARIANCE])
+    if update.inflation is not None:
+        inflate(nav, update.inflation.std, update.inflation.lever_b)
     if update.split is not None:
         change_slow_error(nav, update.split.slow_variance, update.split.interval)
 

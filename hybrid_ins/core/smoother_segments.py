@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.position_scatter import Split
 from hybrid_ins.core.samples import as_numbers, interpolate, readings_of, steps_since
@@ -55,8 +56,8 @@ class Update:
         See above; infinite for a measurement whose acceptance is settled.
     inflates : bool
         Beyond the threshold the covariance is inflated to fit the measurement, which is fused then.
-    std : ndarray, shape (15,), or None
-        The covariance is inflated to at least these standard deviations.
+    inflation : CovarianceInflation or None
+        Of the covariance.
     split : Split or None
         How a position's covariance was split; ``r_scale`` contains the share that is white.
     """
@@ -67,7 +68,7 @@ class Update:
     r_scale: float = 1.0
     threshold: float = np.inf
     inflates: bool = False
-    std: Array | None = None
+    inflation: CovarianceInflation | None = None
     split: Split | None = None
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.gate import Verdict
@@ -48,6 +49,8 @@ class ClockCorrection:
     ----------
     offset : float
         Added to the stamps of fixes [s].
+    prior : ClockPrior
+        Of the offset at the start of the filters: as given, or as found before a restart.
     """
 
     def __init__(self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog) -> None:
@@ -58,27 +61,38 @@ class ClockCorrection:
         self._moved = 0.0  # s, by estimation
         self._settled: float | None = None  # s, offset once it was known well
         self._axes_are_plausible = True
-        self._is_known = values["gnss.time_offset.std"] > 0.0
-        self.restart()
-        navigator.open_clock(self._estimate and not self._is_known)
+        self._std = values["gnss.time_offset.std"]
+        self._found: ClockPrior | None = None
+        self.restart(keep=False)
+        navigator.open_clock(self._estimate and not self._is_calibrated)
 
     @property
     def offset(self) -> float:
         """See above."""
         return float(self._given + self._moved)
 
+    @property
+    def _is_calibrated(self) -> bool:
+        return bool(self._std > 0.0)
+
     def change(self, changes: Mapping[str, Any]) -> None:
         """Use checked values of run-time parameters."""
+        self._std = changes.get("gnss.time_offset.std", self._std)
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
-            self._moved, self._settled = 0.0, None
+            self._moved, self._settled, self._found = 0.0, None, None
+            self.prior = ClockPrior(self._given, self._std)
         self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
-        self._is_known = changes.get("gnss.time_offset.std", self._is_known) > 0.0
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
-            self._navigator.open_clock(self._estimate and not self._is_known)
+            self._navigator.open_clock(self._estimate and not self._is_calibrated)
 
-    def restart(self) -> None:
-        """Restart, as the filter did."""
+    def restart(self, keep: bool) -> None:
+        """Restart, as the filter did; ``keep`` what it has found: the clocks are the same."""
+        if keep and self._found is not None:
+            self.prior = self._found
+            self._navigator.open_clock(False)
+        else:
+            self.prior, self._found = ClockPrior(self._given, self._std), None
         self._next_ns = self._searched_ns = 0
         self._pause_ns = SEARCH_AGAIN_NS
         self._contradicted = False
@@ -123,6 +137,7 @@ class ClockCorrection:
         jumped = abs(running.clock.residual) > max(WRONG, 5.0 * running.clock.sigma)
         if correcting:
             self._correct(running)
+        self._note(running)
         fault = self._fault()
         if fault:
             self._inputs.count_and_warn("gnss/fix", Refused("gnss: clock offset", fault))
@@ -136,20 +151,25 @@ class ClockCorrection:
         """
         Add to the fixes' stamps what a running filter has found missing.
 
-        Only where the innovations contradict the given offset or, once a calibrated one was left,
-        the one in force: chance may have moved it. One that is not calibrated is searched for.
+        The given offset is left only where the innovations contradict it, or a search, which puts
+        one of its steps in force; from then on the prior alone holds what chance may do.
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
         worth = abs(missing) > max(0.3 * sigma, 1e-3)
-        contradiction = running.clock.contradiction
-        if self._is_known and self._moved != 0.0:
-            contradiction = max(contradiction, abs(running.clock.residual) / running.clock.sigma)
-        if sigma < USABLE and worth and contradiction > SIGNIFICANT:
+        is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT
+        if sigma < USABLE and worth and is_left:
             self._moved += missing
             running.submit(ClockShift(running.t_ns, missing))
         if sigma < SETTLED and self._settled is None:
             self._settled = self.offset
+
+    def _note(self, running: InsFilter) -> None:
+        """Note what a filter has found, for the next one."""
+        missing, variance = running.clock.missing
+        is_usable = self._estimate and variance < USABLE**2
+        if is_usable and not self._navigator.phase.is_provisional:
+            self._found = ClockPrior(self.offset + missing, math.sqrt(variance))
 
     def found(self) -> tuple[float, float] | None:
         """Return what is missing from the offset in force, and its uncertainty [s]."""

@@ -45,6 +45,8 @@ from hybrid_ins.ros.wording import STAMP_FAULTS
 Array = NDArray[np.float64]
 
 REPORT_NS = 100_000_000  # between two reports of the state
+KEEP_CLOCK = (RestartCause.NO_SAMPLES, RestartCause.IMU_UNUSABLE, RestartCause.NOT_FINITE)
+"""What makes a state useless, but not what is known of the clock offset of the fixes."""
 
 
 class Estimator:
@@ -108,7 +110,7 @@ class Estimator:
         self.aids = Aids(self.values, self.navigator, self.inputs, self.placement)
         parts = self.inputs, self._review, self.reporter, self.clock, self.noise, self.aids
         self.status = EstimatorStatus(self.values, self.navigator, *parts)
-        self._restart()
+        self._restart(keep_clock=False)
         if values["datum"]:
             self.set_datum(conversions.lla_from_degrees(*values["datum"]), 1)
 
@@ -146,15 +148,14 @@ class Estimator:
         """Discard the state and align anew; the map stays where it is."""
         self.inputs.log("info", "reset: aligning anew")
         self.navigator.reset()
-        self._restart()
+        self._restart(keep_clock=False)
 
-    def _restart(self) -> None:
+    def _restart(self, keep_clock: bool) -> None:
         """Restart everything that reports, as the navigator did."""
-        self.odometry.restart()
-        self.reporter.restart()
-        self.clock.restart()
-        self.noise.restart()
-        self.aids.restart()
+        for part in (self.odometry, self.reporter, self.noise, self.aids):
+            part.restart()
+        self.clock.restart(keep_clock)
+        self._fixes.configure()
         self.due_ns, self._report_ns = 1, 0  # everything at the next sample
 
     def handle_initial_pose(self, message: Message) -> None:
@@ -165,7 +166,7 @@ class Estimator:
             return
         self.inputs.log("info", f"initialpose: {wording.describe_heading(*yaw)}: aligning anew")
         self.navigator.realign().set_yaw(self.navigator.last_ns, *yaw)
-        self._restart()
+        self._restart(keep_clock=True)
 
     def handle_static_transforms(self, message: Message) -> None:
         """Use a tf2_msgs/TFMessage of /tf_static."""
@@ -184,7 +185,7 @@ class Estimator:
         self.aids.configure(self.placement)
         if self.navigator.ring.count:
             self.navigator.reset()
-            self._restart()
+            self._restart(keep_clock=False)
 
     # IMU.
 
@@ -290,10 +291,10 @@ class Estimator:
         if isinstance(event, Verdict):
             self.aids.on_verdict(event)
             self.clock.on_verdict(event)
-        elif isinstance(event, Restarted) or (
-            isinstance(event, HeadingCorrected) and self.navigator.filter is None
-        ):
-            self._restart()
+        elif isinstance(event, Restarted):
+            self._restart(event.cause in KEEP_CLOCK)
+        elif isinstance(event, HeadingCorrected) and self.navigator.filter is None:
+            self._restart(keep_clock=False)
         elif isinstance(event, ClockOffsetFound):
             self.clock.on_found(event)
             self._fixes.configure()

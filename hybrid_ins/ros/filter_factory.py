@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
@@ -30,6 +31,8 @@ from hybrid_ins.core.noise import (
 from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.ros.conversions import first_biases, yaw_ned_from_enu
+
+Array = NDArray[np.float64]
 
 
 class FilterFactory:
@@ -54,7 +57,8 @@ class FilterFactory:
             position_scatter=values["gnss.position_scatter"],
             learn_scatter=self._adapts(),
         )
-        self.set_clock_offset(values["gnss.time_offset.value"])
+        given = values["gnss.time_offset.value"]
+        self.set_clock_offset(given, ClockPrior(given, values["gnss.time_offset.std"]))
         self.speed_check = SpeedCheck(values["gnss.max_speed"], values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
@@ -65,17 +69,19 @@ class FilterFactory:
         self.speed_check.max_speed = self._values["gnss.max_speed"]
         self.speed_check.patience = self._values["gnss.patience"]
 
-    def set_clock_offset(self, offset: float) -> None:
+    def set_antenna(self, lever_b: Array) -> None:
+        """Note where the antenna is relative to the IMU [m], b, shape (3,)."""
+        self.settings = replace(self.settings, lever_b=lever_b)
+
+    def set_clock_offset(self, offset: float, prior: ClockPrior) -> None:
         """
-        Note that ``offset`` [s] is added to the stamps of fixes.
+        Note that ``offset`` [s] is added to the stamps of fixes, and the prior of what should be.
 
         They may be as late after their own stamps as before.
         """
-        values = self._values
-        max_delay = values["gnss.max_delay"] + max(0.0, -offset)
-        given, std = values["gnss.time_offset.value"], values["gnss.time_offset.std"]
-        prior = ClockPrior(given - offset, std)
-        self.settings = replace(self.settings, max_delay=max_delay, clock_prior=prior)
+        max_delay = self._values["gnss.max_delay"] + max(0.0, -offset)
+        missing = prior._replace(mean=prior.mean - offset)
+        self.settings = replace(self.settings, max_delay=max_delay, clock_prior=missing)
 
     def navigator(self, record: RunRecord | None) -> Navigator:
         """Return a navigator whose filters are made of these parts; it fills the record."""

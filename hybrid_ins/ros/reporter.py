@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.ins_filter import TOO_OLD
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import (
@@ -41,6 +42,7 @@ Array = NDArray[np.float64]
 
 DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
 RESTARTS_LOGGED = 10  # of one cause, before only each tenfold number is logged
+LATE_FIXES = 10  # of which the first is logged: a start makes some
 NOT_UNIT = 1e-3  # of a quaternion: rates turned it too far for one step
 UNKNOWN = 0  # covariance type of a NavSatFix
 
@@ -137,6 +139,10 @@ class Reporter:
             if verdict.inflated:
                 counts["gnss: state opened"] += 1
                 self._inputs.log("warn", f"gnss: {verdict.reason}")
+        elif verdict.reason == TOO_OLD:
+            count = counts[f"{sensor}: {TOO_OLD}"]
+            if count >= LATE_FIXES and is_logged(count):
+                self._inputs.log("warn", wording.describe_late(verdict, count))
         status = diagnostics.verdict_status(verdict)
         self._reports.append(Report("gnss/verdict", status, self._navigator.last_ns))
 

@@ -10,6 +10,7 @@ import math
 
 from hybrid_ins.core.alignment import Need, Waiting
 from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
@@ -89,7 +90,17 @@ def describe_restart(restarted: Restarted) -> str:
         return "the filter's state became NaN or infinite"
     if cause is RestartCause.IMU_UNUSABLE and restarted.fault is not None:
         return f"the IMU is unusable: {describe_fault(restarted.fault)}"
+    if cause is RestartCause.FIXES_JUMPED:
+        return "the fixes jumped before the heading was known, and fit none"
     return "repeated covariance resets: the heading is probably wrong"
+
+
+def describe_late(too_old: Verdict, count: int) -> str:
+    """Return by how much a fix came too late, and the remedy."""
+    return (
+        f"gnss/fix: {count} fixes came too late to be used, this one {too_old.age:.1f} s after its "
+        f"stamp: raise gnss.max_delay to {math.ceil(too_old.age) + 1}"
+    )
 
 
 def state_of(navigator: Navigator) -> str:

@@ -1,11 +1,13 @@
 """From nothing to a filter: on the ground, in flight, with a heading and without."""
 
+import math
+
 import numpy as np
 import pytest
 from support.scenes import heading_std, make_navigator, play, scene
 
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.measurements import PositionFix
+from hybrid_ins.core.measurements import PositionFix, position_model
 from hybrid_ins.core.multiple_model import HEADING_STD, N_HEADINGS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import rpy_from_quat
@@ -403,3 +405,47 @@ def test_a_receiver_may_be_slow(interval: float) -> None:
     _, velocity, error = run.errors(navigator, 90.0)
     assert velocity < 3.0
     assert error < FIVE_DEGREES and error < 4.0 * heading_std(navigator)
+
+
+LEVER_B = np.array([-3.0, 0.5, -1.0])
+
+
+def test_filters_start_where_the_imu_is_not_the_antenna() -> None:
+    # GIVEN a vehicle on a curve whose antenna is metres away from its IMU, and a given heading
+    run = scene(car_drive(40.0, 1), lever_arm_b=LEVER_B)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0), yaw_std=0.2, lever_b=LEVER_B)
+    begun: list[tuple[float, float, float]] = []
+
+    def after(t: float) -> None:
+        running = navigator.filter
+        if running is not None and not begun:
+            H = position_model(running.nav, running.nav[LLA], LEVER_B)[1]
+            of_antenna = H @ covariance(running.nav) @ H.T
+            std_of_imu = math.sqrt(covariance(running.nav)[DP, DP].diagonal()[:2].max())
+            begun.append((run.errors(navigator, t)[0], math.sqrt(of_antenna[0, 0]), std_of_imu))
+
+    play(run, navigator, stop=3.0, lever_b=LEVER_B, after=after)
+    # THEN the position is the IMU's: known by the heading, where the antenna is known by a fix
+    ((error, std_of_antenna, std_of_imu),) = begun
+    assert std_of_antenna < 0.2 and std_of_imu > 0.5
+    assert error < 3.0 * std_of_imu
+    assert all(v.accepted for v in run.verdicts if v.reason != "aligning")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_long_lever_arm_is_no_evidence_on_the_heading(seed: int) -> None:
+    """Inflated beside a position that is known to centimetres, the next fix would settle it."""
+    run = scene(car_drive(40.0, 1), seed=seed, lever_arm_b=LEVER_B)
+    navigator = make_navigator(lever_b=LEVER_B)
+    off: list[float] = []
+
+    def after(t: float) -> None:
+        best = navigator.phase.best
+        if best is not None and round(t * 100.0) % 10 == 0:
+            off.append(run.errors(navigator, t)[2] / heading_std(navigator))
+
+    play(run, navigator, after=after, lever_b=LEVER_B)
+
+    assert max(off) < 4.0
+    refused = [v for v in run.verdicts if not v.accepted and v.reason != "aligning"]
+    assert refused == []

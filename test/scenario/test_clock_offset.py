@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.clock_searches import until
 from support.long_stand import assert_standing_shows_nothing_of_the_clock
 from support.runs import begin, fly, stamped_early, through_estimator
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import ClockInflation, ClockShift
 from hybrid_ins.core.state import N_NAV
-from tools.paper.runs import Scenario, draw
+from tools.paper.runs import Run, Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)
 
@@ -119,3 +121,33 @@ def test_fixes_behind_by_more_than_the_longest_delay_are_fused(estimate: bool) -
         estimator.inputs.counts["gnss: too old"] < 10
     )  # those of the time before the filter's start
     assert estimator.reporter.fixes_fused > 40
+
+
+def without_imu(run: Run, start: float, stop: float) -> Run:
+    """Lose the samples between two times [s] after the first."""
+    t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9
+    return replace(run, samples=run.samples[(t < start) | (t >= stop)])
+
+
+@pytest.mark.slow
+def test_what_is_known_of_the_clock_outlasts_a_gap_of_the_imu() -> None:
+    # GIVEN a clock that was found, and an IMU that is silent for too long to bridge
+    run = without_imu(stamped_early(draw(SCENE, 4), 0.15), 30.0, 33.0)
+    first = through_estimator(until(run, 30.0))
+    estimator = through_estimator(run)
+    # THEN the next filter begins with what the last one knew, and searches for the heading only
+    assert estimator.inputs.counts["restart: no IMU samples"] == 1
+    assert not estimator.navigator.phases.clock_open
+    assert estimator.clock.prior.mean == pytest.approx(first.clock.offset, abs=0.01)
+    assert estimator.clock.prior.scale < 0.03
+    assert estimator.clock.offset == pytest.approx(0.15, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_reset_forgets_the_clock() -> None:
+    estimator = through_estimator(until(stamped_early(draw(SCENE, 4), 0.15), 30.0))
+    assert estimator.clock.offset == pytest.approx(0.15, abs=0.03)
+
+    estimator.reset()
+
+    assert estimator.clock.prior == ClockPrior(0.0, 0.0)

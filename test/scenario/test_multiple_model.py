@@ -445,7 +445,7 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
         np.zeros(3),
         np.diag(np.full(15, 1e-4)),
     )
-    there = state_at_offset(state, 0.5, calm=False)
+    there = state_at_offset(state, 0.5, False, np.zeros(3))
 
     moved = (there.lla - state.lla) * curvature_scale(state.lla)
     np.testing.assert_allclose(moved, [-5.0, 2.0, -0.5], atol=1e-6)
@@ -456,7 +456,7 @@ def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:
     # A velocity that was too low has put the state too little back.
     np.testing.assert_allclose(there.P[DP, DV], -0.5 * SPEED_STD**2 * np.eye(3))
     # In calm motion a wrong clock does no more than displace the state.
-    there = state_at_offset(state, 0.5, calm=True)
+    there = state_at_offset(state, 0.5, True, np.zeros(3))
     np.testing.assert_allclose((there.lla - state.lla) * curvature_scale(state.lla), moved)
     np.testing.assert_allclose(np.diag(there.P)[DV], 1e-4)
     np.testing.assert_allclose(np.diag(there.P)[EPS], 1e-4)

@@ -182,3 +182,14 @@ def test_restarts_again_and_again_do_not_fill_the_log() -> None:
     told = [text for text in drive.warnings() if "stamps went back" in text]
     assert drive.estimator.inputs.counts["restart: the IMU's stamps went back"] == 59
     assert len(told) == 10
+
+
+def test_fixes_that_all_come_too_late_are_told_with_their_remedy() -> None:
+    drive = Spoiled(ahead=-1.5, **KNOWN)
+    drive.play(0.0, 12.0)
+
+    told = [text for text in drive.warnings() if "too late" in text]
+    assert drive.estimator.inputs.counts["gnss: too old"] > 10
+    assert len(told) == 1
+    assert told[0].startswith("gnss/fix: 10 fixes came too late to be used, this one 1.5 s after")
+    assert told[0].endswith("raise gnss.max_delay to 3")

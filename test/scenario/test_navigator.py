@@ -374,3 +374,16 @@ def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_a
     assert max(largest) < 1.5
     refused = [v for v in run.verdicts if not v.accepted]
     assert len(refused) < 10
+
+
+def test_first_fixes_that_are_far_off_do_not_spoil_the_start() -> None:
+    # GIVEN a receiver whose first fixes are 300 m off, claiming centimetres
+    run = scene(car_drive(60.0, 1), seed=1)
+    navigator = make_navigator()
+    play(run, navigator, shift=lambda t: 300.0 if t < 1.1 else 0.0)
+    # THEN alignment begins anew once no hypothesis fits the others, and the start is as ever
+    causes = [event.cause for event in run.events if isinstance(event, Restarted)]
+    assert causes == [RestartCause.FIXES_JUMPED]
+    assert navigator.filter is not None
+    assert run.errors(navigator, 60.0)[0] < 0.1
+    assert run.errors(navigator, 60.0)[2] < 0.1

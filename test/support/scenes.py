@@ -39,9 +39,8 @@ Q = np.repeat([4e-4, 4e-6], 3)
 class Parts:
     """Filter parts with constant noise, see `hybrid_ins.core.phases.FilterParts`."""
 
-    settings = FilterSettings()
-
-    def __init__(self) -> None:
+    def __init__(self, lever_b: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.settings = FilterSettings(lever_b=np.asarray(lever_b))
         self.speed_check = SpeedCheck(515.0, 3.0)
 
     def noise(self, period: float) -> FilterNoise:
@@ -59,6 +58,7 @@ def make_navigator(
     max_gap: float = 0.5,
     bias_a: ArrayLike = (0.0, 0.0, 0.0),
     bias_g: ArrayLike = (0.0, 0.0, 0.0),
+    lever_b: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Navigator:
     settings = AlignmentSettings(
         source,
@@ -71,7 +71,7 @@ def make_navigator(
         np.array(bias_g),
         np.full(3, 0.01),
     )
-    return Navigator(settings, Parts(), max_gap)
+    return Navigator(settings, Parts(lever_b), max_gap)
 
 
 @dataclass
@@ -147,12 +147,14 @@ def play(
     fix: Callable[[float], bool] = lambda t: True,
     shift: Callable[[float], float] = lambda t: 0.0,
     after: Callable[[float], None] = lambda t: None,
+    lever_b: ArrayLike = (0.0, 0.0, 0.0),
 ) -> None:
     """
     Feed a stretch of a run to a navigator.
 
     ``delay`` is how late a fix arrives [s], ``imu`` and ``fix`` tell which are not lost, ``shift``
-    is how far north a fix lies beside the truth [m], ``after`` is called after each sample.
+    is how far north a fix lies beside the truth [m], ``after`` is called after each sample. The
+    receiver's antenna is said to be at ``lever_b``, relative to the IMU [m].
     """
     pending = sorted(
         (t + delay(t), t, k) for k, t in enumerate(run.fix_t) if start <= t < stop and fix(t)
@@ -164,7 +166,7 @@ def play(
         while pending and pending[0][0] <= t:
             _, true_t, j = pending.pop(0)
             lla = run.fix_lla[j] + [shift(true_t) / curvature_scale(run.truth.lla[0])[0], 0, 0]
-            navigator.measure(PositionFix(stamp(true_t), lla, run.covariance, np.zeros(3)))
+            navigator.measure(PositionFix(stamp(true_t), lla, run.covariance, np.asarray(lever_b)))
         navigator.check_imu()
         for event in navigator.pop_events():
             (run.verdicts if isinstance(event, Verdict) else run.events).append(event)

@@ -108,7 +108,7 @@ def first_state(run: Recording) -> NavState:
 def test_compiled_pass_is_the_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     # GIVEN one recording and one first state, and no weights: the pass has its own for outliers
     monkeypatch.setattr("hybrid_ins.core.gate.weight", lambda nis, m: 1.0)
-    monkeypatch.setattr(Gate, "ordinary_limit", lambda gate, kind, m: -1.0)  # weights compiled in
+    monkeypatch.setattr(Gate, "ordinary_limit", lambda *_: -1.0)  # weights compiled in
     run = a_run(duration=10.0)
     initial = first_state(run)
     psd = np.repeat([4e-6, 4e-8, 1e-6, 1e-8], 3)

@@ -62,7 +62,7 @@ def flat_state(rng: np.random.Generator) -> Array:
 
 
 def fixes(rng: np.random.Generator, nav: Array) -> list[PositionFix | VelocityFix]:
-    """Return alternating fixes near a state, some of them without height."""
+    """Return alternating fixes near a state within its patience, some of them without height."""
     found: list[PositionFix | VelocityFix] = []
     for k in range(6):
         root, lever = rng.normal(0.0, 0.3, (3, 3)), rng.normal(0.0, 0.5, 3)
@@ -70,11 +70,11 @@ def fixes(rng: np.random.Generator, nav: Array) -> list[PositionFix | VelocityFi
         away = rng.normal(0.0, 0.5 if k < 4 else 1.2, 3)
         if k % 3 == 2:
             velocity_n = nav[3:6] + away
-            found.append(VelocityFix((2 + k) * SECOND, velocity_n, R, lever))
+            found.append(VelocityFix((3 + k) * SECOND // 2, velocity_n, R, lever))
             continue
         lla = nav[:3] + away * [1.6e-7, 1.8e-7, 1.0]
         lla[2] = np.nan if k == 3 else lla[2]
-        found.append(PositionFix((2 + k) * SECOND, lla, R, lever))
+        found.append(PositionFix((3 + k) * SECOND // 2, lla, R, lever))
     return found
 
 
@@ -156,10 +156,14 @@ def test_a_state_that_is_not_finite_changes_nothing_and_is_named() -> None:
 def test_rejections_end_the_ordinary() -> None:
     gate = Gate({3: 11.0}, 3.0)
     fix = PositionFix(SECOND, np.zeros(3), np.eye(3), np.zeros(3))
-    assert gate.ordinary_limit(fix.kind, 3) == 11.0
+    assert gate.ordinary_limit(fix.kind, 3, 0.2) == 11.0
 
     gate.judge(fix, np.full(3, 5.0), np.eye(3), np.eye(3), 75.0, 0.0, 0.2)
 
-    assert gate.ordinary_limit(fix.kind, 3) < 0.0
-    assert gate.ordinary_limit(VelocityFix.kind, 3) == 11.0
-    assert copy.copy(gate).ordinary_limit(fix.kind, 3) < 0.0
+    assert gate.ordinary_limit(fix.kind, 3, 0.2) < 0.0
+    assert gate.ordinary_limit(VelocityFix.kind, 3, 0.2) == 11.0
+    assert copy.copy(gate).ordinary_limit(fix.kind, 3, 0.2) < 0.0
+
+
+def test_a_pause_ends_the_ordinary() -> None:
+    assert Gate({3: 11.0}, 3.0).ordinary_limit(PositionFix.kind, 3, 3.1) < 0.0

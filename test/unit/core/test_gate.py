@@ -18,10 +18,10 @@ def fix(t: float) -> PositionFix:
     return PositionFix(int(t * 1e9), np.zeros(3), R, np.zeros(3))
 
 
-def judge(gate: Gate, t: float, z: float | np.ndarray) -> Verdict:
+def judge(gate: Gate, t: float, z: float | np.ndarray, interval: float = INTERVAL) -> Verdict:
     innovation = np.broadcast_to(np.asarray(z, float), 3)
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    return gate.judge(fix(t), innovation, R, S, nis, 0.0, INTERVAL)
+    return gate.judge(fix(t), innovation, R, S, nis, 0.0, interval)
 
 
 @pytest.fixture
@@ -158,3 +158,46 @@ def test_copy_does_not_share_its_memory(gate: Gate) -> None:
 
     assert judge(twin, 3.0, 50.0).inflated
     assert not judge(gate, 3.0, 50.0).accepted
+
+
+PAUSE = 20.0  # s, in which an INS may drift by more than any of these innovations
+
+
+def test_after_a_pause_a_fix_above_the_threshold_waits_for_one_that_agrees(gate: Gate) -> None:
+    alone = judge(gate, 20.0, 30.0, PAUSE)
+    right = judge(copy.copy(gate), 20.2, 0.5, PAUSE)
+    second = judge(gate, 20.2, 30.5, PAUSE)
+
+    assert not alone.accepted and alone.reason and not alone.disagrees
+    assert right.accepted and right.weight == 1.0
+    assert second.accepted and not second.inflated
+
+
+def test_a_state_that_rests_on_one_fix_is_left_sooner(gate: Gate) -> None:
+    """GIVEN a pause that an outlier ended WHEN fixes agree elsewhere THEN a second is enough."""
+    assert judge(gate, 20.0, 1.0, PAUSE).accepted
+
+    verdicts = [judge(gate, 20.2 + 0.2 * k, 50.0) for k in range(6)]
+
+    assert not any(v.accepted for v in verdicts[:5])
+    assert verdicts[5].inflated
+
+
+def test_a_state_that_was_confirmed_as_long_as_the_patience_is_not(gate: Gate) -> None:
+    judge(gate, 20.0, 1.0, PAUSE)
+    for k in range(1, 20):
+        judge(gate, 20.0 + 0.2 * k, 1.0)
+
+    assert not any(judge(gate, 24.0 + 0.2 * k, 50.0).accepted for k in range(15))
+    assert judge(gate, 27.0, 50.0).inflated
+
+
+def test_it_tells_of_a_jump_until_a_fix_agrees(gate: Gate) -> None:
+    assert not gate.rejects
+    judge(gate, 0.0, 5.0)  # weighted: an INS may be so far off
+    assert not gate.rejects
+    judge(gate, 0.2, 0.0)
+    judge(gate, 0.4, 50.0)
+    assert gate.rejects
+    judge(gate, 0.6, 0.0)
+    assert not gate.rejects

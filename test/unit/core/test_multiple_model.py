@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.state import N_ERROR, NavState
 
@@ -70,3 +72,49 @@ def test_a_stand_before_does_not_count(bank: MultipleModelBank) -> None:
 def test_without_an_open_heading_one_filter_is_enough(bank: MultipleModelBank) -> None:
     bank.heading_open = False
     assert decided(bank, 0.1)
+
+
+def weigh(bank: MultipleModelBank, t: float, nis: np.ndarray, jump: bool = False) -> np.ndarray:
+    """Let a fix be evidence that has these NIS under the hypotheses; return the weights."""
+    fix = PositionFix(int(t * SECOND), np.zeros(3), np.eye(3), np.zeros(3))
+    bank._weigh([Verdict(fix, True, "", 0.0, v, 21.1, np.ones(3), jump=jump) for v in nis])
+    return np.exp(bank.log_weights)
+
+
+def nis_of(bank: MultipleModelBank, first: float, others: float) -> np.ndarray:
+    return np.concatenate(([first], np.full(len(bank.filters) - 1, others)))
+
+
+def test_what_follows_a_jump_that_no_hypothesis_explains_is_no_evidence(
+    bank: MultipleModelBank,
+) -> None:
+    before = np.exp(bank.log_weights)
+    # WHEN the first hypothesis is also the first to return to the fixes
+    after = [
+        weigh(bank, 1.0, nis_of(bank, 900.0, 1000.0), jump=True),
+        *[weigh(bank, 1.0 + 0.2 * k, nis_of(bank, 2.0, 900.0)) for k in range(1, 10)],
+        weigh(bank, 3.0, nis_of(bank, 1.0, 9.0)),
+    ]
+    # THEN that is no evidence, before all agree again
+    for weights in after[:-1]:
+        np.testing.assert_array_equal(weights, before)
+    assert after[-1][0] > 5.0 * after[-1][1]
+
+
+def test_hypotheses_that_never_return_are_wrong(bank: MultipleModelBank) -> None:
+    weigh(bank, 1.0, nis_of(bank, 900.0, 1000.0), jump=True)
+
+    weights = weigh(bank, 6.1, nis_of(bank, 2.0, 900.0))
+
+    assert weights[0] > 0.99
+
+
+@pytest.mark.parametrize(("first", "jump"), [(2.0, True), (25.0, False)])
+def test_what_one_explains_or_an_ins_may_have_done_is_evidence(
+    bank: MultipleModelBank, first: float, jump: bool
+) -> None:
+    """A large innovation of all is as likely under each, but the next one is weighed."""
+    weigh(bank, 1.0, nis_of(bank, first, 900.0), jump)
+    weights = weigh(bank, 1.2, nis_of(bank, 2.0, 20.0))
+
+    assert weights[0] > 0.9

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from hybrid_ins.core import hindsight
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.inflation import inflate_covariance
+from hybrid_ins.core.inflation import inflate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.iterated_update import update as correct
 from hybrid_ins.core.measurements import Measurement, PositionFix
@@ -26,7 +27,6 @@ from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoother import N_ADJOINT, N_PACKED, N_STATE, Smoother
 from hybrid_ins.core.smoother_segments import Update
 from hybrid_ins.core.state import (
-    COVARIANCE,
     DP,
     DV,
     EPS,
@@ -35,7 +35,6 @@ from hybrid_ins.core.state import (
     PSD,
     QUAT,
     covariance,
-    pack,
 )
 from hybrid_ins.row_file import BlockFile, RowFile
 from tools.field.batch_least_squares import (
@@ -88,7 +87,9 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
     measured = aided(flight) if aids else flight.fixes
     updates = [Update(f.t_ns, PSD_TRUE * (1.0 + k % 3), f) for k, f in enumerate(measured)]
     inflated = np.repeat((0.0, 0.4, 0.0, 0.0, 0.0), 3)
-    updates.insert(20, Update(updates[20].t_ns - 50_000_000, PSD_TRUE, std=inflated))
+    early_ns, lever_b = updates[20].t_ns - 50_000_000, np.array([0.5, -1.0, -2.0])
+    inflation = CovarianceInflation(early_ns, inflated, lever_b)
+    updates.insert(20, Update(early_ns, PSD_TRUE, inflation=inflation))
     smoother, _, adjoints = make(flight, updates)
     smoother.run()
     nav, last_ns, begin = started(flight.start), T0_NS, 1
@@ -98,7 +99,7 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
         phis.append(advance(nav, flight.samples[begin:stop], last_ns))
         P_before.append(covariance(nav))
         if update.measurement is None:
-            pack(inflate_covariance(covariance(nav), inflated), nav[COVARIANCE])
+            inflate(nav, inflated, lever_b)
             moved.append(np.zeros(N_ERROR))
         else:
             moved.append(correct(nav, *update.measurement.linearise(nav))[0])

@@ -12,6 +12,7 @@ from hybrid_ins import parameters
 from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.events import ClockShift
+from hybrid_ins.core.navigator_events import ClockOffsetFound
 from hybrid_ins.core.state import N_FLAT
 from hybrid_ins.ros.clock_correction import ClockCorrection
 from hybrid_ins.ros.input_log import InputLog
@@ -22,8 +23,8 @@ GIVEN, STD = 0.05, 0.004
 class Running:
     """A filter of which only the clock matters."""
 
-    def __init__(self) -> None:
-        self.clock = ClockOffsetObserver(0.5, ClockPrior(0.0, STD))
+    def __init__(self, std: float = STD) -> None:
+        self.clock = ClockOffsetObserver(0.5, ClockPrior(0.0, std))
         self.noise = SimpleNamespace(imu_factors=(1.0, 1.0))
         self.t_ns = 0
 
@@ -31,9 +32,9 @@ class Running:
         assert isinstance(event, ClockShift)
         self.clock.shift(event.by, np.zeros(N_FLAT))
 
-    def show(self, offset: float, in_force: float) -> None:
-        """Let the innovations show an offset [s] to 4 ms."""
-        self.clock.set_estimate(offset - in_force, 0.004)
+    def show(self, offset: float, in_force: float, sigma: float = 0.004) -> None:
+        """Let the innovations show an offset and its σ [s]."""
+        self.clock.set_estimate(offset - in_force, sigma)
         self.t_ns += 2_000_000_000
 
 
@@ -42,22 +43,24 @@ def running() -> Running:
     return Running()
 
 
-@pytest.fixture
-def clock(running: Running) -> ClockCorrection:
-    phase = SimpleNamespace(bank=None)
+def correction(running: Running, **values: float) -> tuple[ClockCorrection, Any]:
+    """Return a correction and the navigator whose clock it opens."""
+    phases = SimpleNamespace(clock_open=False)
     navigator: Any = SimpleNamespace(
         filter=running,
-        phase=phase,
-        phases=SimpleNamespace(clock_open=False),
+        phase=SimpleNamespace(bank=None, is_provisional=False),
+        phases=phases,
         last_ns=0,
-        open_clock=lambda unknown: None,
+        open_clock=lambda unknown: setattr(phases, "clock_open", unknown),
     )
-    values = {
-        **parameters.defaults(),
-        "gnss.time_offset.value": GIVEN,
-        "gnss.time_offset.std": STD,
-    }
-    return ClockCorrection(values, navigator, InputLog(lambda level, text: None))
+    every = {**parameters.defaults(), **values}
+    return ClockCorrection(every, navigator, InputLog(lambda level, text: None)), navigator
+
+
+@pytest.fixture
+def clock(running: Running) -> ClockCorrection:
+    given = {"gnss.time_offset.value": GIVEN, "gnss.time_offset.std": STD}
+    return correction(running, **given)[0]
 
 
 def test_chance_does_not_move_a_given_offset(clock: ClockCorrection, running: Running) -> None:
@@ -78,3 +81,48 @@ def test_an_offset_that_was_moved_returns_when_the_innovations_do(
     clock.run_periodic()
 
     assert clock.offset == pytest.approx(GIVEN, abs=0.003)
+
+
+def test_the_step_that_a_search_puts_in_force_is_corrected_towards_a_right_given_offset() -> None:
+    # GIVEN a search that has put the nearest of its steps in force
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    clock.on_found(ClockOffsetFound(0.1, -0.09, 0.04))
+    navigator.phases.clock_open = False
+    running.clock.prior = ClockPrior(-0.1, 0.0)
+    # WHEN the innovations agree with the given offset
+    running.show(0.01, 0.1, 0.02)
+    clock.run_periodic()
+    # THEN what they make likely is in force
+    assert clock.offset == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_a_filter_has_found_is_the_prior_of_the_next() -> None:
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    clock.on_found(ClockOffsetFound(0.2, 0.0, 0.01))
+    navigator.phases.clock_open = False
+    running.clock.prior = ClockPrior(-0.2, 0.0)
+    running.show(0.2, 0.2, 0.01)
+    clock.run_periodic()
+    navigator.open_clock(True)  # a search on a suspicion has begun
+
+    clock.restart(keep=True)
+
+    assert not navigator.phases.clock_open
+    assert clock.prior.mean == pytest.approx(0.2, abs=0.005)
+    assert 0.005 < clock.prior.scale < 0.03
+
+
+@pytest.mark.parametrize(("sigma", "keep"), [(0.3, True), (0.01, False)])
+def test_what_is_not_known_or_of_other_clocks_is_forgotten(sigma: float, keep: bool) -> None:
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    running.show(0.2, 0.0, sigma)
+    clock.run_periodic()
+    navigator.open_clock(True)
+
+    clock.restart(keep=keep)
+
+    assert navigator.phases.clock_open
+    assert clock.prior == ClockPrior(0.0, 0.0)
