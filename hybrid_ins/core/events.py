@@ -58,6 +58,16 @@ class CovarianceInflation:
 
 
 @dataclass(frozen=True, slots=True)
+class ScaleErrors:
+    """From the last fix up to its stamp, and until the next fix, scale errors are considered."""
+
+    t_ns: int
+    mean: Array  # (6,) specific force [m/s²] and angular rate [rad/s] with fixes, b
+    std: float  # of the errors of scale factors
+    kind: ClassVar[str] = "axis and scale errors"  # before measurements
+
+
+@dataclass(frozen=True, slots=True)
 class ScatterInForce:
     """
     From its stamp on, positions are fused with the scatter that was learned.
@@ -71,7 +81,13 @@ class ScatterInForce:
 
 
 Change = (
-    NoiseEstimate | NoiseChange | ClockInflation | ClockShift | CovarianceInflation | ScatterInForce
+    NoiseEstimate
+    | NoiseChange
+    | ClockInflation
+    | ClockShift
+    | CovarianceInflation
+    | ScaleErrors
+    | ScatterInForce
 )
 Event = Measurement | Change
 

@@ -304,7 +304,9 @@ class InsFilter:
         """Apply an event to the state at its own stamp, which is the present one."""
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        outcome = self._update.apply(self.nav, event, self._age(event), self._consider_clock)
+        outcome = self._update.apply(
+            self.nav, event, self._age(event), self._consider_clock, self.ring
+        )
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:

@@ -27,6 +27,7 @@ from hybrid_ins.core.events import (
     CovarianceInflation,
     Event,
     NoiseChange,
+    ScaleErrors,
     ScatterInForce,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -57,6 +58,8 @@ from hybrid_ins.core.position_scatter import (
     residual_variance,
 )
 from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.scale_errors import ConsideredScaleErrors
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
@@ -106,6 +109,8 @@ class MeasurementUpdate:
         Share of the claimed variance of positions that is white.
     corrected_ns : int
         Stamp of the last fix that was fused, or of the start [ns].
+    scale : ConsideredScaleErrors, optional
+        In outages.
     """
 
     def __init__(
@@ -115,12 +120,14 @@ class MeasurementUpdate:
         clock: ClockOffsetObserver,
         scatter: PositionScatter,
         corrected_ns: int,
+        scale: ConsideredScaleErrors | None = None,
     ) -> None:
         self.noise = noise
         self.gate = gate
         self.clock = clock
         self.scatter = scatter
         self._corrected_ns = corrected_ns
+        self._scale = scale
 
     def __copy__(self) -> MeasurementUpdate:
         return MeasurementUpdate(
@@ -129,9 +136,12 @@ class MeasurementUpdate:
             self.clock.__copy__(),
             self.scatter.__copy__(),
             self._corrected_ns,
+            self._scale,
         )
 
-    def apply(self, nav: Array, event: Event, age: float, consider_clock: bool) -> Outcome:
+    def apply(
+        self, nav: Array, event: Event, age: float, consider_clock: bool, ring: ImuRing
+    ) -> Outcome:
         """
         Apply an event.
 
@@ -144,7 +154,13 @@ class MeasurementUpdate:
             How far the event lies behind the IMU [s].
         consider_clock : bool
             See `FilterSettings`.
+        ring : ImuRing
+            Recent IMU samples.
         """
+        if self._scale is None and isinstance(event, ScaleErrors):
+            self._scale = ConsideredScaleErrors(self._corrected_ns, event.mean, event.std)
+        if self._scale is not None:
+            self._scale = self._scale.grown(nav, ring, event.t_ns)
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         split: Split | None = None
         if isinstance(event, NoiseChange):
@@ -160,7 +176,7 @@ class MeasurementUpdate:
             self.noise.restart(keep_weights=True)
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
-        else:
+        elif not isinstance(event, ScaleErrors):
             if isinstance(event, PositionFix):
                 noise = self.noise
                 claimed = event.claimed
@@ -227,31 +243,12 @@ class MeasurementUpdate:
         ):
             return None
         clock.on_corrected(fix.t_ns)
-        self._corrected_ns = fix.t_ns
+        self._corrected_ns, self._scale = fix.t_ns, None
         nis, log_det, weight, found = result[: SIGMA.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
-            nav,
-            Correction(
-                fix.t_ns,
-                result[INNOVATION][:m],
-                result[S_MATRIX][: m * m].reshape(m, m),
-                result[H_MATRIX][: m * N_ERROR].reshape(m, N_ERROR),
-                result[K_MATRIX][: m * N_ERROR].reshape(N_ERROR, m),
-                result[CORRECTION],
-                result[ATTITUDE].reshape(3, 3),
-                interval,
-                before,
-                True,
-                weight=weight,
-                linear=(
-                    result[LINEAR_Z][:m],
-                    result[LINEAR_H][: m * N_ERROR].reshape(m, N_ERROR),
-                    result[LINEAR_X],
-                    result[LINEAR_G].reshape(N_ERROR, N_ERROR),
-                ),
-            ),
+            nav, _correction(fix, result, interval, before, weight)
         )
         return verdict, moved, found if self.scatter.learning else None
 
@@ -291,11 +288,14 @@ class MeasurementUpdate:
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            if self.noise.factors is not None:
+            if self.noise.factors is not None or self._scale is not None:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
+            if self._scale is not None and linear is not None:
+                ends = measurement.sensor == GNSS  # P alone goes on
+                self._scale = None if ends else self._scale.corrected(linear[1], K, linear[3])
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
@@ -337,3 +337,29 @@ class MeasurementUpdate:
             pack(moved.P, nav[COVARIANCE])
             nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
         return moved is not None
+
+
+def _correction(
+    fix: PositionFix | VelocityFix, result: Array, interval: float, before: Array, weight: float
+) -> Correction:
+    """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
+    m = len(fix.claimed)
+    return Correction(
+        fix.t_ns,
+        result[INNOVATION][:m],
+        result[S_MATRIX][: m * m].reshape(m, m),
+        result[H_MATRIX][: m * N_ERROR].reshape(m, N_ERROR),
+        result[K_MATRIX][: m * N_ERROR].reshape(N_ERROR, m),
+        result[CORRECTION],
+        result[ATTITUDE].reshape(3, 3),
+        interval,
+        before,
+        True,
+        weight=weight,
+        linear=(
+            result[LINEAR_Z][:m],
+            result[LINEAR_H][: m * N_ERROR].reshape(m, N_ERROR),
+            result[LINEAR_X],
+            result[LINEAR_G].reshape(N_ERROR, N_ERROR),
+        ),
+    )

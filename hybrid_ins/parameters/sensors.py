@@ -78,6 +78,15 @@ IMU = (
         runtime=True,
     ),
     Parameter(
+        "imu.scale_std",
+        0.005,
+        "Standard deviation of the errors of the scale factors of accelerometers and gyroscopes, "
+        "relative; axes are off their directions by half of it [rad]. They make the covariance "
+        "grow in outages of GNSS; 0: not at all",
+        low=0.0,
+        high=0.1,
+    ),
+    Parameter(
         "imu.max_specific_force",
         400.0,
         "Samples with a greater specific force on any axis are rejected as faulty",

@@ -11,6 +11,7 @@ from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.scale_error_monitor import ScaleErrorMonitor
 from hybrid_ins.ros.aiding_sources import AidingSources
 from hybrid_ins.ros.diagnostics import aiding_verdict_status
 from hybrid_ins.ros.input_log import InputLog
@@ -46,6 +47,7 @@ class Aids:
         placement: SensorPlacement,
     ) -> None:
         self._navigator = navigator
+        self._scale_errors = ScaleErrorMonitor(values["imu.scale_std"])
         self._fixes = FixWatch()
         self._reports: list[Report] = []
         self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
@@ -61,6 +63,7 @@ class Aids:
     def restart(self) -> None:
         """Restart, as the filter did."""
         self._fixes.restart()
+        self._scale_errors.restart()
         self.vehicle.restart()
         self.sources.restart()
 
@@ -75,6 +78,8 @@ class Aids:
         """Do what is due at a stamp [ns]; return what is to be published."""
         if self._navigator.phase.best is not None:
             self._fixes.on_start(t_ns)
+        navigator = self._navigator
+        self._scale_errors.run_periodic(navigator.phases, navigator.ring, self._fixes, t_ns)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)
         changed = self._validity.changed(t_ns)

@@ -10,6 +10,7 @@ from support.outage_drives import calibrated, drive
 
 from hybrid_ins import parameters
 from hybrid_ins.core.constraint_observer import ConstraintObserver
+from hybrid_ins.core.fix_watch import OUTAGE_NS
 from hybrid_ins.core.near_standstill import NearStandstillDetector
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
 from hybrid_ins.core.samples import ImuRing
@@ -251,3 +252,25 @@ def test_the_table_says_for_how_long_the_constraint_was_held() -> None:
 
     assert float(rolling.split("|")[2].removesuffix(" % ")) > 50.0
     assert "| 0 % | 0 | - |" in sliding
+
+
+def test_scale_errors_change_covariances_in_outages_alone() -> None:
+    """
+    GIVEN a drive in which fixes are missing from 100 to 120 s
+    WHEN scale errors are considered, and when they are not
+    THEN odometry is the same to the last bit until the outage, and the covariance larger in it.
+    """
+    whole = drive("road car", duration=122.0)
+    t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
+    thinned = whole.thinned(t < 100.0)
+    free = {"vehicle.kind": "other"}
+    considered, ignored = (
+        run(thinned, calibrated(**free, **{"imu.scale_std": std})) for std in (0.01, 0.0)
+    )
+
+    since = int(np.searchsorted(ignored[1], thinned.fix_ns[-1] + OUTAGE_NS))
+    np.testing.assert_array_equal(considered[2][:since], ignored[2][:since])
+    assert since > 1000
+    np.testing.assert_array_equal(considered[2][:, :7], ignored[2][:, :7])
+    variance = [rows[-1, 7] + rows[-1, 14] for _, _, rows in (considered, ignored)]
+    assert variance[0] > 1.2 * variance[1]

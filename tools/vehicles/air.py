@@ -1,7 +1,8 @@
 """
 What the air tells of the velocity of real aircraft: sideslip of a fixed wing, drag of copters.
 
-Then outages cut into the flight of the fixed wing, without and with ``vehicle.kind: fixed_wing``.
+Then outages cut into the flight of the fixed wing, without and with ``vehicle.kind: fixed_wing``,
+and with scale errors of the IMU considered and ignored.
 
 The wind, and the drag of a copter, are fitted to 90 s with fixes. What they make of the next 30 s
 without is compared with the receiver's velocity; the attitude is that of the autopilot.
@@ -40,6 +41,12 @@ SHIFTS = np.arange(15.0, 135.0, 20.0)  # s after take-off, of the first outage o
 SMOOTH = 25  # samples, half a second
 SMALLEST_SPEED = 1.0  # m/s, of a copter that flies
 AXES = ("ax", "ay", "az")  # of imu.csv, FLU
+AIR_VARIANTS = (
+    "none",
+    "none, scale errors ignored",
+    "fixed wing",
+    "fixed wing, scale errors ignored",
+)
 AIRBORNE = {"plane_x8": (275.0, 575.0)}  # s
 VELOCITY_AGE = {"plane_x8": 0.31, "quad106": 0.24, "quad_low": 0.28}  # s, by the data's README
 
@@ -134,7 +141,7 @@ HEADER = (
 def outages(folder: Path) -> Iterator[str]:
     """Yield the rows of outages of a flight with the default parameters."""
     drive, (begin, end) = vehicle_drives.load(folder, "all"), AIRBORNE[folder.name]
-    for variant in ("none", "fixed wing"):
+    for variant in AIR_VARIANTS:
         found: list[End] = []
         for shift in SHIFTS:
             starts = np.arange(begin + shift, end - LENGTH, LENGTH + BETWEEN_OUTAGES)

@@ -3,7 +3,7 @@ Outages of GNSS cut into drives of simulated and real vehicles: error at their e
 
 Each outage lasts 60 s and is judged after 30 s and at its end. A vehicle is calibrated by what
 ``ins_calibrate`` finds in two drives of odd seeds; drives of even seeds judge. Variants of the
-parameters are compared on the same drives.
+parameters are compared on the same drives. The IMUs have errors of their scale factors and axes.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording as Calibrating
 from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.scale_errors import N_SCALE, SHARES
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Array
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
@@ -36,6 +37,7 @@ JUDGED = (30.0, 60.0)  # s after an outage begins
 SHORTEST = 30.0  # m: less distance says nothing per distance
 CALIBRATION_SEEDS = (101, 103)
 GUSTY, GUST_STD = "fixed wing, gusts", 1.5  # m/s
+SCALE_STD = 0.005  # of an IMU's scale factors
 VARIANTS: dict[str, dict[str, Any]] = {  # those that begin with wheels: with their messages
     "none": {"vehicle.kind": "other"},
     "auto": {"vehicle.kind": "auto"},
@@ -44,6 +46,9 @@ VARIANTS: dict[str, dict[str, Any]] = {  # those that begin with wheels: with th
     "constant 0.05, 0.1": {"vehicle.slip_model": "", "vehicle.slip_std": [0.05, 0.1]},
     "ground": {"vehicle.kind": "ground"},
     "fixed wing": {"vehicle.kind": "fixed_wing"},
+    "none, scale errors ignored": {"vehicle.kind": "other", "imu.scale_std": 0.0},
+    "auto, scale errors ignored": {"vehicle.kind": "auto", "imu.scale_std": 0.0},
+    "fixed wing, scale errors ignored": {"vehicle.kind": "fixed_wing", "imu.scale_std": 0.0},
     "wheels": {"vehicle.kind": "auto"},
     "wheels alone": {"vehicle.kind": "other"},
 }
@@ -70,17 +75,34 @@ def gusty() -> Vehicle:
     return replace(VEHICLES["fixed wing 50 Hz"], name=GUSTY, motion=motion)
 
 
-def driven(name: str, seed: int, duration: float | None = None) -> Recording:
-    """Return a drive of a vehicle by its name, of a car on a road that changes, or in gusts."""
+def driven(
+    name: str, seed: int, duration: float | None = None, scale_std: float = SCALE_STD
+) -> Recording:
+    """
+    Return a drive of a vehicle by its name, of a car on a road that changes, or in gusts.
+
+    Errors of the IMU's scale factors have the standard deviation ``scale_std``.
+    """
     if name == CHANGING:
-        return changing_road(seed, duration or every_vehicle()["road car"].duration)
-    vehicle = gusty() if name == GUSTY else every_vehicle()[name]
-    return record(replace(vehicle, duration=duration or vehicle.duration), seed)
+        made = changing_road(seed, duration or every_vehicle()["road car"].duration)
+    else:
+        vehicle = gusty() if name == GUSTY else every_vehicle()[name]
+        made = record(replace(vehicle, duration=duration or vehicle.duration), seed)
+    return with_scale_errors(made, seed, scale_std)
 
 
-def calibrated(name: str) -> dict[str, Any]:
+def with_scale_errors(made: Recording, seed: int, std: float) -> Recording:
+    """Return a recording whose IMU reads f + M_a f and ω + M_g ω; ``std`` of scale factors."""
+    m = std * SHARES * np.random.default_rng([seed, 91]).standard_normal(N_SCALE)
+    M_a, M_g = m.reshape(2, 3, 3)
+    force, rate = made.imu.specific_force, made.imu.angular_rate
+    imu = replace(made.imu, specific_force=force + force @ M_a.T, angular_rate=rate + rate @ M_g.T)
+    return replace(made, imu=imu)
+
+
+def calibrated(name: str, scale_std: float = SCALE_STD) -> dict[str, Any]:
     """Return what ``ins_calibrate`` finds in drives of a vehicle, but for its nose and axle."""
-    drives = [as_recording(driven(name, seed)) for seed in CALIBRATION_SEEDS]
+    drives = [as_recording(driven(name, seed, None, scale_std)) for seed in CALIBRATION_SEEDS]
     given = parameters.defaults()
     found = calibrate(drives, given).values
     return {**found, **{name: given[name] for name in given if name.startswith("vehicle.")}}
@@ -176,13 +198,21 @@ HEADER += "|---" * 8 + "|"
 
 
 def table(
-    names: Sequence[str], seeds: Sequence[int], variants: Sequence[str], duration: float
+    names: Sequence[str],
+    seeds: Sequence[int],
+    variants: Sequence[str],
+    duration: float,
+    scale_std: float,
 ) -> Iterator[str]:
-    """Yield the rows of vehicles, and of all of them where there are several."""
+    """
+    Yield the rows of vehicles, and of all of them where there are several.
+
+    Errors of the IMUs' scale factors have the standard deviation ``scale_std``.
+    """
     every: dict[str, list[End]] = {variant: [] for variant in variants}
     for name in names:
-        base = calibrated(name)
-        recordings = [driven(name, seed, duration) for seed in seeds]
+        base = calibrated(name, scale_std)
+        recordings = [driven(name, seed, duration, scale_std) for seed in seeds]
         for variant in variants:
             found: list[End] = []
             for recording in recordings:
@@ -203,9 +233,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4, 6, 8], metavar="N")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS)
     parser.add_argument("--duration", type=float, default=600.0, metavar="S")
+    parser.add_argument(
+        "--scale-errors",
+        type=float,
+        default=SCALE_STD,
+        metavar="STD",
+        help="standard deviation of errors of the IMU's scale factors, twice that of its axes'"
+        " directions [%(default)s]",
+    )
     args = parser.parse_args(argv)
     print(HEADER)
-    for line in table(args.names, args.seeds, args.variants, args.duration):
+    for line in table(args.names, args.seeds, args.variants, args.duration, args.scale_errors):
         print(line, flush=True)
     return 0
 

@@ -17,6 +17,7 @@ from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.position_scatter import PositionScatter, Split
 from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
@@ -91,8 +92,8 @@ def test_the_compiled_form_is_the_readable_one(seed: int, factors: bool, conside
     other = nav.copy()
     scale = np.sqrt(np.outer(SIGMA, SIGMA)[np.triu_indices(N_ERROR)])
     for fix in fixes(rng, nav):
-        one = compiled.apply(nav, fix, 0.1, considered > 0.0)
-        two = readable.apply(other, fix, 0.1, considered > 0.0)
+        one = compiled.apply(nav, fix, 0.1, considered > 0.0, ImuRing())
+        two = readable.apply(other, fix, 0.1, considered > 0.0, ImuRing())
 
         np.testing.assert_allclose(nav[:N_NAV], other[:N_NAV], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(
@@ -148,7 +149,7 @@ def test_a_state_that_is_not_finite_changes_nothing_and_is_named() -> None:
     nav[COVARIANCE][7] = np.nan
     fix = PositionFix(2 * SECOND, nav[:3].copy(), np.eye(3), np.zeros(3))
 
-    outcome = whole.apply(nav, fix, 0.0, False)
+    outcome = whole.apply(nav, fix, 0.0, False, ImuRing())
 
     assert outcome.verdict is not None and outcome.verdict.reason == "the state is lost"
 
