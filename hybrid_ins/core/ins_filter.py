@@ -184,6 +184,10 @@ class InsFilter:
         """What decides on measurements."""
         return self._update.gate
 
+    @gate.setter
+    def gate(self, gate: Gate) -> None:
+        self._update.gate = gate
+
     @property
     def clock(self) -> ClockOffsetObserver:
         """Clock offset of fixes, estimated beside the state; does not change it by itself."""
@@ -279,10 +283,6 @@ class InsFilter:
         if self.clock.prior is not None:
             self.clock.prior = settings.clock_prior
 
-    def change_gate(self, gate: Gate) -> None:
-        """Judge measurements by another gate from now on."""
-        self._update.gate = gate
-
     def _age(self, event: Event) -> float:
         """Return how far ``event`` lies behind the last IMU sample [s]."""
         return (self.t_ns - event.t_ns) * 1e-9
@@ -304,9 +304,8 @@ class InsFilter:
         """Apply an event to the state at its own stamp, which is the present one."""
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        outcome = self._update.apply(
-            self.nav, event, self._age(event), self._consider_clock, self.ring
-        )
+        age, consider = self._age(event), self._consider_clock
+        outcome = self._update.apply(self.nav, event, age, consider, self.ring)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:
@@ -321,9 +320,7 @@ class InsFilter:
     def _rewind(self, late: Event) -> bool:
         """Apply a late event at its own stamp; False when that is out of reach."""
         point = self._history.before(late.t_ns)
-        if point is None:
-            return False
-        if self.ring.has_lost(point.t_ns):
+        if point is None or self.ring.has_lost(point.t_ns):
             return False
         samples = self.ring.between(point.t_ns, self.t_ns)
         waiting, again = self._pending, self._history.rewind(late.t_ns)
