@@ -114,10 +114,10 @@ class Gate(ShallowCopy):
     times as long. Where the covariance has grown meanwhile until such a measurement is just below
     the threshold, the state is as wrong, and the covariance is inflated as well.
 
-    A state is believed no longer than it has been confirmed for: after a pause, or an inflation,
-    one measurement decides where it is, and if that was the outlier, the following ones need to
-    agree for as long as it was followed, not for ``patience``. After a pause, one above the
-    threshold has to wait for another one that agrees with it.
+    A state is believed no longer than it has been confirmed for: after a pause one measurement
+    decides where it is, and if that was the outlier, the following ones need to agree for as long
+    as it was followed, not for ``patience``. One above the threshold has to wait then for another
+    one that agrees with it.
 
     A jump is out of proportion to the innovations before it: a receiver that claims centimetres and
     scatters by decimetres does not jump at every fix. The scale, the mean of NIS / m of those that
@@ -153,9 +153,14 @@ class Gate(ShallowCopy):
             return -1.0
         return self._thresholds.get(components, -1.0)
 
-    def _is_pause(self, interval: float) -> bool:
-        """Return whether after an interval [s] one measurement decides where the state is."""
-        return interval * 1e9 > self._patience_ns
+    def _is_pause(self, interval: float, rejected_ns: int = 0) -> bool:
+        """
+        Return whether one measurement decides where the state is.
+
+        ``interval`` is the time since the last that was fused [s], without any in it but those of
+        the last ``rejected_ns`` [ns].
+        """
+        return interval * 1e9 - rejected_ns > self._patience_ns
 
     @property
     def rejects(self) -> bool:
@@ -177,10 +182,12 @@ class Gate(ShallowCopy):
 
         ``interval`` is the time since the last correction [s].
         """
+        before = self._rejections.get(measurement.kind)
         verdict = self._decide(measurement, z, R, S, nis, age, interval)
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
-            if verdict.inflated or self._is_pause(interval):
+            rejected_ns = measurement.t_ns - before.first_ns if before is not None else 0
+            if self._is_pause(interval, rejected_ns):
                 self._confirmed_since_ns = measurement.t_ns
         return verdict
 
@@ -235,7 +242,7 @@ class Gate(ShallowCopy):
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             if is_gnss and not jump:
-                if self._is_pause(interval) and not of_state:
+                if self._is_pause(interval, t_ns - first_ns) and not of_state:
                     return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
                 return replace(plain, reason="large innovation")
             return replace(

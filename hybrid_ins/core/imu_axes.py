@@ -38,11 +38,11 @@ from hybrid_ins.core.imu_axes_fit import (
     fit,
     triples_of,
 )
+from hybrid_ins.core.imu_axes_tolerance import tolerant_fits
 
 Array = NDArray[np.float64]
 
-WINDOW, SHORTEST = 20.0, 12.0  # s, of motion that is compared
-LONG_WINDOW = 60.0  # s, where nothing is found in those
+WINDOW, SHORTEST, LONG_WINDOW = 20.0, 12.0, 60.0  # s, of motion; the last without a finding
 LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
 FEWEST = 8  # changes of velocity
 MAX_FIXES = 1024  # that are kept
@@ -56,7 +56,6 @@ TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
 LEAST_SPEED = 1.5  # m/s, of a course
 NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
-
 
 AS_GIVEN = ((np.eye(3), np.eye(3)),)
 
@@ -214,6 +213,12 @@ class ImuAxesCheck:
             untried, tried = passed[tried:], len(passed)
             fits = yield from _fit_all(fits, untried[:1] + untried[1:][-1:])
             found = self._explain(motion, change, as_given, fits, len(passed) == 1)
+            if found is not None:
+                tolerated, others = yield from tolerant_fits(motion, as_given, fits)
+                if tolerated.left < FITS * change:
+                    fitting.append((motion, tolerated))
+                    continue
+                found = self._explain(motion, change, tolerated, others, len(passed) == 1)
             if found is not None:
                 return found
             if not any(one.correlation < NOISE for one in fits):

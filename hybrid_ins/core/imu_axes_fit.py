@@ -42,8 +42,15 @@ CHANGE_STD = 0.3  # m/s, of a change of velocity by fixes
 NUDGE = 1e-3  # rad/s, for derivatives by the bias
 ITERATIONS, SMALLER = 8, 0.99  # at most; as long as so many times as much is left over
 # Bias, lever arm and clock offset between those of the grid.
-NUISANCE_STD = np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1))
-LARGEST = np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1))
+STRICT = (
+    np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1)),
+    np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1)),
+)
+# The same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes.
+TOLERANT = (
+    np.repeat((BIAS_STD, 2.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
+    np.repeat((LARGEST_BIAS, 5.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,15 +157,23 @@ def _differences(t: Array, position: Array, triples: NDArray[np.intp]) -> Array:
     )
 
 
-def fit(motion: Motion, start: Fit) -> Fit:
-    """Return how well a hypothesis fits, from the bias and the lever arm of its start on."""
+def fit(motion: Motion, start: Fit, tolerant: bool = False) -> Fit:
+    """
+    Return how well a hypothesis fits, from the bias and the lever arm of its start on.
+
+    Tolerant: also an accelerometer's bias, a gyroscope's scales and misaligned axes, as ordinary
+    IMUs have them, and a longer lever arm may explain the changes.
+    """
     turn, change_n = motion.turn @ start.gyroscope.T, motion.change_n
     impulse = start.sign * motion.impulse
+    std, largest = TOLERANT if tolerant else STRICT
     best = replace(start, left=np.inf)
-    nuisance = nuisance_of_best = np.concatenate((start.bias, start.lever_arm, [0.0]))
+    nuisance = nuisance_of_best = np.zeros(len(std))
+    nuisance[:6] = *start.bias, *start.lever_arm
     for _ in range(ITERATIONS):
-        bias, lever_arm, offsets = nuisance[:3], nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
-        path, arms = _paths(motion, turn - STEP * bias, impulse)
+        lever_arm, offsets = nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
+        force = impulse - STEP * nuisance[7:10] if tolerant else impulse
+        path, arms = _paths(motion, _turns(turn, nuisance), force)
         at_antenna = np.tensordot(lever_arm, arms, 1)
         changes = _changes(motion, path + at_antenna, offsets)[0]
         C = _rotations(changes, change_n)
@@ -177,27 +192,51 @@ def fit(motion: Motion, start: Fit) -> Fit:
             left=float(left[k]),
             correlation=float(np.sum(misfit[k, 1:, :2] * misfit[k, :-1, :2]) / left[k]),
             C_ni=C[k],
-            bias=bias,
+            bias=nuisance[:3],
             lever_arm=lever_arm,
         )
         around = offsets[k] + CLOCK_STEP * np.arange(-1.0, 2.0)
         before, at, after = _changes(motion, path + at_antenna, around)[0]
-        biases = bias + NUDGE * np.eye(3)
-        paths, _ = _paths(motion, turn - STEP * biases[:, None], impulse)
+        nudges = NUDGE * np.delete(np.eye(len(std)), np.s_[3:10], axis=0)
+        paths, _ = _paths(motion, _turns(turn, nuisance + nudges[:, None]), force)
         nudged = _changes(motion, paths + at_antenna, around[1:2])[:, 0]
+        by_turns = (nudged - at) / NUDGE
         by_arm = _changes(motion, arms, around[1:2])[:, 0]
-        columns = (*(nudged - at) / NUDGE, *by_arm, (after - before) / (2.0 * CLOCK_STEP))
-        step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance)
-        nuisance = np.clip(nuisance + step, -LARGEST, LARGEST)
+        columns = [*by_turns[:3], *by_arm, (after - before) / (2.0 * CLOCK_STEP)]
+        if tolerant:
+            by_force = _changes(motion, -_twice_integrated(arms), around[1:2])[:, 0]
+            columns += [*by_force, *by_turns[3:]]
+        step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance, std)
+        nuisance = np.clip(nuisance + step, -largest, largest)
     return best
 
 
-def _step(C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array) -> Array:
-    """Return the change of the nuisance parameters (7,) by least squares, the rotation free."""
+def _turns(turn: Array, nuisance: Array) -> Array:
+    """Return turns (..., N, 3) without the errors of a gyroscope, of nuisances (..., 1, P)."""
+    bias, scales = nuisance[..., :3], nuisance[..., 10:]
+    if scales.shape[-1]:
+        errors = scales.reshape(*nuisance.shape[:-2], 3, 3)
+        turn = turn - turn @ np.swapaxes(errors, -1, -2)
+    return np.asarray(turn - STEP * bias)
+
+
+def _twice_integrated(axes: Array) -> Array:
+    """Return paths (3, N + 1, 3) by specific force of 1 m/s² along axes (3, N + 1, 3)."""
+    steps = STEP * axes[:, :-1]
+    paths = np.zeros_like(axes)
+    paths[:, 1:] = np.cumsum(STEP * (np.cumsum(steps, axis=1) - 0.5 * steps), axis=1)
+    return paths
+
+
+def _step(
+    C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array, std: Array
+) -> Array:
+    """Return the change of the nuisance parameters (P,) by least squares, the rotation free."""
+    count = len(std)
     by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
-    of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1).reshape(-1, 10)
-    weight = np.diag(CHANGE_STD / NUISANCE_STD)
-    H = np.vstack((of_changes, np.hstack((np.zeros((7, 3)), weight))))
+    of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1)
+    weight = np.diag(CHANGE_STD / std)
+    H = np.vstack((of_changes.reshape(-1, 3 + count), np.hstack((np.zeros((count, 3)), weight))))
     z = np.concatenate((misfit.ravel(), -weight @ nuisance))
     return np.asarray(np.linalg.lstsq(H, z, rcond=None)[0][3:])
 

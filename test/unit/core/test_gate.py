@@ -201,3 +201,13 @@ def test_it_tells_of_a_jump_until_a_fix_agrees(gate: Gate) -> None:
     assert gate.rejects
     judge(gate, 0.6, 0.0)
     assert not gate.rejects
+
+
+def test_a_run_of_rejections_is_no_pause(gate: Gate) -> None:
+    """GIVEN fixes that were rejected until the state was opened THEN it is left no sooner again."""
+    opened = [judge(gate, 0.2 * k, 50.0, 0.2 * (k + 1)) for k in range(16)]
+    assert opened[-1].inflated and not any(v.accepted for v in opened[:-1])
+
+    again = [judge(gate, 3.2 + 0.2 * k, 50.0, 0.2 * (k + 1)) for k in range(15)]
+
+    assert not any(v.accepted for v in again)

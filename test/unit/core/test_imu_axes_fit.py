@@ -1,10 +1,12 @@
 """The parts of the check of axes that are compiled or vectorised, against their plain forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.imu_axes import NOISE
+from hybrid_ins.core.imu_axes import FITS, MUCH_BETTER, NOISE
 from hybrid_ins.core.imu_axes_fit import (
     LEAST_STEP,
     STEP,
@@ -133,3 +135,19 @@ def test_errors_of_right_axes_are_noise_and_those_of_wrong_ones_are_not() -> Non
 
     assert fit(flown, Fit(1.0, np.eye(3))).correlation < NOISE
     assert fit(flown, Fit(1.0, np.diag([-1.0, 1.0, 1.0]))).correlation > 2.0 * NOISE
+
+
+def test_ordinary_errors_of_an_imu_are_tolerated_and_wrong_axes_are_not() -> None:
+    # GIVEN a long lever arm, an accelerometer's bias, a gyroscope's scales and misaligned axes
+    ideal = motion((-2.0, 0.3, 1.0), 0.0)
+    errors = np.array([[0.01, -0.01, 0.006], [0.008, -0.01, 0.01], [-0.006, 0.01, 0.008]])
+    turn = ideal.turn @ (np.eye(3) + errors).T
+    flown = replace(ideal, turn=turn, impulse=ideal.impulse + STEP * np.array([0.1, -0.15, 0.1]))
+    change = float(np.sum(flown.change_n[:, :2] ** 2))
+    # WHEN they may explain what is left over THEN nothing is, but of wrong axes
+    strict = fit(flown, Fit(1.0, np.eye(3)))
+    tolerant = fit(flown, strict, tolerant=True)
+    reversed_y = fit(flown, Fit(1.0, np.diag([1.0, -1.0, 1.0])))
+    accused = fit(flown, reversed_y, tolerant=True)
+    assert strict.left > MUCH_BETTER * tolerant.left
+    assert tolerant.left < FITS * change < accused.left

@@ -1,0 +1,42 @@
+"""
+Fits of motion that allow for the ordinary errors of an IMU, before its axes are accused.
+
+A gyroscope's scales and axes that are off by a per cent, an accelerometer's bias and a lever arm of
+metres leave more over than the fixes' noise where a vehicle spins: an axis that the motion hardly
+shows would be said to be reversed, since that happens to fit a little better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+
+import numpy as np
+
+from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
+
+LEVER_ARMS = 2.0 * np.vstack((np.zeros(3), np.eye(3)[:2], -np.eye(3)[:2]))
+"""Where the search for the lever arm begins again [m], b: the course may be half a turn off."""
+
+
+def tolerant_fits(
+    motion: Motion, as_given: Fit, fits: Sequence[Fit]
+) -> Generator[None, None, tuple[Fit, list[Fit]]]:
+    """
+    Return the best fit of the axes as given, and those of better hypotheses, with such errors.
+
+    ``as_given`` and ``fits`` are those without; yields between the parts of the work.
+    """
+    starts = [as_given]
+    for lever_arm in LEVER_ARMS:
+        starts.append(fit(motion, Fit(1.0, np.eye(3), lever_arm=lever_arm)))
+        yield
+    found: list[Fit] = []
+    for start in [*sorted(starts, key=lambda one: one.left)[:2], Fit(1.0, np.eye(3))]:
+        found.append(fit(motion, start, tolerant=True))
+        yield
+    others: list[Fit] = []
+    for hypothesis in fits:
+        if hypothesis.left < as_given.left:
+            others.append(fit(motion, hypothesis, tolerant=True))
+            yield
+    return min(found, key=lambda one: one.left), others
