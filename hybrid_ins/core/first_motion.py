@@ -65,22 +65,23 @@ def first_motion(fixes: Sequence[PositionFix], velocity: VelocityFix | None, now
         variance = np.maximum(np.nan_to_num(np.diag(velocity.covariance_n)), 0.01)
         known = np.nan_to_num(velocity.velocity_n), np.diag(variance)
     else:
-        known = _slope(fixes, p_cov)
+        known = _slope(fixes, lla, p_cov)
     velocity_n, v_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
     age = (now - last.t_ns) * 1e-9
     p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
     return Motion(lla + velocity_n * age / scale, p_cov, velocity_n, v_cov, known is not None)
 
 
-def _slope(fixes: Sequence[PositionFix], p_cov: Array) -> tuple[Array, Array] | None:
+def _slope(fixes: Sequence[PositionFix], lla: Array, p_cov: Array) -> tuple[Array, Array] | None:
     """
     Velocity now [m/s, NED] and its covariance from the fixes over the best of all spans.
 
     The slope is the velocity at the span's middle: a short span is noisy, a long one outdated.
+    ``lla`` (3,) is the last position, with a height where that has none.
     """
     last = fixes[-1]
     t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in fixes])
-    offsets = np.nan_to_num(displacement(last.lla, np.array([f.lla for f in fixes])))
+    offsets = np.nan_to_num(displacement(lla, np.array([f.lla for f in fixes])))
     best: tuple[Array, Array] | None = None
     for start in range(len(fixes) - 1):
         centred = t[start:] - t[start:].mean()

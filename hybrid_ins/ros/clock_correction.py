@@ -81,6 +81,7 @@ class ClockCorrection:
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
             self._moved, self._settled, self._found = 0.0, None, None
+        if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.std"}:
             self.prior = ClockPrior(self._given, self._std)
         self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:

@@ -126,3 +126,9 @@ def test_what_is_not_known_or_of_other_clocks_is_forgotten(sigma: float, keep: b
 
     assert navigator.phases.clock_open
     assert clock.prior == ClockPrior(0.0, 0.0)
+
+
+def test_another_uncertainty_of_the_given_offset_changes_its_prior(clock: ClockCorrection) -> None:
+    clock.change({"gnss.time_offset.std": 0.01})
+
+    assert clock.prior == ClockPrior(GIVEN, 0.01)
