@@ -68,14 +68,14 @@ def state_at_offset(state: NavState, offset: float, calm: bool, lever_b: Array) 
 
     It is inflated, unless the motion has been ``calm``: see `ClockSearch`.
     """
-    std = np.zeros(N_ERROR)
+    nav = state.to_flat()
     if not calm:
+        std = np.zeros(N_ERROR)
         std[DV], std[EPS] = SPEED_STD, TILT_STD
+        inflate(nav, std, lever_b)
     moved = np.eye(N_ERROR)
     moved[DP, DV] = -offset * np.eye(3)
     lla = state.lla - offset * state.velocity_n / curvature_scale(state.lla)
-    nav = state.to_flat()
-    inflate(nav, std, lever_b)
     return replace(state, lla=lla, P=moved @ covariance(nav) @ moved.T)
 
 

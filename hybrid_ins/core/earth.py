@@ -179,6 +179,12 @@ def curvature_scale(lla):  # type: ignore[no-untyped-def]
     return np.array([meridian + lla[2], (transverse + lla[2]) * np.cos(lla[0]), -1.0])
 
 
+@register_jitable
+def wrapped(turn):  # type: ignore[no-untyped-def]
+    """Return a difference of longitudes [rad] within half a turn of zero."""
+    return turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+
+
 def displacement(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     Return north, east, down [m], shape (..., 3), from a position to others near by.
@@ -186,7 +192,7 @@ def displacement(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArra
     Latitude, longitude [rad] and height [m], (3,) and (..., 3); the date line may be between them.
     """
     change = end - start
-    change[..., 1] -= 2.0 * math.pi * np.round(change[..., 1] / (2.0 * math.pi))
+    change[..., 1] = wrapped(change[..., 1])
     return np.asarray(change * curvature_scale(start))
 
 

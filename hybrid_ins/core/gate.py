@@ -149,18 +149,10 @@ class Gate(ShallowCopy):
 
         -1 after rejections, large innovations and a pause: more than its NIS counts then.
         """
-        if kind in self._rejections or kind in self._scales or self._is_pause(interval):
+        is_pause = interval * 1e9 > self._patience_ns
+        if kind in self._rejections or kind in self._scales or is_pause:
             return -1.0
         return self._thresholds.get(components, -1.0)
-
-    def _is_pause(self, interval: float, rejected_ns: int = 0) -> bool:
-        """
-        Return whether one measurement decides where the state is.
-
-        ``interval`` is the time since the last that was fused [s], without any in it but those of
-        the last ``rejected_ns`` [ns].
-        """
-        return interval * 1e9 - rejected_ns > self._patience_ns
 
     @property
     def rejects(self) -> bool:
@@ -182,12 +174,13 @@ class Gate(ShallowCopy):
 
         ``interval`` is the time since the last correction [s].
         """
-        before = self._rejections.get(measurement.kind)
-        verdict = self._decide(measurement, z, R, S, nis, age, interval)
+        last = self._rejections.get(measurement.kind)
+        rejected_ns = measurement.t_ns - last.first_ns if last else 0  # that is no pause
+        is_pause = interval * 1e9 - rejected_ns > self._patience_ns
+        verdict = self._decide(measurement, z, R, S, nis, age, interval, is_pause)
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
-            rejected_ns = measurement.t_ns - before.first_ns if before is not None else 0
-            if self._is_pause(interval, rejected_ns):
+            if is_pause:
                 self._confirmed_since_ns = measurement.t_ns
         return verdict
 
@@ -210,6 +203,7 @@ class Gate(ShallowCopy):
         nis: float,
         age: float,
         interval: float,
+        is_pause: bool,
     ) -> Verdict:
         kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
         plain = Verdict(
@@ -242,7 +236,7 @@ class Gate(ShallowCopy):
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
             if is_gnss and not jump:
-                if self._is_pause(interval, t_ns - first_ns) and not of_state:
+                if is_pause and not of_state:
                     return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
                 return replace(plain, reason="large innovation")
             return replace(

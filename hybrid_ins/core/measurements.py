@@ -23,7 +23,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.earth import earth_rate_n, radii
+from hybrid_ins.core.earth import earth_rate_n, radii, wrapped
 from hybrid_ins.core.samples import as_numbers
 from hybrid_ins.core.standstill import mean_and_std
 from hybrid_ins.core.state import B_G, BIAS_G, DV, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
@@ -56,8 +56,7 @@ def position_model(nav, lla_fix, lever_b):  # type: ignore[no-untyped-def]
     meridian, transverse = radii(lla[0])
     z = np.empty(3)
     z[0] = (lla_fix[0] - lla[0]) * (meridian + lla[2]) - lever_n[0]
-    dlon = lla_fix[1] - lla[1]
-    dlon -= 2.0 * np.pi * np.floor(dlon / (2.0 * np.pi) + 0.5)
+    dlon = wrapped(lla_fix[1] - lla[1])
     z[1] = dlon * (transverse + lla[2]) * np.cos(lla[0]) - lever_n[1]
     z[2] = lla[2] - lla_fix[2] - lever_n[2]
     H = np.zeros((3, N_ERROR))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.earth import curvature_scale, wrapped
 from hybrid_ins.core.samples import as_numbers, readings_of
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
@@ -158,9 +158,8 @@ def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
     north, east, _ = curvature_scale(last)
     for k in range(count):
         t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
-        turn = lla[k, 1] - last[1]
-        turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
-        places[k, 0], places[k, 1] = (lla[k, 0] - last[0]) * north, turn * east
+        places[k, 0] = (lla[k, 0] - last[0]) * north
+        places[k, 1] = wrapped(lla[k, 1] - last[1]) * east
     t -= t.mean()
     square, residual, speed = np.sum(t * t), 0.0, 0.0
     for axis in range(2):

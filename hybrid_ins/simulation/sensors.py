@@ -289,9 +289,14 @@ def fixes(
     if velocity_std is not None:
         velocity_std = np.broadcast_to(np.asarray(velocity_std, float), 3)
         noise = velocity_std * velocity_rng.standard_normal((truth.t.size, 3))
-        turning_b = np.cross(truth.angular_rate_eb_b, lever_arm_b)
-        velocity_n = truth.velocity_n + (C_nb @ turning_b[..., None])[..., 0] + noise
+        velocity_n = antenna_velocity(truth, lever_arm_b) + noise
     return GnssData(truth.t, lla, position_std, velocity_n, velocity_std)
+
+
+def antenna_velocity(truth: Truth, lever_arm_b: ArrayLike) -> Array:
+    """Return the velocity NED, (N, 3) [m/s], of an antenna at ``lever_arm_b``, FRD [m]."""
+    turning_b = np.cross(truth.angular_rate_eb_b, np.asarray(lever_arm_b, float))
+    return np.asarray(truth.velocity_n + (truth.C_nb @ turning_b[..., None])[..., 0])
 
 
 def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:

@@ -37,6 +37,7 @@ from hybrid_ins.simulation.sensors import (
     ImuErrors,
     Tone,
     Truth,
+    antenna_velocity,
     corrupt,
     gauss_markov,
     sample,
@@ -123,8 +124,7 @@ def record(vehicle: Vehicle, seed: int) -> Recording:
     velocity_n = None
     if receiver.velocity_std is not None:
         then = sample(motion, fix_t - receiver.velocity_age)
-        swing_b = np.cross(then.angular_rate_eb_b, np.asarray(receiver.antenna_b))
-        velocity_n = then.velocity_n + (then.C_nb @ swing_b[..., None])[..., 0]
+        velocity_n = antenna_velocity(then, receiver.antenna_b)
         velocity_n = velocity_n + receiver.velocity_std * rng.standard_normal((len(fix_t), 3))
     return Recording(vehicle, truth, imu, fix_t, stamp, lla, velocity_n)
 
