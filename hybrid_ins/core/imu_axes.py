@@ -38,7 +38,7 @@ from hybrid_ins.core.imu_axes_fit import (
     fit,
     triples_of,
 )
-from hybrid_ins.core.imu_axes_tolerance import tolerant_fits
+from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
 
 Array = NDArray[np.float64]
 
@@ -215,12 +215,12 @@ class ImuAxesCheck:
             found = self._explain(motion, change, as_given, fits, len(passed) == 1)
             if found is not None:
                 tolerated, others = yield from tolerant_fits(motion, as_given, fits)
+                found = self._explain(motion, change, tolerated, others, len(passed) == 1)
+                if found is not None:
+                    return found
                 if tolerated.left < FITS * change:
                     fitting.append((motion, tolerated))
                     continue
-                found = self._explain(motion, change, tolerated, others, len(passed) == 1)
-            if found is not None:
-                return found
             if not any(one.correlation < NOISE for one in fits):
                 break  # errors that are more than noise only grow with the interval
         if not fitting:
@@ -298,7 +298,7 @@ class ImuAxesCheck:
         is_noise = best.correlation < NOISE
         if not (is_noise or is_first):
             return None
-        times = BETTER if is_noise else MUCH_BETTER
+        times = max(BETTER, times_by_chance(motion)) if is_noise else MUCH_BETTER
         if best.left > min(FITS_OTHER * change, as_given.left / times):
             return None
         most = max(AS_GOOD * best.left, best.left + FITS * change)

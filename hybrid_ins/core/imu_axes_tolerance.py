@@ -16,6 +16,7 @@ from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
 
 LEVER_ARMS = 2.0 * np.vstack((np.zeros(3), np.eye(3)[:2], -np.eye(3)[:2]))
 """Where the search for the lever arm begins again [m], b: the course may be half a turn off."""
+LOG_ODDS, FITTED = 6.0, 10  # of a fit that is better not by chance; unknowns of a fit
 
 
 def tolerant_fits(
@@ -40,3 +41,9 @@ def tolerant_fits(
             others.append(fit(motion, hypothesis, tolerant=True))
             yield
     return min(found, key=lambda one: one.left), others
+
+
+def times_by_chance(motion: Motion) -> float:
+    """Return how many times less noise may leave over of few changes, by one of the fits."""
+    free = 2 * min(len(motion.triples), len(motion.fix_t) - 2) - FITTED
+    return float(np.exp(2.0 * LOG_ODDS / max(free, 1)))

@@ -231,6 +231,16 @@ def test_slow_vehicles_and_receivers_with_metres_show_their_axes(name: str) -> N
     assert ": z of angular_velocity reversed" in describe(fault).text
 
 
+def test_what_ordinary_errors_explain_less_well_is_named() -> None:
+    """Scales and biases explain most of a pedestrian's reversed y, but not all."""
+    t, fault = next(
+        (t, f) for t, f in check(of_vehicle("pedestrian"), ONE, np.diag([1, -1, 1])) if f
+    )
+
+    assert t < 45.0
+    assert ": y of angular_velocity reversed;" in describe(fault).text
+
+
 def test_exchanged_axes_of_a_slow_rover_are_among_all_that_is_said() -> None:
     t, force, rate, fix_t, places = of_vehicle("slow rover")
     soon, seen = t < 60.0, fix_t < 60.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.imu_axes import FITS, MUCH_BETTER, NOISE
+from hybrid_ins.core.imu_axes import BETTER, FITS, MUCH_BETTER, NOISE
 from hybrid_ins.core.imu_axes_fit import (
     LEAST_STEP,
     STEP,
@@ -21,6 +21,7 @@ from hybrid_ins.core.imu_axes_fit import (
     subtract_turned,
     triples_of,
 )
+from hybrid_ins.core.imu_axes_tolerance import times_by_chance
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import fixes, sample, sample_times
 
@@ -151,3 +152,12 @@ def test_ordinary_errors_of_an_imu_are_tolerated_and_wrong_axes_are_not() -> Non
     accused = fit(flown, reversed_y, tolerant=True)
     assert strict.left > MUCH_BETTER * tolerant.left
     assert tolerant.left < FITS * change < accused.left
+
+
+def test_few_poor_fixes_leave_less_over_by_chance() -> None:
+    flown = motion((0.2, -0.1, 0.4), 0.1)
+    few = flown.fix_t[::5]
+    poor = replace(flown, fix_t=few, triples=triples_of(few, 5.0))
+
+    assert times_by_chance(flown) < BETTER
+    assert times_by_chance(poor) > BETTER
