@@ -25,6 +25,7 @@ from hybrid_ins.core import (
     imu_health,
     iterated_update,
     kalman,
+    lever_arm_observer,
     linalg,
     measurements,
     noise_multiple_model,
@@ -206,6 +207,19 @@ def _compile_output() -> None:
     clock_sensitivity.correct_sensitivities(nav, H, gain, h, np.zeros(N_ERROR), True)
     clock_sensitivity.noise_information(nav, H, gain, turn, True)
     clock_offset.observe(clock, 0.0, zero, h, turn, 0.0, True)
+    lever_arm_observer.observe_lever_arm(
+        np.ones(lever_arm_observer.SENSITIVITIES.stop),
+        0.1,
+        nav,
+        nav,
+        zero,
+        H,
+        gain,
+        turn,
+        1.0,
+        True,
+        True,
+    )
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
     imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)

@@ -23,6 +23,7 @@ from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
+from hybrid_ins.core.lever_arm_observer import LeverArmError
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import PositionScatter
@@ -192,6 +193,11 @@ class InsFilter:
     def clock(self) -> ClockOffsetObserver:
         """Clock offset of fixes, estimated beside the state; does not change it by itself."""
         return self._update.clock
+
+    @property
+    def lever_arm(self) -> LeverArmError:
+        """What the innovations show of the antenna's place; nothing is corrected by it."""
+        return self._update.lever_arm.estimate
 
     @property
     def sample(self) -> Array:

@@ -1,8 +1,8 @@
 """
 What an event does to a filter at its own stamp: the measurement update, and other changes.
 
-A measurement is judged by the gate and fused; its innovation then teaches the noise factors and
-the clock offset.
+A measurement is judged by the gate and fused; its innovation then teaches the noise factors, the
+clock offset and the place of the antenna.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ from hybrid_ins.core.fix_update import (
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
+from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.position_scatter import (
@@ -111,6 +112,11 @@ class MeasurementUpdate:
         Stamp of the last fix that was fused, or of the start [ns].
     scale : ConsideredScaleErrors, optional
         In outages.
+
+    Attributes
+    ----------
+    lever_arm : LeverArmObserver
+        Error of the antenna's place, estimated beside the state.
     """
 
     def __init__(
@@ -128,16 +134,15 @@ class MeasurementUpdate:
         self.scatter = scatter
         self._corrected_ns = corrected_ns
         self._scale = scale
+        self.lever_arm = LeverArmObserver()
 
     def __copy__(self) -> MeasurementUpdate:
-        return MeasurementUpdate(
-            self.noise.__copy__(),
-            self.gate.__copy__(),
-            self.clock.__copy__(),
-            self.scatter.__copy__(),
-            self._corrected_ns,
-            self._scale,
-        )
+        twin = object.__new__(MeasurementUpdate)
+        twin.__dict__.update(self.__dict__)
+        twin.noise, twin.gate = self.noise.__copy__(), self.gate.__copy__()
+        twin.clock, twin.scatter = self.clock.__copy__(), self.scatter.__copy__()
+        twin.lever_arm = self.lever_arm.__copy__()
+        return twin
 
     def apply(
         self, nav: Array, event: Event, age: float, consider_clock: bool, ring: ImuRing
@@ -171,6 +176,7 @@ class MeasurementUpdate:
             self.clock.inflate(event.std)
         elif isinstance(event, ClockShift):
             inject(nav, self.clock.shift(event.by, nav))
+            self.lever_arm.shift_clock(event.by)
         elif isinstance(event, CovarianceInflation):
             inflate(nav, event.std, event.lever_b)
             self.noise.restart(keep_weights=True)
@@ -316,11 +322,13 @@ class MeasurementUpdate:
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
+            self.lever_arm.update(correction, nav, is_fix=False)
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
+            self.lever_arm.restart()
         if verdict.disagrees:
             self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
@@ -330,7 +338,9 @@ class MeasurementUpdate:
         return verdict, self._learn_noise(nav, correction), found
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
-        """Let the noise learn from a correction; it may say where the state belongs."""
+        """Let noise and lever arm learn from a correction; the former may move the state."""
+        if self.noise.uses_corrections:
+            self.lever_arm.update(correction, nav, is_fix=True)
         moved = self.noise.learn_correction(correction)
         if moved is not None:
             inject(nav, moved.dx)

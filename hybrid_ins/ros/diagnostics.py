@@ -19,12 +19,13 @@ from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.core.state import total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
-from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.conversions import FLIP, Refused
 from hybrid_ins.ros.input_log import ORDINARY, InputLog
 from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
-DISAGREEMENT = 3.0  # factor on the noise of IMU or fixes that the user should know of
+DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
+ELSEWHERE, ELSEWHERE_BY = 6.0, 0.2  # standard deviations, and m: an antenna in another place
 CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -145,6 +146,8 @@ def input_status(
     if fault is not None:
         text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
         return status("input", 2, text, values)
+    for found in antenna_conditions(navigator).values():
+        return status("input", 1, found, values)
     refused = sum(n for name, n in inputs.counts.items() if name not in ORDINARY)
     text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
     if refused:
@@ -160,13 +163,14 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
         source = f"learned ({reader.regressor.name})"
     levels = running.noise.levels() if running else np.full(6, np.nan)
     factors = _factors(running.noise) if running else {}
-    text = "; ".join([f"source: {source}", *noise_conditions(navigator).values()])
+    conditions = noise_conditions(navigator)
+    text = "; ".join([f"source: {source}", *conditions.values()])
     if reader is not None and reader.fault and running is not None:
         text += f"; last estimate refused: {reader.fault}"
     refusals = {} if reader is None else reader.refusals
     return status(
         "process noise",
-        int(source == "fallback" or max(factors.values(), default=1.0) > DISAGREEMENT),
+        int(source == "fallback" or bool(conditions)),
         text,
         {
             "source": source,
@@ -184,10 +188,10 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     running, found = navigator.filter, {}
     if running is None:
         return {}
-    if imu_disagrees(running.noise):
-        found["the IMU disagrees with GNSS"] = (
-            "the IMU disagrees with GNSS by more than its noise: check clock offset, "
-            "mount, lever arm"
+    if running.noise.imu_factors[1] > DISAGREEMENT:
+        found["the angular rates disagree with GNSS"] = (
+            "the angular rates disagree with GNSS by more than their noise: check the scale, "
+            "resolution and range of the gyroscopes"
         )
     if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
         found["fixes scatter by more than they claim"] = (
@@ -199,6 +203,29 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "published covariance contains it; check the receiver"
         )
     return found
+
+
+def antenna_conditions(navigator: Navigator) -> dict[str, str]:
+    """Return what the innovations show of the antenna's place: a name and a text, or nothing."""
+    running = navigator.filter
+    if running is None:
+        return {}
+    error_b, std, distance, fix_std = running.lever_arm
+    least = max(ELSEWHERE_BY, 2.0 * fix_std)  # a smaller one matters little
+    large = np.abs(error_b) > np.maximum(least, 4.0 * std)
+    if distance <= ELSEWHERE or not large.any():
+        return {}
+    directions = (("forward", "backward"), ("left", "right"), ("up", "down"))
+    place = ", ".join(
+        f"{abs(value):.2f} ± {sigma:.2f} m {names[int(value < 0.0)]}"
+        for names, value, sigma in zip(
+            directions, (FLIP @ error_b).tolist(), std.tolist(), strict=True
+        )
+    )
+    return {
+        "the antenna is elsewhere": f"the antenna is about {place} of where imu.position and "
+        "gnss.antenna_position put it: measure it, or run ins_calibrate"
+    }
 
 
 def imu_disagrees(noise: FilterNoise) -> bool:

@@ -81,7 +81,9 @@ class InputReview:
 
     def note_second(self) -> None:
         """Note what has lasted for another second."""
-        self._lasting.note(diagnostics.noise_conditions(self._navigator))
+        navigator = self._navigator
+        conditions = diagnostics.noise_conditions(navigator)
+        self._lasting.note({**conditions, **diagnostics.antenna_conditions(navigator)})
 
     def summary(self) -> str:
         """Return what lasted, for the end of a run."""

@@ -14,7 +14,7 @@ from hybrid_ins.ros.conversions import stamp_ns
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, record
 from tools.vehicles import calibrated, campaign
 from tools.vehicles.drives import from_simulation
-from tools.vehicles.judge import Score, score
+from tools.vehicles.judge import Score, run, score
 
 PER_METRE = 1.0 / 6.378e6
 
@@ -155,3 +155,33 @@ def test_the_bag_of_a_drive_holds_what_its_node_is_given(tmp_path: Path) -> None
     assert drive.velocity_enu is not None
     linear = velocity.twist.twist.linear
     assert [linear.x, linear.y, linear.z] == drive.velocity_enu[0].tolist()
+
+
+@pytest.mark.parametrize("is_given", [False, True])
+def test_an_antenna_that_is_not_where_it_is_said_to_be_is_named(is_given: bool) -> None:
+    """
+    GIVEN a car whose antenna is 1.2 m ahead of its IMU and 0.9 m above it
+    WHEN that is not given, and it turns at some corners
+    THEN the log and the diagnostics say where it seems to be; where it is given they do not.
+    """
+    vehicle = replace(VEHICLES["car"], duration=150.0)
+    receiver = replace(vehicle.receiver, antenna_b=(1.2, 0.0, -0.9))
+    drive = from_simulation(record(replace(vehicle, receiver=receiver), 1))
+    position = [1.2, 0.0, 0.9] if is_given else [0.0, 0.0, 0.0]
+    log: list[str] = []
+
+    values = {**parameters.defaults(), "gnss.antenna_position": position}
+    estimator, _, _ = run(drive, values, lambda level, text: log.append(text))
+
+    told = [line for line in log if "the antenna is about" in line]
+    status = next(s for s in estimator.status.diagnostics(0) if s.name.endswith("input"))
+    if is_given:
+        assert told == [] and status.level == 0
+        return
+    error_b, std, _, _ = estimator.navigator.filter.lever_arm
+    np.testing.assert_array_less(np.abs(error_b - [1.2, 0.0, -0.9]), 4.0 * std)
+    assert std[0] < 0.4
+    assert (
+        "m forward" in told[0] and "of where imu.position and gnss.antenna_position put" in told[0]
+    )
+    assert status.level == 1 and "the antenna is about" in status.text

@@ -1,0 +1,276 @@
+"""
+Error of the antenna's lever arm, estimated beside the filter from its innovations.
+
+An antenna that is not where it is said to be leaves innovations that follow the vehicle's turns:
+the filter takes the state for that of a vehicle displaced by C_nb dl, and each turn moves it. For
+the filter the error dl is a constant, so the sensitivity s = d(error)/d(dl), shape (15, 3), obeys
+the filter's own equations, [1]_, and the innovation of a position has the mean h dl with
+h = H s + C_nb, that of a velocity with h = H s + C_nb [w x]. A state that was read off the fixes
+has s = -C_nb in its position, and h is zero until the vehicle turns.
+
+The estimate is a regression of the innovations on h, with the clock offset of the fixes beside it:
+straight ahead one is like the other. Nothing is corrected by it: who says where the antenna is
+decides what the odometry is of. Where the noise factors have risen by what the lever arm does, the
+estimate is too short, but no less certain that there is an error.
+
+Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile.
+
+References
+----------
+.. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
+       Control 14, 1969.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
+from hybrid_ins.core.clock_sensitivity import sensitivities
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.kalman import innovation_covariance
+from hybrid_ins.core.linalg import factorise, whiten
+from hybrid_ins.core.noise import Correction
+from hybrid_ins.core.noise_multiple_model_step import mean_system
+from hybrid_ins.core.shallow_copy import ShallowCopy
+from hybrid_ins.core.state import (
+    BIAS_G,
+    COVARIANCE,
+    HEADING_VARIANCE,
+    LAST_W,
+    N_ERROR,
+    QUAT,
+    VELOCITY,
+)
+from hybrid_ins.core.strapdown import rotation
+
+Array = NDArray[np.float64]
+
+PRIOR_STD = 2.0  # m, of each component of the error
+MAX_HEADING_STD = math.radians(4.0)
+MAX_INTERVAL = 3.0  # s without a measurement: beyond it the mean motion does not represent the IMU
+
+# What is known, as one flat vector.
+PARAMETERS = slice(0, 4)  # clock offset that the stamps lack [s], error of the lever arm [m], b
+P_PARAMETERS = slice(4, 20)  # their covariance, row by row
+NIS_SCALE, FIX_STD = 20, 21  # mean normalised NIS; m, see `LeverArmError`
+LAST_VELOCITY, LAST_C = slice(22, 25), slice(25, 34)  # n, and C_nb, after the last correction
+SENSITIVITIES = slice(34, 34 + 3 * N_ERROR)  # s, row by row
+_START = np.zeros(SENSITIVITIES.stop)
+_START[P_PARAMETERS] = np.diag((MAX_STD**2, *(3 * (PRIOR_STD**2,)))).ravel()
+_START[NIS_SCALE] = 1.0
+
+
+class LeverArmError(NamedTuple):
+    """What the innovations show of the antenna's place."""
+
+    error_b: Array  # (3,) m, true minus given, b
+    std: Array  # (3,) m
+    distance: float  # of the error from none, in standard deviations of three dimensions
+    fix_std: float  # m, of the last position from north, as it was fused
+
+
+class LeverArmObserver(ShallowCopy):
+    """
+    Estimates how far the antenna is from where it is said to be.
+
+    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+    """
+
+    def __init__(self) -> None:
+        self._values = _START
+        self._t_ns = 0  # of the last correction; 0: s is not known
+
+    @property
+    def estimate(self) -> LeverArmError:
+        """See `LeverArmError`."""
+        values = self._values
+        P = values[P_PARAMETERS].reshape(4, 4)[1:, 1:] * (MARGIN**2 * max(values[NIS_SCALE], 1.0))
+        error = values[PARAMETERS][1:]
+        distance = math.sqrt(float(error @ np.linalg.solve(P, error)))
+        return LeverArmError(error.copy(), np.sqrt(P.diagonal()), distance, values.item(FIX_STD))
+
+    def restart(self) -> None:
+        """Note that the state was changed by other means than measurements."""
+        self._t_ns = 0
+
+    def shift_clock(self, by: float) -> None:
+        """Note that ``by`` [s] more is added to the stamps of fixes from now on."""
+        self._values = self._values.copy()
+        self._values[PARAMETERS.start] -= by
+        self._values[P_PARAMETERS.start] += by**2
+
+    def update(self, correction: Correction, nav: Array, is_fix: bool) -> None:
+        """
+        Use a correction by a fix, or note one by another measurement.
+
+        Parameters
+        ----------
+        correction : Correction
+            With the state before it.
+        nav : ndarray, shape (N_FLAT,)
+            Flat state after it.
+        is_fix : bool
+            Otherwise it only changes the sensitivity.
+        """
+        before = correction.nav
+        if before[HEADING_VARIANCE] > MAX_HEADING_STD**2:
+            self._t_ns = 0
+            return
+        if not (is_fix or self._t_ns):
+            return
+        T = (correction.t_ns - self._t_ns) * 1e-9
+        if not (self._t_ns and 0.0 <= T <= MAX_INTERVAL):
+            T = -1.0
+        self._values, self._t_ns = self._values.copy(), correction.t_ns
+        observe_lever_arm(
+            self._values,
+            T,
+            before,
+            nav,
+            correction.z,
+            correction.H,
+            correction.K,
+            correction.S,
+            correction.weight,
+            is_fix and correction.fused,
+            is_fix,
+        )
+
+
+@kernel()
+def observe_lever_arm(  # type: ignore[no-untyped-def]
+    values, T, before, after, z, H, K, S, weight, informs, is_fix
+):
+    """
+    Take a correction into account, by a Kalman filter of clock offset and lever arm.
+
+    Parameters
+    ----------
+    values : ndarray, shape (SENSITIVITIES.stop,)
+        What is known; overwritten.
+    T : float
+        Time since the last correction [s]; negative: its sensitivity does not hold.
+    before, after : ndarray, shape (N_FLAT,)
+        Flat state before and after the correction.
+    z, H, K, S : ndarray, shape (m,), (m, 15), (15, m), (m, m)
+        Innovation, measurement matrix, gain, and covariance of the innovation.
+    weight : float
+        With which the measurement was fused: its covariance was divided by that.
+    informs, is_fix : bool
+        The innovation is regressed; it depends on the antenna.
+    """
+    m, s, last_C = len(z), values[SENSITIVITIES].reshape(N_ERROR, 3), values[LAST_C].reshape(3, 3)
+    C = np.empty(9)
+    rotation(before[QUAT], C)
+    if T < 0.0:
+        for i in range(N_ERROR):
+            for j in range(3):
+                s[i, j] = -C[3 * i + j] if i < 3 else 0.0
+    elif T > 0.0:
+        F, _ = mean_system(before, values[LAST_VELOCITY], last_C, T)
+        change = s.copy()
+        for order in range(1, 3):  # s + F T s + (F T)^2 s / 2
+            change = _product(F, change, T / order)
+            for i in range(N_ERROR):
+                for j in range(3):
+                    s[i, j] += change[i, j]
+    h = np.zeros((m, 4))
+    for a in range(m):
+        for j in range(3):
+            for i in range(N_ERROR):
+                h[a, 1 + j] += H[a, i] * s[i, j]
+    if is_fix:
+        to_clock, _ = sensitivities(before, H)
+        rate = np.empty(3)
+        for i in range(3):
+            rate[i] = before[LAST_W][i] - before[BIAS_G][i]
+        for a in range(m):
+            h[a, 0] = to_clock[a, 0]
+            for j in range(3):
+                k, n = (j + 1) % 3, (j + 2) % 3
+                for i in range(3):
+                    h[a, 1 + j] += H[a, i] * C[3 * i + j]
+                    swing = C[3 * i + k] * rate[n] - C[3 * i + n] * rate[k]  # C_nb [w x]
+                    h[a, 1 + j] += H[a, 3 + i] * swing
+    if informs:
+        values[P_PARAMETERS.start] += max(T, 0.0) * RANDOM_WALK**2
+        total, R = _covariances(before, H, S, weight)
+        if H[0, 0] != 0.0:
+            values[FIX_STD] = np.sqrt(max(R[0, 0], 0.0))
+        _regress(values, z, h, total)
+    for i in range(N_ERROR):
+        for j in range(3):
+            for a in range(m):
+                s[i, j] -= K[i, a] * h[a, 1 + j]
+    for i in range(3):
+        values[LAST_VELOCITY][i] = after[VELOCITY][i]
+    rotation(after[QUAT], values[LAST_C])
+
+
+@register_jitable
+def _product(F, x, factor):  # type: ignore[no-untyped-def]
+    """Return factor F x, shape (15, 3), of a matrix with many zeros."""
+    product = np.zeros(x.shape)
+    for i in range(N_ERROR):
+        for k in range(N_ERROR):
+            element = factor * F[i, k]
+            if element != 0.0:
+                for j in range(3):
+                    product[i, j] += element * x[k, j]
+    return product
+
+
+@register_jitable
+def _covariances(before, H, S, weight):  # type: ignore[no-untyped-def]
+    """Return those of an innovation and of its measurement, (m, m), fused with a weight."""
+    m = len(S)
+    of_state, _ = innovation_covariance(before[COVARIANCE], H, np.zeros((m, m)))
+    total, R = S.copy(), np.empty((m, m))
+    for a in range(m):
+        for b in range(m):
+            R[a, b] = (S[a, b] - of_state[a, b]) / weight
+            total[a, b] = of_state[a, b] + R[a, b]
+    return total, R
+
+
+@register_jitable
+def _regress(values, z, h, S):  # type: ignore[no-untyped-def]
+    """Correct the parameters by an innovation z (m,) of the mean h (m, 4) times parameters."""
+    m, now, P = len(z), values[PARAMETERS], values[P_PARAMETERS].reshape(4, 4)
+    rest, white, column = np.empty(m), np.empty((m, 4)), np.empty(m)
+    factorise(S)
+    for a in range(m):
+        rest[a] = z[a]
+    whiten(S, rest)
+    for j in range(4):
+        for a in range(m):
+            column[a] = h[a, j]
+        whiten(S, column)
+        for a in range(m):
+            white[a, j] = column[a]
+    nis, g = 0.0, np.empty(4)
+    for a in range(m):
+        missing = rest[a]
+        for j in range(4):
+            missing -= white[a, j] * now[j]
+        nis += missing * missing
+    values[NIS_SCALE] += (nis / m - values[NIS_SCALE]) / NIS_MEMORY
+    for a in range(m):
+        missing, variance = rest[a], 1.0
+        for i in range(4):
+            g[i] = 0.0
+            for j in range(4):
+                g[i] += P[i, j] * white[a, j]
+        for j in range(4):
+            missing -= white[a, j] * now[j]
+            variance += white[a, j] * g[j]
+        for i in range(4):
+            now[i] += g[i] * missing / variance
+            for j in range(4):
+                P[i, j] -= g[i] * (g[j] / variance)

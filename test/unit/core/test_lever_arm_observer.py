@@ -1,0 +1,78 @@
+"""The error of the lever arm: the sensitivity is the filter's own, and sigma holds the error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.analytic_motion import difference
+from support.runs import begin
+
+from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.lever_arm_observer import SENSITIVITIES
+from hybrid_ins.core.measurements import VelocityFix
+from hybrid_ins.core.state import N_ERROR
+from hybrid_ins.simulation.motions import car_drive
+from tools.paper.runs import Run, Scenario, draw
+
+DRIVE = Scenario("drive", car_drive, rate=100.0, duration=90.0, scored_from=0.6)
+FLIGHT = Scenario("flight", rate=100.0, duration=30.0, scored_from=0.6)
+
+
+def filtered(run: Run, lever_b: np.ndarray, *, velocities: bool = False) -> InsFilter:
+    """Run a filter until the last fix, by which the antenna is at ``lever_b`` from the IMU."""
+    ins = begin(run)
+    ins.ring.extend(run.samples)
+    fixes = [replace(fix, lever_b=lever_b) for fix in run.fixes]
+    for k in range(2, len(run.scored), 3) if velocities else ():
+        t_ns = int(run.samples["t_ns"][run.scored[k]])
+        fixes.append(VelocityFix(t_ns, run.velocity_n[k], 0.01 * np.eye(3), lever_b))
+    for fix in sorted(fixes, key=lambda fix: fix.t_ns):
+        ins.submit(fix)
+    last = int(np.searchsorted(run.samples["t_ns"], fixes[-1].t_ns, side="right"))
+    ins.predict_block(run.samples[1:last])
+    return ins
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(("fix_rate", "velocities"), [(5.0, False), (5.0, True), (1.0, False)])
+def test_sensitivity_is_the_derivative_of_the_filter_by_the_lever_arm(
+    axis: int, fix_rate: float, velocities: bool
+) -> None:
+    run = draw(replace(FLIGHT, fix_rate=fix_rate), 1)
+    run = replace(run, fixes=run.fixes[1:-1])
+    error = 1e-3 * np.eye(3)[axis]
+    right = filtered(run, np.zeros(3), velocities=velocities)
+    wrong = filtered(run, -error, velocities=velocities)
+    s = right._update.lever_arm._values[SENSITIVITIES].reshape(N_ERROR, 3)[:, axis]
+    sigma = np.sqrt(np.diag(right.state.P))
+
+    by_difference = difference(right.nav, wrong.nav) / 1e-3
+
+    assert np.linalg.norm(s / sigma) > 1.0
+    assert np.linalg.norm((by_difference - s) / sigma) < 0.1 * np.linalg.norm(s / sigma)
+
+
+def test_an_antenna_elsewhere_is_found_with_an_honest_sigma() -> None:
+    """Errors of many flights over their covariance are chi-square, and no right place is blamed."""
+    error_b, squares, wrong, right = np.array([0.4, -0.2, 0.3]), [], [], []
+    for seed in range(20):
+        run = draw(FLIGHT, seed)
+        found = filtered(run, -error_b).lever_arm
+        squares.append(np.square((found.error_b - error_b) / found.std))
+        wrong.append(found.distance)
+        right.append(filtered(run, np.zeros(3)).lever_arm.distance)
+
+    assert 0.3 < np.mean(squares) < 1.3  # its standard deviations are 1.2 times larger
+    assert np.median(wrong) > 6.0
+    assert max(right) < 4.0
+
+
+def test_what_the_clock_does_is_no_lever_arm() -> None:
+    late = 0.2
+    run = draw(DRIVE, 3)
+    fixes = tuple(replace(fix, t_ns=fix.t_ns - round(late * 1e9)) for fix in run.fixes[2:])
+    run = replace(run, fixes=fixes)
+
+    assert filtered(run, np.zeros(3)).lever_arm.distance < 2.5
