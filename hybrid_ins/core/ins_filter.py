@@ -268,7 +268,7 @@ class InsFilter:
         elif isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
         else:
-            verdict = Verdict.rejected(event, TOO_OLD, self._age(event))
+            verdict = Verdict.rejected(event, TOO_OLD, _age(event, self.t_ns))
             self.verdicts.append(verdict)
             if self.record is not None:
                 threshold = self._update.gate.threshold(len(event.linearise(self.nav)[0]))
@@ -289,10 +289,6 @@ class InsFilter:
         if self.clock.prior is not None:
             self.clock.prior = settings.clock_prior
 
-    def _age(self, event: Event) -> float:
-        """Return how far ``event`` lies behind the last IMU sample [s]."""
-        return (self.t_ns - event.t_ns) * 1e-9
-
     def _schedule(self) -> None:
         """Set the stamp from which on `predict` has to do more than a step."""
         self._next_ns = min(self._history.due_ns, self.next_event_ns)
@@ -310,7 +306,7 @@ class InsFilter:
         """Apply an event to the state at its own stamp, which is the present one."""
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        age, consider = self._age(event), self._consider_clock
+        age, consider = _age(event, self.t_ns), self._consider_clock
         outcome = self._update.apply(self.nav, event, age, consider, self.ring)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
@@ -340,10 +336,17 @@ class InsFilter:
         self.predict_block(samples)
         self._pending = waiting
         self._schedule()
-        own = [replace(v, age=self._age(late)) for v in self.verdicts if v.measurement is late]
+        own = [
+            replace(v, age=_age(late, self.t_ns)) for v in self.verdicts if v.measurement is late
+        ]
         self.verdicts = decided
         self.verdicts.extend(own)
         return True
+
+
+def _age(event: Event, t_ns: int) -> float:
+    """Return how far an event lies behind a stamp [s]."""
+    return (t_ns - event.t_ns) * 1e-9
 
 
 def hand_over(running: InsFilter, winner: InsFilter, by_ns: int) -> list[Measurement]:

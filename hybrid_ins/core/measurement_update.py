@@ -198,16 +198,6 @@ class MeasurementUpdate:
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         return Outcome(verdict, r_scale, moved, split)
 
-    def _split_position(self, nav: Array, model: Model, split: Split) -> tuple[Model, float | None]:
-        """Return a position's model with the white part of R, and what its scatter teaches."""
-        z, H, claimed = model
-        change_slow_error(nav, split.slow_variance, split.interval)
-        white = split.share * claimed
-        if not self.scatter.learning:
-            return (z, H, white), None
-        found = residual_variance(nav[COVARIANCE], z, H, white, self.noise.fix_factor)
-        return (z, H, white), split.share * found
-
     def _fuse_ordinary(
         self, nav: Array, fix: Measurement, split: Split | None, age: float
     ) -> Fused | None:
@@ -272,7 +262,7 @@ class MeasurementUpdate:
         """
         model, found = measurement.linearise(nav), None
         if split is not None:
-            model, found = self._split_position(nav, model, split)
+            model, found = _split_position(nav, model, split, self.scatter, self.noise.fix_factor)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
@@ -347,6 +337,19 @@ class MeasurementUpdate:
             pack(moved.P, nav[COVARIANCE])
             nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
         return moved is not None
+
+
+def _split_position(
+    nav: Array, model: Model, split: Split, scatter: PositionScatter, fix_factor: float
+) -> tuple[Model, float | None]:
+    """Return a position's model with the white part of R, and what its scatter teaches."""
+    z, H, claimed = model
+    change_slow_error(nav, split.slow_variance, split.interval)
+    white = split.share * claimed
+    if not scatter.learning:
+        return (z, H, white), None
+    found = residual_variance(nav[COVARIANCE], z, H, white, fix_factor)
+    return (z, H, white), split.share * found
 
 
 def _correction(
