@@ -31,8 +31,7 @@ from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
-    LAST_F,
-    LAST_W,
+    LAST_SAMPLE,
     N_NAV,
     PSD,
     SENSITIVITY,
@@ -136,8 +135,7 @@ class InsFilter:
         settings: FilterSettings,
     ) -> None:
         self.nav = initial.to_flat()
-        self.nav[LAST_F], self.nav[LAST_W] = sample[:3], sample[3:]
-        self.nav[PSD] = noise.psd()
+        self.nav[LAST_SAMPLE], self.nav[PSD] = sample, noise.psd()
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
@@ -202,7 +200,7 @@ class InsFilter:
     @property
     def sample(self) -> Array:
         """The IMU sample at ``t_ns``, shape (6,): specific force [m/s²], angular rate [rad/s]."""
-        return np.concatenate((self.nav[LAST_F], self.nav[LAST_W]))
+        return self.nav[LAST_SAMPLE].copy()
 
     @property
     def next_event_ns(self) -> int:
@@ -219,8 +217,7 @@ class InsFilter:
         `propagation.step`.
         """
         if t_ns >= self._next_ns or t_ns - self.t_ns > self.long_step_ns:
-            sample = np.array([(t_ns, (fx, fy, fz), (wx, wy, wz))], SAMPLE_DTYPE)
-            self.predict_block(sample)
+            self.predict_block(np.array([(t_ns, (fx, fy, fz), (wx, wy, wz))], SAMPLE_DTYPE))
             return
         propagation.step(
             self.nav, (t_ns - self.t_ns) * 1e-9, fx, fy, fz, wx, wy, wz, self.covariance_interval
@@ -306,8 +303,8 @@ class InsFilter:
         """Apply an event to the state at its own stamp, which is the present one."""
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
-        age, consider = _age(event, self.t_ns), self._consider_clock
-        outcome = self._update.apply(self.nav, event, age, consider, self.ring)
+        age = _age(event, self.t_ns)
+        outcome = self._update.apply(self.nav, event, age, self._consider_clock, self.ring)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:

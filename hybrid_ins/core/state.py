@@ -40,6 +40,7 @@ BIAS_G = slice(13, 16)  # rad/s, b
 NAVIGATION = slice(0, 16)
 LAST_F = slice(16, 19)  # the last IMU sample, as measured
 LAST_W = slice(19, 22)
+LAST_SAMPLE = slice(16, 22)
 PSD = slice(22, 34)  # Qc's diagonal
 PENDING_DT = 34  # time, integrated f_n and C_nb since the covariance was last propagated
 PENDING_F = slice(35, 38)
