@@ -9,9 +9,10 @@ h = H s + C_nb, that of a velocity with h = H s + C_nb [w x]. A state that was r
 has s = -C_nb in its position, and h is zero until the vehicle turns.
 
 The estimate is a regression of the innovations on h, with the clock offset of the fixes beside it:
-straight ahead one is like the other. Nothing is corrected by it: who says where the antenna is
-decides what the odometry is of. Where the noise factors have risen by what the lever arm does, the
-estimate is too short, but no less certain that there is an error.
+straight ahead one is like the other. The state is not corrected by it: who says where the antenna
+is decides what the odometry is of. But an error that is certain is *considered*: the mean square
+of C_nb dl is added to the covariance of the position that is reported. Where the noise factors have
+risen by what the lever arm does, the estimate is too short, but no less certain.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile.
 
@@ -53,14 +54,18 @@ Array = NDArray[np.float64]
 
 PRIOR_STD = 2.0  # m, of each component of the error
 MAX_HEADING_STD = math.radians(4.0)
+ELSEWHERE = 6.0  # standard deviations of dl, from which it is certain
+LEAST_ERROR = 0.2  # m, of an axis: a smaller one is left to who measures it
 MAX_INTERVAL = 3.0  # s without a measurement: beyond it the mean motion does not represent the IMU
 
 # What is known, as one flat vector.
 PARAMETERS = slice(0, 4)  # clock offset that the stamps lack [s], error of the lever arm [m], b
 P_PARAMETERS = slice(4, 20)  # their covariance, row by row
-NIS_SCALE, FIX_STD = 20, 21  # mean normalised NIS; m, see `LeverArmError`
-LAST_VELOCITY, LAST_C = slice(22, 25), slice(25, 34)  # n, and C_nb, after the last correction
-SENSITIVITIES = slice(34, 34 + 3 * N_ERROR)  # s, row by row
+NIS_SCALE, DISTANCE = 20, 21  # mean normalised NIS; see `LeverArmError`
+FIX_STD = 22  # m, of the last position from north, as it was fused
+CONSIDERED = slice(23, 26)  # m², NED: what is added to the covariance of the position
+LAST_VELOCITY, LAST_C = slice(26, 29), slice(29, 38)  # n, and C_nb, after the last correction
+SENSITIVITIES = slice(38, 38 + 3 * N_ERROR)  # s, row by row
 _START = np.zeros(SENSITIVITIES.stop)
 _START[P_PARAMETERS] = np.diag((MAX_STD**2, *(3 * (PRIOR_STD**2,)))).ravel()
 _START[NIS_SCALE] = 1.0
@@ -72,7 +77,7 @@ class LeverArmError(NamedTuple):
     error_b: Array  # (3,) m, true minus given, b
     std: Array  # (3,) m
     distance: float  # of the error from none, in standard deviations of three dimensions
-    fix_std: float  # m, of the last position from north, as it was fused
+    is_certain: bool
 
 
 class LeverArmObserver(ShallowCopy):
@@ -90,10 +95,18 @@ class LeverArmObserver(ShallowCopy):
     def estimate(self) -> LeverArmError:
         """See `LeverArmError`."""
         values = self._values
-        P = values[P_PARAMETERS].reshape(4, 4)[1:, 1:] * (MARGIN**2 * max(values[NIS_SCALE], 1.0))
-        error = values[PARAMETERS][1:]
-        distance = math.sqrt(float(error @ np.linalg.solve(P, error)))
-        return LeverArmError(error.copy(), np.sqrt(P.diagonal()), distance, values.item(FIX_STD))
+        variance = values[P_PARAMETERS].reshape(4, 4).diagonal()[1:] * _variance_factor(values)
+        return LeverArmError(
+            values[PARAMETERS][1:].copy(),
+            np.sqrt(variance),
+            values.item(DISTANCE),
+            bool(values[CONSIDERED].any()),
+        )
+
+    @property
+    def considered(self) -> Array:
+        """What is added to the covariance of the position that is reported, (3,) [m²], NED."""
+        return self._values[CONSIDERED]
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""
@@ -204,6 +217,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
         if H[0, 0] != 0.0:
             values[FIX_STD] = np.sqrt(max(R[0, 0], 0.0))
         _regress(values, z, h, total)
+        _consider(values, C)
     for i in range(N_ERROR):
         for j in range(3):
             for a in range(m):
@@ -224,6 +238,35 @@ def _product(F, x, factor):  # type: ignore[no-untyped-def]
                 for j in range(3):
                     product[i, j] += element * x[k, j]
     return product
+
+
+@register_jitable
+def _variance_factor(values):  # type: ignore[no-untyped-def]
+    """Return the factor by which the variances in ``values`` are too small."""
+    return MARGIN**2 * max(values[NIS_SCALE], 1.0)
+
+
+@register_jitable
+def _consider(values, C):  # type: ignore[no-untyped-def]
+    """Decide whether the error is certain, and write what is considered of it."""
+    factor, P = _variance_factor(values), np.empty((3, 3))
+    error = values[PARAMETERS][1:]
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = factor * values[P_PARAMETERS][4 * (1 + i) + 1 + j]
+    root = P.copy()
+    factorise(root)
+    values[DISTANCE] = np.sqrt(whiten(root, error.copy()))
+    is_large, least = False, max(LEAST_ERROR, 2.0 * values[FIX_STD])
+    for i in range(3):
+        is_large |= abs(error[i]) > max(least, 4.0 * np.sqrt(P[i, i]))
+    for i in range(3):
+        values[CONSIDERED][i] = 0.0
+        if is_large and values[DISTANCE] > ELSEWHERE:
+            for j in range(3):
+                for k in range(3):
+                    mean_square = error[j] * error[k] + P[j, k]
+                    values[CONSIDERED][i] += C[3 * i + j] * mean_square * C[3 * i + k]
 
 
 @register_jitable

@@ -64,6 +64,7 @@ from hybrid_ins.core.scale_errors import ConsideredScaleErrors
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
+    ANTENNA_VARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
     N_ERROR,
@@ -196,6 +197,7 @@ class MeasurementUpdate:
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
+        nav[ANTENNA_VARIANCE] = self.lever_arm.considered
         return Outcome(verdict, r_scale, moved, split)
 
     def _fuse_ordinary(

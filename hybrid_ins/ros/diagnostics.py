@@ -25,7 +25,6 @@ from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
-ELSEWHERE, ELSEWHERE_BY = 6.0, 0.2  # standard deviations, and m: an antenna in another place
 CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -210,10 +209,8 @@ def antenna_conditions(navigator: Navigator) -> dict[str, str]:
     running = navigator.filter
     if running is None:
         return {}
-    error_b, std, distance, fix_std = running.lever_arm
-    least = max(ELSEWHERE_BY, 2.0 * fix_std)  # a smaller one matters little
-    large = np.abs(error_b) > np.maximum(least, 4.0 * std)
-    if distance <= ELSEWHERE or not large.any():
+    error_b, std, _, is_certain = running.lever_arm
+    if not is_certain:
         return {}
     directions = (("forward", "backward"), ("left", "right"), ("up", "down"))
     place = ", ".join(

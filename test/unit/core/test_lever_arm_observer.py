@@ -12,7 +12,8 @@ from support.runs import begin
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.lever_arm_observer import SENSITIVITIES
 from hybrid_ins.core.measurements import VelocityFix
-from hybrid_ins.core.state import N_ERROR
+from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.state import CLOCK_VARIANCE, N_ERROR, QUAT, covariance, unpack_total
 from hybrid_ins.simulation.motions import car_drive
 from tools.paper.runs import Run, Scenario, draw
 
@@ -67,6 +68,23 @@ def test_an_antenna_elsewhere_is_found_with_an_honest_sigma() -> None:
     assert 0.3 < np.mean(squares) < 1.3  # its standard deviations are 1.2 times larger
     assert np.median(wrong) > 6.0
     assert max(right) < 4.0
+
+
+def test_an_error_that_is_certain_is_part_of_the_covariance_that_is_reported() -> None:
+    error_b = np.array([1.5, -0.5, 0.8])
+    ins = filtered(draw(FLIGHT, 1), -error_b)
+    found = ins.lever_arm
+    total = np.empty((N_ERROR, N_ERROR))
+    ins.nav[CLOCK_VARIANCE] = 0.0
+    unpack_total(ins.nav, total)
+    added = total - covariance(ins.nav)
+
+    assert found.is_certain
+    C_nb = matrix_from_quat(ins.nav[QUAT])
+    of_error = np.square(C_nb @ found.error_b)
+    np.testing.assert_array_less(of_error, np.diag(added)[:3])
+    np.testing.assert_allclose(np.diag(added)[:3], of_error, atol=2.0 * np.max(found.std) ** 2)
+    assert not added[3:].any()
 
 
 def test_what_the_clock_does_is_no_lever_arm() -> None:
