@@ -12,7 +12,7 @@ import mmap
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from heapq import merge
@@ -40,10 +40,12 @@ BATCH = 4096  # messages of a chunk that become Python objects at a time
 
 _RECORD = Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = Struct("<HIQQ")  # channel, sequence, log time, publish time
+_MESSAGE_RECORD = Struct("<BQHIQQ")  # both
 _TIMES = Struct("<QQ")  # of a chunk: first and last log time
 _PLACE = np.dtype([("log_ns", "i8"), ("channel", "i8"), ("begin", "i8"), ("end", "i8")])
 _FOOTER = Struct("<Q8xI8x")  # start of the summary, its checksum, which ends before itself
 _NO_CHUNKS = "it has no chunks"
+_CUT_OFF = "a record is cut off"
 
 _log = logging.getLogger(__name__)
 
@@ -117,32 +119,32 @@ class McapReader:
 
     def records(self, wanted: Callable[[Channel], bool]) -> Iterator[Record]:
         """
-        Yield the messages of all `wanted` channels in the order of their log times.
+        Return the messages of all `wanted` channels in the order of their log times.
 
         Messages of equal log time keep the file's order.
         """
-        numbers = {number for number, channel in self._channels.items() if wanted(channel)}
-        chunks = [c for c in self._chunks if not c.channels or numbers & c.channels]
-        streams = [self._messages(chunk, numbers) for chunk in chunks]
-        overlap = any(after.start_ns < before.end_ns for before, after in pairwise(chunks))
-        ordered = merge(*streams, key=itemgetter(0)) if overlap else chain.from_iterable(streams)
-        for log_ns, number, data in ordered:
-            if data:
-                yield log_ns, self._channels[number], data
+        channels = {number: c for number, c in self._channels.items() if wanted(c)}
+        chunks = [c for c in self._chunks if not c.channels or channels.keys() & c.channels]
+        streams = [chain.from_iterable(self._batches(chunk, channels)) for chunk in chunks]
+        if not any(after.start_ns < before.end_ns for before, after in pairwise(chunks)):
+            return chain.from_iterable(streams)
+        ordered = merge(*map(_opened_late, chunks, streams), key=itemgetter(0))
+        return (record for _, record in ordered if record is not None)
 
-    def _messages(self, chunk: _Chunk, numbers: set[int]) -> Iterator[tuple[int, int, bytes]]:
-        """Yield log time, channel and data of a chunk's wanted messages; first an empty one."""
-        yield chunk.start_ns, 0, b""  # so that a merge opens the chunk only at its turn
+    def _batches(self, chunk: _Chunk, channels: dict[int, Channel]) -> Iterator[list[Record]]:
+        """Yield the messages of some channels of a chunk."""
         try:
             content, begin, end = self._content(chunk.offset)
-            places = np.fromiter(_places(content, begin, end, numbers), _PLACE)
+            places = np.fromiter(_places(content, begin, end, channels.keys()), _PLACE)
         except Exception as error:  # damaged bytes provoke anything in the library
             self._report(chunk, error)
             return
         places = places[np.argsort(places["log_ns"], kind="stable")]
         for k in range(0, len(places), BATCH):
-            for log_ns, number, begin, end in places[k : k + BATCH].tolist():
-                yield log_ns, number, content[begin:end]
+            yield [
+                (log_ns, channels[number], content[begin:end])
+                for log_ns, number, begin, end in places[k : k + BATCH].tolist()
+            ]
 
     def _content(self, offset: int) -> tuple[Buffer, int, int]:
         """Return what holds the records of the chunk at an offset, and their begin and end."""
@@ -269,20 +271,32 @@ def _walk(buffer: Buffer, begin: int, end: int) -> Iterator[tuple[int, int, int]
     """Yield opcode, begin and end of the records between two places."""
     while begin < end:
         if begin + _RECORD.size > end:
-            raise ValueError("a record is cut off")
+            raise ValueError(_CUT_OFF)
         opcode, length = _RECORD.unpack_from(buffer, begin)
         body, begin = begin + _RECORD.size, begin + _RECORD.size + length
         if opcode == 0 or begin > end:
-            raise ValueError("a record is cut off")
+            raise ValueError(_CUT_OFF)
         yield opcode, body, begin
 
 
+def _opened_late(chunk: _Chunk, messages: Iterator[Record]) -> Iterator[tuple[int, Record | None]]:
+    """Yield each message with its log time; first none, so that the chunk is opened at its turn."""
+    yield chunk.start_ns, None
+    for record in messages:
+        yield record[0], record
+
+
 def _places(
-    buffer: Buffer, begin: int, end: int, numbers: set[int]
+    buffer: Buffer, begin: int, end: int, numbers: Set[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield log time, channel, begin and end of the messages of some channels."""
-    for opcode, body, following in _walk(buffer, begin, end):
-        if opcode == Opcode.MESSAGE:
-            number, _, log_ns, _ = _MESSAGE.unpack_from(buffer, body)
-            if number in numbers:
-                yield log_ns, number, body + _MESSAGE.size, following
+    """Yield log time, channel, begin and end of the messages of some channels, no empty ones."""
+    unpack, size = _MESSAGE_RECORD.unpack_from, _MESSAGE_RECORD.size
+    while begin + size <= end:
+        opcode, length, number, _, log_ns, _ = unpack(buffer, begin)
+        body, begin = begin + size, begin + _RECORD.size + length
+        if opcode == 0 or begin > end:
+            raise ValueError(_CUT_OFF)
+        if opcode == Opcode.MESSAGE and number in numbers and body < begin:
+            yield log_ns, number, body, begin
+    for _ in _walk(buffer, begin, end):  # too short for a message
+        pass

@@ -202,12 +202,11 @@ class BagReader:
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """
-        Yield (topic, log time [ns], CDR bytes) in log order; of all topics if none is named.
+        Return (topic, log time [ns], CDR bytes) in log order; of all topics if none is named.
 
         Topics that the recording does not have yield nothing: see `require`.
         """
-        for log_ns, channel, data in self._records(topics):
-            yield channel.topic, log_ns, data
+        return ((channel.topic, log_ns, data) for log_ns, channel, data in self._records(topics))
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Message]]:
         """Yield (topic, log time [ns], message object), otherwise like `raw`."""

@@ -110,7 +110,7 @@ def find_fault(
     # A whole sample that repeats is stale; one channel that repeats is merely quantised.
     if repeats > LARGEST_REPEATED_SHARE * len(steps) or longest > LONGEST_REPEAT:
         return WindowFault.REPEATED
-    for side, channel in np.argwhere(dwelling >= LONGEST_AT_LIMIT):
+    for side, channel in zip(*np.nonzero(dwelling >= LONGEST_AT_LIMIT), strict=True):
         if _is_cut_off(np.abs(extremes[side, channel] - readings[:, channel])):
             return WindowFault.SATURATED
     return None

@@ -407,6 +407,21 @@ def test_overlapping_chunks_of_different_topics_are_merged(tmp_path: Path) -> No
     assert order == [(k, topic) for k in range(100) for topic in ("/a", "/b")]
 
 
+def test_messages_without_bytes_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = GeneralMcapWriter(file)
+        writer.start("ros2")
+        schema = writer.register_schema(IMU, "ros2msg", b"")
+        channel = writer.register_channel("/imu/data", "cdr", schema)
+        for k in range(3):
+            writer.add_message(channel, k, b"" if k == 1 else serialised(imu_message(k)), k)
+        writer.finish()
+    with BagReader(path) as bag:
+        assert [t for _, t, _ in bag.raw()] == [0, 2]
+        assert len(bag.imu().stamp_ns) == 2
+
+
 # --- topics ---------------------------------------------------------------------------------------
 
 
