@@ -161,11 +161,14 @@ class ImuMonitor:
 
     def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:
         """
-        Distinguish a fall or a hard turn from an IMU without gravity or with a wrong unit.
+        Distinguish a fall, a hard turn or a roll from an IMU without gravity or with a wrong unit.
 
         To the filter both are a motion. Where the vehicle does not move so, the next fix is beyond
-        the gate: one filter has to run (``running``) for fixes to show it.
+        the gate: one filter has to run (``running``) for fixes to show it. A rolling aircraft feels
+        gravity where it always does, as if it hardly turned.
         """
+        if self.fault is not None and self.fault.kind is FaultKind.DEGREES:
+            return running and self._fix_agreed_ns > 0
         if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
             self._weighed_ns = t_ns
             return False

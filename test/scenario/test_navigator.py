@@ -6,9 +6,10 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from support.scenes import make_navigator, play, scene, stamp
 
-from hybrid_ins.core.imu_health import FaultKind, ImuFault
+from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator_events import GapBridged, RestartCause, Restarted
+from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.stamp_check import StampFault
 from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
 from hybrid_ins.simulation.motions import (
@@ -321,6 +322,50 @@ def test_a_manoeuvre_is_no_fault_of_gravity(motion, fix_rate: float, delay: floa
     assert not run.events
     assert seen == [None] * len(seen)
     assert max(heights[500:]) < 0.6
+
+
+def rolls() -> Motion:
+    """Fly level, and roll four times at 1 g along the body's z axis, as in a barrel roll."""
+    t = time_grid(40.0)
+    starts = np.array([15.0, 18.0, 24.0, 27.0])
+    turned = np.clip((t[:, None] - starts) / 1.2, 0.0, 1.0).sum(axis=1)
+    roll = 2.0 * np.pi * smoothed(turned, 0.3)
+    since = t[:, None] - starts
+    wing = smoothed(((since > 1.5) & (since <= 2.7)).any(axis=1) * 1.0, 0.3)
+    side_ways, down = 9.81 * np.sin(roll), 9.81 * (1.0 - np.cos(roll)) - 9.81 * wing
+    zero = np.zeros_like(t)
+    acceleration = np.stack((zero, side_ways, down), axis=1)
+    velocity = make_interp_spline(t, acceleration, k=5).antiderivative()
+    rpy = make_interp_spline(t, np.stack((roll, zero, zero), axis=1), k=5)
+    return Motion(START_LLA, float(t[-1]), velocity.antiderivative(), rpy)
+
+
+def test_rolls_are_no_rates_in_degrees() -> None:
+    """Gravity stays where it is in the body's axes, as it would if it hardly turned."""
+    run = scene(rolls())
+    navigator = make_navigator("parameter", yaw=0.0)
+    faults: list[ImuFault | None] = []
+
+    play(run, navigator, after=lambda t: faults.append(navigator.monitor.fault))
+
+    samples = np.zeros(len(run.t), SAMPLE_DTYPE)
+    samples["t_ns"], samples["f"], samples["w"] = [stamp(t) for t in run.t], run.force, run.rate
+    found = [find_fault(samples[k : k + 100]) for k in range(1400, 2800, 20)]
+    assert any(fault is not None and fault.kind is FaultKind.DEGREES for fault in found)
+    assert not any(faults) and not run.events
+    assert run.errors(navigator, 39.9)[0] < 0.1
+
+
+@pytest.mark.parametrize("fix_rate", [5.0, 1.0])
+def test_rates_in_degrees_are_found_beside_a_filter_that_agreed_at_rest(fix_rate: float) -> None:
+    run = scene(quadrotor_flight(40.0, 4, heading=0.7), fix_rate=fix_rate)
+    run.rate[:] = np.degrees(run.rate)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+
+    play(run, navigator)
+
+    kinds = [e.fault.kind for e in run.events if isinstance(e, Restarted) and e.fault is not None]
+    assert FaultKind.DEGREES in kinds
 
 
 @pytest.mark.parametrize("fix_rate", [5.0, 1.0])
