@@ -27,6 +27,7 @@ AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 SPIKE = 12.0  # times the median distance of a sample from its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
+MOST_ACCELERATION = 0.15 * GRAVITY  # of a vehicle whose specific force is gravity
 LARGEST_TURN = 3.0  # rad turned in the window: more is a spin, or degrees
 
 
@@ -164,11 +165,18 @@ def _largest_spike(readings: Array, least: float) -> float:
 
 
 def _in_degrees(samples: NDArray[np.void]) -> bool:
-    """Return whether gravity turns as it would if the rates were in degrees, not radians."""
+    """
+    Return whether gravity turns as it would if the rates were in degrees, not radians.
+
+    Thrust and lift stay along an axis of the body, too, but rarely equal gravity for long.
+    """
     force, rate = samples["f"], samples["w"]
     dt = np.diff(samples["t_ns"])[:, None] * 1e-9
     turn = 0.5 * (rate[1:] + rate[:-1]) * dt
     part = max(len(force) // 5, 2)
+    weight = np.linalg.norm([f.mean(axis=0) for f in np.array_split(force, 5)], axis=1)
+    if np.abs(weight - GRAVITY).max() > MOST_ACCELERATION:
+        return False
     first, last = force[:part].mean(axis=0), force[-part:].mean(axis=0)
     middle = slice(part // 2, len(turn) - part // 2)
     angles = []

@@ -196,6 +196,8 @@ class GnssInput:
             )
         default = np.eye(3) * self.velocity_std_default**2
         covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
+        if velocity_enu[2] == 0.0 and not covariance[2, 2] > 0.0:
+            velocity_enu[2] = math.nan  # of a driver that has no vertical velocity
         covariance = floor_covariance(covariance, self.velocity_std_min, default)
         return VelocityFix(
             t_ns + round(self.time_offset * 1e9),
@@ -223,9 +225,13 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     Return a covariance (3, 3) fit for use.
 
     The symmetric part counts. ``default`` where it is unknown (not finite, not positive
-    definite: a zero or a negative variance means unknown, not perfect); otherwise no axis below
-    ``std_min``, its correlations kept.
+    definite: a zero or a negative variance means unknown, not perfect), of the vertical alone where
+    only that is; otherwise no axis below ``std_min``, its correlations kept.
     """
+    if not covariance[2, 2] > 0.0:
+        covariance = covariance.copy()
+        covariance[2, :] = covariance[:, 2] = 0.0
+        covariance[2, 2] = default[2, 2]
     if not np.isfinite(covariance).all():
         return default
     covariance = 0.5 * covariance + 0.5 * covariance.T

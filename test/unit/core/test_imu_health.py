@@ -85,3 +85,15 @@ def test_propellers_are_no_spikes(flights: Path) -> None:
 
 def test_a_few_samples_tell_nothing() -> None:
     assert find_fault(window()[:5]) is None
+
+
+@pytest.mark.parametrize(("thrust", "is_fault"), [(9.8, True), (13.0, False), (4.0, False)])
+def test_thrust_that_is_not_gravity_shows_no_degrees(thrust: float, is_fault: bool) -> None:
+    """A flip with constant thrust: the force stays along z, however the body turns."""
+    samples = spoiled("degrees")
+    samples["f"] = [0.0, 0.0, -thrust]
+    samples["f"] += 1e-3 * np.arange(len(samples))[:, None] % 7e-3
+    samples["w"][:, 0] = 3.5
+    samples["w"] += 1e-3 * np.arange(len(samples))[:, None] % 7e-3
+
+    assert (find_fault(samples) is not None) is is_fault

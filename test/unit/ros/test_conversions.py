@@ -68,7 +68,7 @@ def test_a_fix_is_turned_into_ned_with_its_cross_terms() -> None:
         (np.full((3, 3), NAN), 3),
         (np.diag([0.1, INF, 0.1]), 2),
         ([[1, 2, 0], [2, 1, 0], [0, 0, 1]], 3),
-        (np.diag([0.1, 0.1, 0.0]), 2),
+        (np.diag([0.0, 0.1, 0.1]), 2),
         (np.diag([0.1, -0.1, 0.1]), 2),
         (np.eye(3), 77),
     ],
@@ -138,6 +138,26 @@ def test_velocity_is_turned_and_an_unknown_climb_leaves_the_rest() -> None:
     assert GNSS.velocity(velocity()).velocity_n == pytest.approx([2.0, 1.0, -3.0])
     made = GNSS.velocity(velocity(z=NAN)).velocity_n
     assert made[:2] == pytest.approx([2.0, 1.0]) and math.isnan(made[2])
+
+
+@pytest.mark.parametrize("unknown", [0.0, -1.0, NAN])
+def test_an_unknown_vertical_variance_leaves_the_horizontal_ones(unknown: float) -> None:
+    made = GNSS.position(fix(np.diag([0.01, 0.04, unknown])))
+    np.testing.assert_allclose(np.diag(made.covariance_n), [0.04, 0.01, DEFAULT[2, 2]])
+
+
+@pytest.mark.parametrize("variance", [0.0, -1.0, NAN])
+def test_a_driver_without_a_vertical_velocity_says_nothing_of_the_climb(variance: float) -> None:
+    """Such drivers leave zero in the field: a helicopter that descended was 132 m too high."""
+    message = velocity(z=0.0)
+    message.twist.covariance[14] = variance
+    made = GNSS.velocity(message)
+    assert math.isnan(made.velocity_n[2])
+    np.testing.assert_allclose(made.covariance_n[:2, :2], 0.01 * np.eye(2))
+
+    message.twist.twist.linear.z = 3.0  # no driver invents that
+    assert GNSS.velocity(message).velocity_n[2] == -3.0
+    assert GNSS.velocity(velocity(z=0.0)).velocity_n[2] == 0.0
 
 
 @pytest.mark.parametrize("bad", [velocity(x=NAN), velocity(z=INF), velocity(y=1e6)])
