@@ -80,4 +80,4 @@ class FixInput:
 
     def admit(self, topic: str, measurement: Measurement) -> Measurement | Refused:
         """Return a measurement of a topic, or why it is one too many."""
-        return self._flood.check(topic, self._navigator.last_ns) or measurement
+        return self._flood.check(topic, self._navigator.last_ns, measurement.t_ns) or measurement

@@ -17,16 +17,21 @@ TOO_MANY = Refused(
 
 
 class FloodGuard:
-    """Refuses messages of a topic beyond ``MOST`` per second of the IMU's time."""
+    """
+    Refuses messages of a topic beyond ``MOST`` per second of the IMU's time.
+
+    Where that stands still, since no sample is usable, the messages' own stamps count.
+    """
 
     def __init__(self) -> None:
-        self._start_ns = 0
+        self._start_ns = self._start_stamp_ns = 0
         self._counts: Counter[str] = Counter()
 
-    def check(self, topic: str, now_ns: int) -> Refused | None:
-        """Return why one more message is refused, or None; ``now_ns`` is the IMU's stamp [ns]."""
-        if not 0 <= now_ns - self._start_ns < WINDOW_NS:
-            self._start_ns = now_ns
+    def check(self, topic: str, now_ns: int, stamp_ns: int) -> Refused | None:
+        """Return why one more message is refused, or None; stamps of IMU and message [ns]."""
+        since_ns = now_ns - self._start_ns or abs(stamp_ns - self._start_stamp_ns)
+        if not 0 <= since_ns < WINDOW_NS:
+            self._start_ns, self._start_stamp_ns = now_ns, stamp_ns
             self._counts.clear()
         self._counts[topic] += 1
         return TOO_MANY if self._counts[topic] > MOST else None
