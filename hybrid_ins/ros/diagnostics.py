@@ -16,7 +16,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
-from hybrid_ins.core.state import total_std
+from hybrid_ins.core.state import W_G, total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
 from hybrid_ins.ros.conversions import FLIP, Refused
@@ -25,6 +25,8 @@ from hybrid_ins.ros.reports import Status
 
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
+ORDINARY_SCALE_ERROR, MOTION_TIME = 0.01, 1.0  # of a gyroscope, and s that a turn lasts
+RECENT = 4096  # samples
 CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -187,7 +189,7 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     running, found = navigator.filter, {}
     if running is None:
         return {}
-    if running.noise.imu_factors[1] > DISAGREEMENT:
+    if _rates_disagree(navigator, running.noise):
         found["the angular rates disagree with GNSS"] = (
             "the angular rates disagree with GNSS by more than their noise: check the scale, "
             "resolution and range of the gyroscopes"
@@ -202,6 +204,16 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "published covariance contains it; check the receiver"
         )
     return found
+
+
+def _rates_disagree(navigator: Navigator, noise: FilterNoise) -> bool:
+    """Return whether angular rates need more noise than ordinary errors of their scale make."""
+    factor = noise.imu_factors[1]
+    if factor <= DISAGREEMENT:
+        return False
+    mean_square = np.square(navigator.ring.latest(RECENT)["w"]).sum(axis=1).mean()
+    ordinary = ORDINARY_SCALE_ERROR**2 * mean_square * MOTION_TIME
+    return bool((1.0 - 1.0 / factor) * noise.psd()[W_G].max() > ordinary)
 
 
 def antenna_conditions(navigator: Navigator) -> dict[str, str]:

@@ -1,0 +1,46 @@
+"""What the innovations ask for besides the noise that is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.state import W_G
+from hybrid_ins.ros.diagnostics import noise_conditions
+
+
+def navigator(factor: float, turning: float, extra_std: float) -> Any:
+    """Return one whose gyroscopes need ``extra_std`` [rad/√s] more, turning by so many rad/s."""
+    psd = np.zeros(12)
+    psd[W_G] = extra_std**2 * factor / (factor - 1.0)
+    noise = SimpleNamespace(
+        imu_factors=(500.0, factor), factors=None, unclaimed_std=0.0, psd=lambda: psd
+    )
+    samples, ring = np.zeros(500, SAMPLE_DTYPE), ImuRing()
+    samples["w"][:, 2] = turning
+    ring.extend(samples)
+    return SimpleNamespace(filter=SimpleNamespace(noise=noise), ring=ring)
+
+
+@pytest.mark.parametrize(
+    ("factor", "turning", "extra_std", "is_told"),
+    [
+        (100.0, 0.1, 0.01, True),  # a slow vehicle, with ten times what 1 % of its turns makes
+        (100.0, 2.0, 0.01, False),  # a hand that waves: 1 % of its turns makes 0.02
+        (2.0, 0.1, 0.01, False),
+    ],
+)
+def test_rates_are_blamed_for_more_than_ordinary_errors_of_their_scale(
+    factor: float, turning: float, extra_std: float, is_told: bool
+) -> None:
+    found = noise_conditions(navigator(factor, turning, extra_std))
+    assert ("the angular rates disagree with GNSS" in found) is is_told
+
+
+def test_the_accelerometers_factor_alone_is_no_condition() -> None:
+    """It exceeds three on half of all sound vehicles."""
+    assert noise_conditions(navigator(1.5, 0.0, 1e-6)) == {}
