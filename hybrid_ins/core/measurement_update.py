@@ -7,7 +7,6 @@ the clock offset.
 
 from __future__ import annotations
 
-import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +64,7 @@ from hybrid_ins.core.state import (
     AGE_SENSITIVITY,
     CLOCK_VARIANCE,
     COVARIANCE,
+    JUMP_VARIANCE,
     N_ERROR,
     N_NAV,
     PSD,
@@ -164,7 +164,7 @@ class MeasurementUpdate:
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         split: Split | None = None
         if isinstance(event, NoiseChange):
-            self.noise = copy.copy(event.noise)
+            self.noise = self.noise.replaced_by(event.noise)
         elif isinstance(event, NoiseEstimate):
             self.noise.learn_estimate(event)
         elif isinstance(event, ClockInflation):
@@ -173,9 +173,10 @@ class MeasurementUpdate:
             inject(nav, self.clock.shift(event.by, nav))
         elif isinstance(event, CovarianceInflation):
             inflate(nav, event.std, event.lever_b)
-            self.noise.restart(keep_weights=True)
+            self.noise.on_imu_fault(event.t_ns)
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
+            self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
         elif not isinstance(event, ScaleErrors):
             if isinstance(event, PositionFix):
                 noise = self.noise
@@ -190,6 +191,7 @@ class MeasurementUpdate:
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
+        nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 
     def _split_position(self, nav: Array, model: Model, split: Split) -> tuple[Model, float | None]:
@@ -319,6 +321,8 @@ class MeasurementUpdate:
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
+        if verdict.receiver_jumped:
+            self.noise.jumps = self.noise.jumps.learned(z, S, R, measurement.t_ns)
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
         if verdict.disagrees:

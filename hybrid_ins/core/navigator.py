@@ -284,6 +284,6 @@ class Navigator:
             return
         if isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_JUMPED)
-        elif self.filter is not None and self._resets.add(verdict.measurement.t_ns, self._speed):
+        elif self.filter is not None and self._resets.add(verdict, self._speed):
             self.monitor.discard_biases()
             self.give_up(RestartCause.REPEATED_RESETS)

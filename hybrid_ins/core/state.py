@@ -51,7 +51,8 @@ AGE_SENSITIVITY = slice(SENSITIVITY.stop, SENSITIVITY.stop + N_ERROR)
 ACCELERATION = slice(AGE_SENSITIVITY.stop, AGE_SENSITIVITY.stop + 3)  # m/s², n, the recent mean
 CLOCK_VARIANCE = ACCELERATION.stop  # V [s²], of what the clock offset of fixes lacks
 SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `position_scatter`
-N_NAV = SLOW_VARIANCE.stop
+JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
+N_NAV = JUMP_VARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 PRODUCTS = slice(SCRATCH.stop, SCRATCH.stop + 24 * 16)  # see `covariance_step`
@@ -82,7 +83,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     """
     Write the covariance that is reported, (15, 15).
 
-    P + V s s', the uncertain clock offset considered, and B, the slow error of fixes.
+    P + V s s', the uncertain clock offset considered, and the slow error and jumps of fixes.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -91,7 +92,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
             for j in range(N_ERROR):
                 full[i, j] += variance * s[i] * s[j]
     for i in range(3):
-        full[i, i] += nav[SLOW_VARIANCE][i]
+        full[i, i] += nav[SLOW_VARIANCE][i] + nav[JUMP_VARIANCE][i]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -155,5 +156,5 @@ def covariance(nav: Array) -> Array:
 def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
-    variance[DP] += nav[SLOW_VARIANCE]
+    variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE]
     return np.sqrt(variance)
