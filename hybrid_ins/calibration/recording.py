@@ -16,6 +16,7 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.samples import sample_period
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, gps_fix
@@ -184,9 +185,12 @@ def read_recording(
         else:
             fix_topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
             gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
+            repetition = RepetitionCheck()
             for _, log_ns, message in bag.messages(fix_topic):
                 fix = gnss.position(gps_fix.position_of(message, messages.new_message))
                 if not isinstance(fix, Refused):
+                    if repetition.is_again(fix.lla) and repetition.repeats:
+                        continue
                     ahead_ns.append(fix.t_ns - log_ns)
                     before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
                     delay_ns.append(int(imu.stamp_ns[max(before - 1, 0)]) - fix.t_ns)

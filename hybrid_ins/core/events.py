@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.noise import NoiseEstimate
+from hybrid_ins.core.position_jumps import PositionJumps
 
 Array = NDArray[np.float64]
 
@@ -73,10 +74,11 @@ class ScatterInForce:
     From its stamp on, positions are fused with the scatter that was learned.
 
     Hypotheses of a bank fuse them with the given one: their likelihoods are to be those of the same
-    measurements.
+    measurements. ``jumps`` are those of the positions that an earlier filter has learned.
     """
 
     t_ns: int
+    jumps: PositionJumps
     kind: ClassVar[str] = "scatter in force"
 
 

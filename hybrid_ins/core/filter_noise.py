@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank, StateCorrection
+from hybrid_ins.core.position_jumps import PositionJumps
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,8 @@ class FilterNoise:
     unclaimed_std, excess : float
         Standard deviation [m] of a slow error of fixes, and factor on their variance, that are not
         claimed; see `position_scatter.Split`.
+    jumps : PositionJumps
+        Jumps of fixes that are not claimed.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class FilterNoise:
         self.process = process
         self.factors = factors
         self.unclaimed_std, self.excess = 0.0, 1.0
+        self.jumps = PositionJumps()
         self._restarted = False
 
     def __copy__(self) -> FilterNoise:
@@ -60,6 +64,12 @@ class FilterNoise:
         twin = object.__new__(FilterNoise)
         twin.__dict__.update(self.__dict__)
         twin.model, twin.factors = copy.copy(self.model), factors
+        return twin
+
+    def replaced_by(self, other: FilterNoise) -> FilterNoise:
+        """Return a copy of ``other`` with what was learned of jumps here."""
+        twin = other.__copy__()
+        twin.jumps = self.jumps
         return twin
 
     @property
@@ -117,6 +127,11 @@ class FilterNoise:
         """Learn from a fix that was rejected as a jump, with the covariance R (m, m) in force."""
         if self.factors is not None:
             self.factors.weigh_jump(correction, R)
+
+    def on_imu_fault(self, t_ns: int) -> None:
+        """Drop what refers to the state before a fault of the IMU at a stamp [ns]."""
+        self.restart(keep_weights=True)
+        self.jumps = self.jumps.doubted(t_ns)
 
     def follow(self, correction: Correction) -> None:
         """Learn what a measurement that is no fix did to the state."""

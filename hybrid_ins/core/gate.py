@@ -68,6 +68,9 @@ class Verdict:
     jump : bool
         It is rejected, in a run of rejections that began with a jump: no error of an INS grows
         that fast.
+    receiver_jumped : bool
+        The covariance was inflated for a jump that the receiver made: the state agreed with the
+        fixes until then, no error of an INS grows that fast, and the fixes stayed there.
     disagrees : bool
         A jump that does not show the same error as the one before: evidence on the fixes.
     weight : float
@@ -84,6 +87,7 @@ class Verdict:
     log_det: float = 0.0
     inflated: bool = False
     jump: bool = False
+    receiver_jumped: bool = False
     disagrees: bool = False
     weight: float = 1.0
 
@@ -100,7 +104,8 @@ class _Rejections:
     first_ns: int
     consistent_ns: int  # since when they are consistent with each other
     z: Array  # innovation of the last
-    jump: bool  # the first was one
+    jump: bool  # the first was one, or one after it
+    began_with_jump: bool
 
 
 class Gate(ShallowCopy):
@@ -234,7 +239,9 @@ class Gate(ShallowCopy):
             of_state = last is not None and consistent_ns == last.consistent_ns
             scale = 1.0 if of_state else self._scales.get(kind, 1.0)
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
-            self._rejections = {**others, kind: _Rejections(first_ns, consistent_ns, z, jump)}
+            began = jump if last is None else last.began_with_jump
+            run = _Rejections(first_ns, consistent_ns, z, jump, began)
+            self._rejections = {**others, kind: run}
             if is_gnss and not jump:
                 if is_pause and not of_state:
                     return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
@@ -249,7 +256,14 @@ class Gate(ShallowCopy):
         self._rejections = others
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
-        return replace(plain, reason=reason, inflated=True, weight=1.0)
+        jumped = (
+            kind == "position"
+            and last is not None
+            and last.began_with_jump
+            and t_ns - consistent_ns >= patience_ns // 3
+            and confirmed_ns >= self._patience_ns
+        )
+        return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
 
 
 def weight(nis: float, m: int) -> float:

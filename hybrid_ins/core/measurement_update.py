@@ -7,7 +7,6 @@ clock offset and the place of the antenna.
 
 from __future__ import annotations
 
-import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +66,7 @@ from hybrid_ins.core.state import (
     ANTENNA_VARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
+    JUMP_VARIANCE,
     N_ERROR,
     N_NAV,
     PSD,
@@ -170,7 +170,7 @@ class MeasurementUpdate:
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         split: Split | None = None
         if isinstance(event, NoiseChange):
-            self.noise = copy.copy(event.noise)
+            self.noise = self.noise.replaced_by(event.noise)
         elif isinstance(event, NoiseEstimate):
             self.noise.learn_estimate(event)
         elif isinstance(event, ClockInflation):
@@ -180,9 +180,10 @@ class MeasurementUpdate:
             self.lever_arm.shift_clock(event.by)
         elif isinstance(event, CovarianceInflation):
             inflate(nav, event.std, event.lever_b)
-            self.noise.restart(keep_weights=True)
+            self.noise.on_imu_fault(event.t_ns)
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
+            self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
         elif not isinstance(event, ScaleErrors):
             if isinstance(event, PositionFix):
                 noise = self.noise
@@ -198,6 +199,7 @@ class MeasurementUpdate:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered
+        nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 
     def _fuse_ordinary(
@@ -318,6 +320,8 @@ class MeasurementUpdate:
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
+        if verdict.receiver_jumped:
+            self.noise.jumps = self.noise.jumps.learned(z, S, R, measurement.t_ns)
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
             self.lever_arm.restart()

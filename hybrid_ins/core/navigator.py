@@ -234,21 +234,19 @@ class Navigator:
     def measure(self, measurement: Measurement) -> None:
         """Use an aiding measurement; its verdict appears among the events."""
         refused = self._measurements.check(measurement, self.stamps, self._speed)
+        if self._measurements.was_misled and isinstance(self.phase, Searching):
+            self.give_up(RestartCause.FIXES_REPEATED)
+        if refused is None and not self.phases.measure(measurement):
+            if self.alignment is not None:
+                self.alignment.observe(measurement)
+            refused = Verdict.rejected(measurement, "aligning")
         if refused is not None:
             self._events.append(refused)
-        else:
-            self._measure(measurement)
 
     @property
     def _speed(self) -> float:
         """Speed of the filter that runs [m/s]; 0 without one."""
         return 0.0 if self.filter is None else float(np.linalg.norm(self.filter.nav[VELOCITY]))
-
-    def _measure(self, measurement: Measurement) -> None:
-        if not self.phases.measure(measurement):
-            if self.alignment is not None:
-                self.alignment.observe(measurement)
-            self._events.append(Verdict.rejected(measurement, "aligning"))
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
@@ -286,6 +284,6 @@ class Navigator:
             return
         if isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_JUMPED)
-        elif self.filter is not None and self._resets.add(verdict.measurement.t_ns, self._speed):
+        elif self.filter is not None and self._resets.add(verdict, self._speed):
             self.monitor.discard_biases()
             self.give_up(RestartCause.REPEATED_RESETS)

@@ -25,6 +25,7 @@ class RestartCause(Enum):
     NOT_FINITE = "the state was lost"
     REPEATED_RESETS = "the state did not fit the fixes"
     FIXES_JUMPED = "the fixes jumped before the heading was known"
+    FIXES_REPEATED = "the driver repeats fixes"
 
 
 @dataclass(frozen=True, slots=True)

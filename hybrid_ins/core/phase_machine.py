@@ -40,6 +40,7 @@ from hybrid_ins.core.phases import (
     search_clock,
     search_heading_and_clock,
 )
+from hybrid_ins.core.position_jumps import PositionJumps
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck
 
@@ -88,6 +89,7 @@ class PhaseMachine:
         self._events = events
         self._record = record
         self.clock_open = False
+        self._jumps = PositionJumps()  # of the fixes, that the last filter has learned
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -99,8 +101,10 @@ class PhaseMachine:
 
     def _enter(self, phase: Phase) -> None:
         """Change the phase; every transition passes here."""
+        if self.filter is not None:
+            self._jumps = self.filter.noise.jumps
         if phase.filter is not None and phase.filter is not self.filter:
-            phase.filter.submit(ScatterInForce(phase.filter.t_ns))
+            phase.filter.submit(ScatterInForce(phase.filter.t_ns, self._jumps))
         self.phase = phase
         self.filter = phase.filter  # beside the phase: read at every sample
         self._stamps.steady_ns = self._stamps.max_gap_ns
@@ -126,12 +130,11 @@ class PhaseMachine:
 
     def measure(self, measurement: Measurement) -> bool:
         """Give a measurement to all filters; False if there is none, or none so old."""
-        if self.filter is not None:
-            self.filter.submit(measurement)
-            self.collect_verdicts(self.filter)
-        bank = self.phase.bank
-        used = bank is not None and bank.measure(measurement)
-        return used or self.filter is not None
+        bank, running = self.phase.bank, self.filter
+        if running is not None:
+            running.submit(measurement)
+            self.collect_verdicts(running)
+        return (bank is not None and bank.measure(measurement)) or running is not None
 
     def submit(self, event: Change) -> None:
         """Change the noise or the covariance of all filters, see `InsFilter.submit`."""
@@ -153,8 +156,7 @@ class PhaseMachine:
         if isinstance(self.phase, Aligning):
             start = self.phase.alignment.attempt()
             if start is not None:
-                parts, ring = self._parts, self._ring
-                self._enter(phase_after_alignment(start, parts, ring, self.clock_open))
+                self._enter(phase_after_alignment(start, self._parts, self._ring, self.clock_open))
 
     def follow_imu(self, t_ns: int) -> None:
         """Let the filters of several headings follow the IMU to a stamp [ns]."""
@@ -216,9 +218,8 @@ class PhaseMachine:
             return
         corrected = correction(running, bank)
         if corrected is not None:
-            self._events.append(corrected)
-            for measurement in bank.take_over(running):
-                self._events.append(Verdict.rejected(measurement, "aligning"))
+            left = bank.take_over(running)
+            self._events.extend([corrected, *(Verdict.rejected(m, "aligning") for m in left)])
             self._enter(Searching(bank))
 
     def advance_search(self) -> None:

@@ -8,6 +8,7 @@ import math
 from collections import deque
 
 from hybrid_ins.core.alignment import yaw_of
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import InsFilter
 
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
@@ -17,16 +18,22 @@ MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
 
 
 class ResetCount:
-    """Counts the covariance resets of a filter: repeated ones prove its heading wrong."""
+    """
+    Counts the covariance resets of a filter: repeated ones prove its heading wrong.
+
+    A jump of the fixes counts half: a receiver may jump a few times, a wrong heading causes a reset
+    each time that the patience of the gate ends.
+    """
 
     def __init__(self) -> None:
-        self._stamps: deque[int] = deque(maxlen=RESETS)
+        self._resets: deque[tuple[int, float]] = deque(maxlen=2 * RESETS)  # stamps, and weights
 
-    def add(self, t_ns: int, speed: float) -> bool:
-        """Count a reset: stamp [ns], speed [m/s]; return whether the heading is wrong."""
-        self._stamps.append(t_ns)
-        enough = len(self._stamps) == RESETS and t_ns - self._stamps[0] < RESETS_NS
-        return enough and speed > MOVING
+    def add(self, verdict: Verdict, speed: float) -> bool:
+        """Count a reset for a fix, at a speed [m/s]; return whether the heading is wrong."""
+        t_ns = verdict.measurement.t_ns
+        self._resets.append((t_ns, 0.5 if verdict.receiver_jumped else 1.0))
+        recent = sum(weight for stamp, weight in self._resets if t_ns - stamp < RESETS_NS)
+        return recent >= RESETS and speed > MOVING
 
 
 def heading_after(

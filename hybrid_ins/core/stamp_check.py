@@ -10,18 +10,17 @@ from __future__ import annotations
 from collections import deque
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.standstill import FixMotion
 
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
 
 
 class StampFault(Enum):
@@ -97,17 +96,23 @@ class MeasurementCheck:
     ----------
     motion : FixMotion
         Of the position fixes that were admitted.
+    was_misled : bool
+        The last measurement has shown that earlier ones, in motion, were no new ones.
     """
 
     def __init__(self, speed_check: SpeedCheck) -> None:
         self._speed_check = speed_check
+        self._repetitions = {
+            PositionFix.kind: RepetitionCheck(),
+            VelocityFix.kind: RepetitionCheck(),
+        }
         self.reset()
 
     def reset(self) -> None:
-        """Forget all measurements."""
+        """Forget all measurements, but not that their driver repeats them."""
         self._speed_check.reset()
         self.motion = FixMotion()
-        self._last_lla: NDArray[np.float64] | None = None
+        self.was_misled = False
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
 
     def forget_stamps(self) -> None:
@@ -128,6 +133,7 @@ class MeasurementCheck:
         speed : float
             Of the vehicle over ground [m/s]; 0 where it is not known.
         """
+        self.was_misled = False
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
             return Verdict.rejected(measurement, "repeated stamp")
@@ -137,10 +143,20 @@ class MeasurementCheck:
         self._seen.append(key)
         if not self._speed_check.is_reachable(measurement):
             return Verdict.rejected(measurement, "faster than gnss.max_speed")
-        if not isinstance(measurement, PositionFix):
-            return None
-        last, self._last_lla = self._last_lla, measurement.lla
-        if last is not None and speed > MOVING and (last == measurement.lla).all():
-            return Verdict.rejected(measurement, "same position while moving")
-        self.motion.observe(measurement.t_ns, measurement.lla)
+        if isinstance(measurement, PositionFix | VelocityFix):
+            return self._check_repetition(measurement, speed)
+        return None
+
+    def _check_repetition(self, fix: PositionFix | VelocityFix, speed: float) -> Verdict | None:
+        """Refuse a fix that is no new one: the first of identical ones has the right stamp."""
+        repetition = self._repetitions[fix.kind]
+        believed = not repetition.repeats
+        again = repetition.is_again(fix.velocity_n if isinstance(fix, VelocityFix) else fix.lla)
+        self.was_misled = believed and repetition.repeats and self.motion.speed > 0.0
+        if again and repetition.repeats:
+            return Verdict.rejected(fix, PUBLISHED_AGAIN)
+        if isinstance(fix, PositionFix):
+            if again and speed > MOVING:
+                return Verdict.rejected(fix, "same position while moving")
+            self.motion.observe(fix.t_ns, fix.lla)
         return None

@@ -52,8 +52,9 @@ AGE_SENSITIVITY = slice(SENSITIVITY.stop, SENSITIVITY.stop + N_ERROR)
 ACCELERATION = slice(AGE_SENSITIVITY.stop, AGE_SENSITIVITY.stop + 3)  # m/s², n, the recent mean
 CLOCK_VARIANCE = ACCELERATION.stop  # V [s²], of what the clock offset of fixes lacks
 SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `position_scatter`
+JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
 # m², NED, of a position that refers to an antenna in another place: `lever_arm_observer`
-ANTENNA_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)
+ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
 N_NAV = ANTENNA_VARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
@@ -85,8 +86,8 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     """
     Write the covariance that is reported, (15, 15).
 
-    P + V s s', the uncertain clock offset considered, B, the slow error of fixes, and what an
-    antenna in another place does to the position.
+    P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, and
+    what an antenna in another place does to the position.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -95,7 +96,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
             for j in range(N_ERROR):
                 full[i, j] += variance * s[i] * s[j]
     for i in range(3):
-        full[i, i] += nav[SLOW_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
+        full[i, i] += nav[SLOW_VARIANCE][i] + nav[JUMP_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -159,5 +160,5 @@ def covariance(nav: Array) -> Array:
 def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
-    variance[DP] += nav[SLOW_VARIANCE] + nav[ANTENNA_VARIANCE]
+    variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE] + nav[ANTENNA_VARIANCE]
     return np.sqrt(variance)

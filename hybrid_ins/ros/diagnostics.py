@@ -16,7 +16,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
-from hybrid_ins.core.state import W_G, total_std
+from hybrid_ins.core.state import JUMP_VARIANCE, W_G, total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
 from hybrid_ins.ros.conversions import FLIP, Refused
@@ -197,6 +197,14 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
         found["fixes scatter by more than they claim"] = (
             "fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+        )
+    if running.nav[JUMP_VARIANCE].any():
+        jumps = running.noise.jumps
+        claim = f"they claim {jumps.claimed_std:.2g} m"
+        found["fixes jump by more than they claim"] = (
+            f"fixes jumped by {jumps.size:.2g} m although {claim}: the published covariance "
+            "contains such jumps until there was none for minutes; check the receiver and its "
+            "corrections"
         )
     if running.noise.unclaimed_std > 0.0:
         found["fixes drift by more than they claim"] = (

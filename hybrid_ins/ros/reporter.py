@@ -22,6 +22,7 @@ from hybrid_ins.core.navigator_events import (
     HeadingCorrected,
     Restarted,
 )
+from hybrid_ins.core.stamp_check import PUBLISHED_AGAIN
 from hybrid_ins.core.state import DV, QUAT, VELOCITY, total_std
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
@@ -143,6 +144,10 @@ class Reporter:
             count = counts[f"{sensor}: {TOO_OLD}"]
             if count >= LATE_FIXES and is_logged(count):
                 self._inputs.log("warn", wording.describe_late(verdict, count))
+        elif verdict.reason == PUBLISHED_AGAIN:
+            count = counts[f"{sensor}: {PUBLISHED_AGAIN}"]
+            if is_logged(count):
+                self._inputs.log("warn", wording.describe_repetition(verdict, count))
         status = diagnostics.verdict_status(verdict)
         self._reports.append(Report("gnss/verdict", status, self._navigator.last_ns))
 

@@ -92,6 +92,8 @@ def describe_restart(restarted: Restarted) -> str:
         return f"the IMU is unusable: {describe_fault(restarted.fault)}"
     if cause is RestartCause.FIXES_JUMPED:
         return "the fixes jumped before the heading was known, and fit none"
+    if cause is RestartCause.FIXES_REPEATED:
+        return "repeated fixes were taken for new ones before the heading was known"
     return "repeated covariance resets: the heading is probably wrong"
 
 
@@ -100,6 +102,15 @@ def describe_late(too_old: Verdict, count: int) -> str:
     return (
         f"gnss/fix: {count} fixes came too late to be used, this one {too_old.age:.1f} s after its "
         f"stamp: raise gnss.max_delay to {math.ceil(too_old.age) + 1}"
+    )
+
+
+def describe_repetition(again: Verdict, count: int) -> str:
+    """Return that a driver repeats what it has published, and the remedy."""
+    kind = again.measurement.kind
+    return (
+        f"gnss: the driver publishes each {kind} several times, with new stamps ({count} repeated "
+        "so far): only the first of each is used; let the driver publish at the receiver's rate"
     )
 
 

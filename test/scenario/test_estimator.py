@@ -181,6 +181,28 @@ def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> Non
     assert drive.error(32.99) < 2.0
 
 
+def test_a_driver_that_repeats_each_fix_with_new_stamps_is_named_and_its_repeats_are_refused() -> (
+    None
+):
+    """
+    GIVEN fixes once a second, which the driver publishes five times a second with new stamps
+    WHEN the heading is not known yet
+    THEN the state before is given up, the first of each is used, the warning names the remedy.
+    """
+    drive = Drive(**{"gnss.time_offset.estimate": False})
+    drive.fix_lla = drive.fix_lla[np.arange(len(drive.fix_lla)) // 5 * 5]
+
+    drive.play(0.0, 40.0)
+
+    counts = drive.estimator.inputs.counts
+    assert counts["gnss: published again with a new stamp"] >= 4 * 33
+    assert counts["restart: the driver repeats fixes"] <= 1
+    [first, *_] = [text for text in drive.warnings() if "several times, with new stamps" in text]
+    assert "publish at the receiver's rate" in first
+    assert drive.estimator.aligned
+    assert drive.error(39.99) < 0.5
+
+
 def test_a_filter_that_just_started_reckons_from_its_first_fix() -> None:
     drive = Drive(**GIVEN)
     drive.play(0.0, 1.3)

@@ -10,7 +10,7 @@ from support.runs import Q, fly, moved
 
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
-from hybrid_ins.core.state import N_NAV, SLOW_VARIANCE
+from hybrid_ins.core.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
 from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw
 
@@ -103,6 +103,21 @@ def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
     assert 0.7 < ins.noise.unclaimed_std < 4.0
     assert np.median(factors[100:, :2]) < 3.0 and np.median(factors[100:, 2]) < 1.5
     assert np.all(np.sqrt(ins.nav[SLOW_VARIANCE][:2]) == pytest.approx(ins.noise.unclaimed_std))
+
+
+def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:
+    # GIVEN fixes that claim decimetres, and are off by 4 m for a quarter of a minute
+    run = draw(replace(SCENE, duration=60.0), 2)
+    t = np.array([fix.t_ns - run.fixes[0].t_ns for fix in run.fixes]) * 1e-9
+    off = np.outer((t > 20.0) & (t < 35.0), [4.0, -3.0, 1.0])
+    # WHEN the filter runs
+    ins, _ = fly(moved(run, off))
+    # THEN the covariance that is published contains the jump to them and the one back
+    assert ins.noise.jumps.size == pytest.approx(np.sqrt(26.0), rel=0.2)
+    assert np.all(total_std(ins.nav)[:2] > 2.0)
+    # and after an outage, with which the state drifts off, it does not
+    ins, _ = fly(draw(replace(SCENE, outages=((20.0, 20.0),)), 2))
+    assert ins.noise.jumps.size == 0.0 and np.all(ins.nav[JUMP_VARIANCE] == 0.0)
 
 
 def test_a_lone_outlier_changes_nothing() -> None:

@@ -34,6 +34,21 @@ def test_fixes_of_another_clock_are_named(tmp_path: Path, ahead: float, words: s
         read_recording(disturbed, values)
 
 
+def test_fixes_that_a_driver_repeats_are_read_once(tmp_path: Path) -> None:
+    bag, repeated = tmp_path / "flight.mcap", tmp_path / "repeated.mcap"
+    assert simulate.main([str(bag), "--duration", "12", "--imu-rate", "50"]) == 0
+    flight, values = Flight.read(bag, 0.0, 1.0), parameters.defaults()
+    fixes = [entry.message for entry in flight.entries if entry.topic == "/gnss/fix"]
+    for k, fix in enumerate(fixes):
+        first = fixes[k // 2 * 2]
+        fix.latitude, fix.longitude, fix.altitude = first.latitude, first.longitude, first.altitude
+    flight.write(repeated)
+
+    read = len(read_recording(bag, values).aid_t) - len(read_recording(repeated, values).aid_t)
+
+    assert len(fixes) // 2 - 5 <= read <= len(fixes) // 2
+
+
 @pytest.mark.parametrize("topic", list(WHEELS))
 def test_wheels_are_read_from_either_topic_in_the_order_of_their_stamps(
     tmp_path: Path, topic: str

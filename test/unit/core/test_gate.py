@@ -89,6 +89,27 @@ def test_fixes_that_agree_win_after_the_patience(gate: Gate) -> None:
     assert not verdicts[7].accepted  # and from there on as before
 
 
+def test_a_reset_after_a_jump_of_fixes_that_agreed_before_is_the_receivers(gate: Gate) -> None:
+    """
+    GIVEN fixes that agreed with the state for longer than the patience, or not
+    WHEN they jump, or drift off as a wrong state does, until the covariance is inflated
+    THEN the receiver jumped where they agreed before and no error of an INS is so fast.
+    """
+
+    def reset(agreed: float, first: float, drift: float) -> Verdict:
+        twin = copy.copy(gate)
+        judge(twin, 0.0, 0.1, interval=20.0)  # after a pause
+        for t in np.arange(0.5, agreed, 0.5):
+            judge(twin, t, 0.1)
+        later = np.arange(agreed, agreed + 12.0, 0.5)
+        verdicts = [judge(twin, t, min(50.0, first + drift * (t - agreed))) for t in later]
+        return next(v for v in verdicts if v.inflated)
+
+    assert reset(10.0, 50.0, 0.0).receiver_jumped
+    assert not reset(10.0, 4.0, 5.0).receiver_jumped
+    assert not reset(1.0, 50.0, 0.0).receiver_jumped
+
+
 def test_shift_that_grows_is_agreement(gate: Gate) -> None:
     verdicts = [judge(gate, t, 10.0 + 10.0 * t) for t in np.arange(0.0, 4.0, 1.0)]
 

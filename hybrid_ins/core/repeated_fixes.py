@@ -1,0 +1,59 @@
+"""
+Detection of a driver that publishes each measurement of its receiver several times.
+
+A driver that is faster than its receiver repeats the last position with a new stamp: to a filter
+the vehicle stands, and then jumps. Bit-identical positions alone do not show it. A receiver whose
+positions are rounded repeats them at rest, too; but then it goes on by one component and one unit
+at a time, and in motion each position is a new one. Of a driver that repeats, every position comes
+at least twice, and all components change together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+RUNS = 4  # in a row that show a driver that repeats; by chance that takes 10^5 rounded positions
+
+
+class RepetitionCheck:
+    """
+    Compares each measurement of a kind with the one before.
+
+    Attributes
+    ----------
+    repeats : bool
+        Each measurement comes several times: only the first has the right stamp.
+    """
+
+    def __init__(self) -> None:
+        self.repeats = False
+        self._last: NDArray[np.float64] | None = None
+        self._length = 0  # of the run of identical measurements
+        self._runs = 0  # that show a repetition, less those that contradict it; 0 to RUNS
+        self._varies = np.array([True, True, False])  # components that are no constants
+
+    def is_again(self, measured: NDArray[np.float64]) -> bool:
+        """Return whether a measurement (3,), NED or position, is bit-identical to the last one."""
+        last, self._last = self._last, measured
+        if last is None:
+            self._length = 1
+            return False
+        changed = (measured != last) & ~(np.isnan(measured) & np.isnan(last))
+        if not changed.any():
+            self._length += 1
+            return True
+        self._varies |= changed
+        self._count_run(bool(changed[self._varies].all()))
+        self._length = 1
+        return False
+
+    def _count_run(self, ends_completely: bool) -> None:
+        """Count the run of identical measurements that has ended; all components changed or not."""
+        if self._length == 1:
+            self._runs = max(self._runs - 1, 0) if self.repeats else 0
+        elif ends_completely:
+            self._runs = min(self._runs + 1, RUNS)
+        elif not self.repeats:
+            self._runs = 0
+        self.repeats = self._runs > 0 if self.repeats else self._runs == RUNS
