@@ -8,13 +8,16 @@ the filter's own equations, [1]_, and the innovation of a position has the mean 
 h = H s + C_nb, that of a velocity with h = H s + C_nb [w x]. A state that was read off the fixes
 has s = -C_nb in its position, and h is zero until the vehicle turns.
 
-The estimate is a regression of the innovations on h, with the clock offset of the fixes beside it:
-straight ahead one is like the other. The state is not corrected by it: who says where the antenna
-is decides what the odometry is of. But an error that is certain is *considered*: the mean square
-of C_nb dl is added to the covariance of the position that is reported. Where the noise factors have
-risen by what the lever arm does, the estimate is too short, but no less certain.
+The estimate is a regression of the innovations on h, with the clock offset of the fixes and the age
+of velocities beside it: straight ahead one is like the other. The state is not corrected by it:
+who says where the antenna is decides what the odometry is of. But an error that is certain is
+*considered*: the mean square of C_nb dl is added to the covariance of the position that is
+reported. Where the noise factors have risen by what the lever arm does, the estimate is too short,
+but no less certain.
 
-Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile.
+Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
+of the antenna may itself keep a heading from being known well, so after half a minute less is
+asked for.
 
 References
 ----------
@@ -53,21 +56,24 @@ from hybrid_ins.core.strapdown import rotation
 Array = NDArray[np.float64]
 
 PRIOR_STD = 2.0  # m, of each component of the error
-MAX_HEADING_STD = math.radians(4.0)
+AGE_STD = 0.3  # s, of velocities against positions
+HEADING_STD = math.radians(4.0)  # from which the start is observed
+MAX_HEADING_STD, SETTLED_NS = math.radians(12.0), 30_000_000_000  # later: of the heading; ns
 ELSEWHERE = 6.0  # standard deviations of dl, from which it is certain
 LEAST_ERROR = 0.2  # m, of an axis: a smaller one is left to who measures it
 MAX_INTERVAL = 3.0  # s without a measurement: beyond it the mean motion does not represent the IMU
 
 # What is known, as one flat vector.
-PARAMETERS = slice(0, 4)  # clock offset that the stamps lack [s], error of the lever arm [m], b
-P_PARAMETERS = slice(4, 20)  # their covariance, row by row
-NIS_SCALE, DISTANCE = 20, 21  # mean normalised NIS; see `LeverArmError`
-FIX_STD = 22  # m, of the last position from north, as it was fused
-CONSIDERED = slice(23, 26)  # m², NED: what is added to the covariance of the position
-LAST_VELOCITY, LAST_C = slice(26, 29), slice(29, 38)  # n, and C_nb, after the last correction
-SENSITIVITIES = slice(38, 38 + 3 * N_ERROR)  # s, row by row
+N_PARAMETERS = 5  # clock offset that the stamps lack [s], age of velocities [s], dl [m], b
+PARAMETERS, ERROR = slice(0, N_PARAMETERS), slice(2, N_PARAMETERS)
+P_PARAMETERS = slice(5, 30)  # their covariance, row by row
+NIS_SCALE, DISTANCE = 30, 31  # mean normalised NIS; see `LeverArmError`
+FIX_STD = 32  # m, of the last position from north, as it was fused
+CONSIDERED = slice(33, 36)  # m², NED: what is added to the covariance of the position
+LAST_VELOCITY, LAST_C = slice(36, 39), slice(39, 48)  # n, and C_nb, after the last correction
+SENSITIVITIES = slice(48, 48 + 3 * N_ERROR)  # s, row by row
 _START = np.zeros(SENSITIVITIES.stop)
-_START[P_PARAMETERS] = np.diag((MAX_STD**2, *(3 * (PRIOR_STD**2,)))).ravel()
+_START[P_PARAMETERS] = np.diag((MAX_STD**2, AGE_STD**2, *3 * [PRIOR_STD**2])).ravel()
 _START[NIS_SCALE] = 1.0
 
 
@@ -89,15 +95,15 @@ class LeverArmObserver(ShallowCopy):
 
     def __init__(self) -> None:
         self._values = _START
-        self._t_ns = 0  # of the last correction; 0: s is not known
+        self._t_ns = self._start_ns = 0  # of the last correction (0: s is not known), of the first
 
     @property
     def estimate(self) -> LeverArmError:
         """See `LeverArmError`."""
         values = self._values
-        variance = values[P_PARAMETERS].reshape(4, 4).diagonal()[1:] * _variance_factor(values)
+        variance = values[P_PARAMETERS][:: N_PARAMETERS + 1][ERROR] * _variance_factor(values)
         return LeverArmError(
-            values[PARAMETERS][1:].copy(),
+            values[ERROR].copy(),
             np.sqrt(variance),
             values.item(DISTANCE),
             bool(values[CONSIDERED].any()),
@@ -132,7 +138,9 @@ class LeverArmObserver(ShallowCopy):
             Otherwise it only changes the sensitivity.
         """
         before = correction.nav
-        if before[HEADING_VARIANCE] > MAX_HEADING_STD**2:
+        self._start_ns = self._start_ns or correction.t_ns
+        settled = correction.t_ns - self._start_ns > SETTLED_NS
+        if before[HEADING_VARIANCE] > (MAX_HEADING_STD if settled else HEADING_STD) ** 2:
             self._t_ns = 0
             return
         if not (is_fix or self._t_ns):
@@ -193,24 +201,25 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
             for i in range(N_ERROR):
                 for j in range(3):
                     s[i, j] += change[i, j]
-    h = np.zeros((m, 4))
+    h = np.zeros((m, N_PARAMETERS))
+    of_error = h[:, ERROR]
     for a in range(m):
         for j in range(3):
             for i in range(N_ERROR):
-                h[a, 1 + j] += H[a, i] * s[i, j]
+                of_error[a, j] += H[a, i] * s[i, j]
     if is_fix:
         to_clock, _ = sensitivities(before, H)
         rate = np.empty(3)
         for i in range(3):
             rate[i] = before[LAST_W][i] - before[BIAS_G][i]
         for a in range(m):
-            h[a, 0] = to_clock[a, 0]
+            h[a, 0], h[a, 1] = to_clock[a, 0], to_clock[a, 1]
             for j in range(3):
                 k, n = (j + 1) % 3, (j + 2) % 3
                 for i in range(3):
-                    h[a, 1 + j] += H[a, i] * C[3 * i + j]
+                    of_error[a, j] += H[a, i] * C[3 * i + j]
                     swing = C[3 * i + k] * rate[n] - C[3 * i + n] * rate[k]  # C_nb [w x]
-                    h[a, 1 + j] += H[a, 3 + i] * swing
+                    of_error[a, j] += H[a, 3 + i] * swing
     if informs:
         values[P_PARAMETERS.start] += max(T, 0.0) * RANDOM_WALK**2
         total, R = _covariances(before, H, S, weight)
@@ -221,7 +230,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
     for i in range(N_ERROR):
         for j in range(3):
             for a in range(m):
-                s[i, j] -= K[i, a] * h[a, 1 + j]
+                s[i, j] -= K[i, a] * of_error[a, j]
     for i in range(3):
         values[LAST_VELOCITY][i] = after[VELOCITY][i]
     rotation(after[QUAT], values[LAST_C])
@@ -250,10 +259,10 @@ def _variance_factor(values):  # type: ignore[no-untyped-def]
 def _consider(values, C):  # type: ignore[no-untyped-def]
     """Decide whether the error is certain, and write what is considered of it."""
     factor, P = _variance_factor(values), np.empty((3, 3))
-    error = values[PARAMETERS][1:]
+    error = values[ERROR]
     for i in range(3):
         for j in range(3):
-            P[i, j] = factor * values[P_PARAMETERS][4 * (1 + i) + 1 + j]
+            P[i, j] = factor * values[P_PARAMETERS][N_PARAMETERS * (2 + i) + 2 + j]
     root = P.copy()
     factorise(root)
     values[DISTANCE] = np.sqrt(whiten(root, error.copy()))
@@ -284,36 +293,37 @@ def _covariances(before, H, S, weight):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _regress(values, z, h, S):  # type: ignore[no-untyped-def]
-    """Correct the parameters by an innovation z (m,) of the mean h (m, 4) times parameters."""
-    m, now, P = len(z), values[PARAMETERS], values[P_PARAMETERS].reshape(4, 4)
-    rest, white, column = np.empty(m), np.empty((m, 4)), np.empty(m)
+    """Correct the parameters by an innovation z (m,) of the mean h (m, 5) times parameters."""
+    m, n, now = len(z), N_PARAMETERS, values[PARAMETERS]
+    P = values[P_PARAMETERS].reshape(n, n)
+    rest, white, column = np.empty(m), np.empty((m, n)), np.empty(m)
     factorise(S)
     for a in range(m):
         rest[a] = z[a]
     whiten(S, rest)
-    for j in range(4):
+    for j in range(n):
         for a in range(m):
             column[a] = h[a, j]
         whiten(S, column)
         for a in range(m):
             white[a, j] = column[a]
-    nis, g = 0.0, np.empty(4)
+    nis, g = 0.0, np.empty(n)
     for a in range(m):
         missing = rest[a]
-        for j in range(4):
+        for j in range(n):
             missing -= white[a, j] * now[j]
         nis += missing * missing
     values[NIS_SCALE] += (nis / m - values[NIS_SCALE]) / NIS_MEMORY
     for a in range(m):
         missing, variance = rest[a], 1.0
-        for i in range(4):
+        for i in range(n):
             g[i] = 0.0
-            for j in range(4):
+            for j in range(n):
                 g[i] += P[i, j] * white[a, j]
-        for j in range(4):
+        for j in range(n):
             missing -= white[a, j] * now[j]
             variance += white[a, j] * g[j]
-        for i in range(4):
+        for i in range(n):
             now[i] += g[i] * missing / variance
-            for j in range(4):
+            for j in range(n):
                 P[i, j] -= g[i] * (g[j] / variance)
