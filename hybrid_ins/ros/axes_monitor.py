@@ -119,7 +119,20 @@ def describe(fault: AxesFault) -> Refused:
     text = "the axes do not fit the motion: " + ", or ".join(_describe_axes(*way) for way in ways)
     if fault.turned:
         text += f"; then {_remount(fault)}"
+    if any(_is_mirrored(*way) for way in fault.explanations):
+        text += "; or latitude and longitude of the fixes are exchanged, or a sign of them is wrong"
     return Refused("imu: wrong axes", f"{text}; correct the driver")
+
+
+def _is_mirrored(accelerometer: Array, gyroscope: Array) -> bool:
+    """
+    Return whether readings need what fits them to a mirrored track, by their factors (3, 3).
+
+    A mirror M turns forces by M and rates by -M; on many vehicles M of the forces does not show.
+    """
+    relative = gyroscope @ np.linalg.inv(accelerometer)
+    turns = np.linalg.det(relative) > 0.0 and not np.allclose(relative, np.eye(3))
+    return bool(np.allclose(relative, -np.eye(3)) or turns)
 
 
 def _describe_mount(fault: AxesFault) -> str:

@@ -109,7 +109,8 @@ SUBSCRIBED = (
         "gnss/velocity",
         TWIST,
         SENSOR,
-        "optional. Velocity of the antenna, in east-north-up axes",
+        "optional. Velocity of the antenna, in east-north-up axes. A vertical component of exactly "
+        "0 without a positive variance says nothing of the climb",
     ),
     *AIDING,
     Topic(

@@ -123,6 +123,21 @@ def test_wrong_axes_and_units_are_named_with_the_remedy(
     assert len(text) < 350
 
 
+@pytest.mark.parametrize("vehicle", [CAR, QUADROTOR])
+def test_exchanged_coordinates_of_the_fixes_are_among_the_causes(
+    drives: dict[str, Readings], vehicle: str
+) -> None:
+    *imu, fix_t, places = drives[vehicle]
+    found = [fault for _, fault in check((*imu, fix_t, places[:, [1, 0, 2]]))]
+
+    assert "latitude and longitude of the fixes are exchanged" in describe(found[-1]).text
+
+
+def test_a_reversed_rate_is_blamed_on_no_coordinates(drives: dict[str, Readings]) -> None:
+    found = [fault for _, fault in check(drives[QUADROTOR], ONE, np.diag([1.0, 1.0, -1.0]))]
+    assert "latitude" not in describe(found[-1]).text
+
+
 def test_what_a_quadrotor_shows_is_named_within_30_seconds_of_motion(
     drives: dict[str, Readings],
 ) -> None:
