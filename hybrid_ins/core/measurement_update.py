@@ -50,6 +50,7 @@ from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
 from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.missing_height import LevelMotion
 from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.position_scatter import (
     PositionScatter,
@@ -72,6 +73,7 @@ from hybrid_ins.core.state import (
     PSD,
     QUAT,
     SENSITIVITY,
+    SLOW_VARIANCE,
     VELOCITY,
     pack,
 )
@@ -195,6 +197,8 @@ class MeasurementUpdate:
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
             if verdict.accepted and split is not None:
                 self.scatter.learn(found, len(verdict.sigma), event.t_ns)
+            if isinstance(event, LevelMotion):
+                nav[SLOW_VARIANCE][2] = event.height_variance
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
@@ -208,12 +212,8 @@ class MeasurementUpdate:
         """Do what `_fuse` does with a fix that its NIS alone decides on; None for others."""
         if isinstance(fix, PositionFix):
             assert split is not None
-            measured, share, slow, slow_interval = (
-                fix.lla,
-                split.share,
-                split.slow_variance,
-                split.interval,
-            )
+            measured, share = fix.lla, split.share
+            slow, slow_interval = split.slow_variance, split.interval
         elif isinstance(fix, VelocityFix):
             measured, share, slow, slow_interval = fix.velocity_n, 1.0, NO_SLOW_ERROR, 0.0
         else:

@@ -31,7 +31,7 @@ from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
-GNSS, IMU = "gnss", "imu"  # sensors
+GNSS, IMU, ASSUMED = "gnss", "imu", "assumed"  # sensors; the last is none
 
 STANDING_SPEED_STD = 0.03  # m/s, of a vehicle that stands: it rocks
 STANDING_RATE_STD = 3e-4  # rad/s
@@ -120,8 +120,9 @@ class Measurement(Protocol):
     kind : str
         What it measures; measurements of one stamp are fused in the order of their kinds.
     sensor : str
-        What measured it: `GNSS`, `IMU`, or the name of another sensor. Noise factors and clock
-        offset are learned from GNSS only, and only GNSS can prove the state wrong.
+        What measured it: `GNSS`, `IMU`, `ASSUMED` (none), or the name of another sensor. Noise
+        factors and clock offset are learned from GNSS only, and only GNSS can prove the state
+        wrong.
     t_ns : int
         When it was true, IMU clock [ns].
     """

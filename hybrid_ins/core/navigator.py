@@ -19,7 +19,7 @@ from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_monitor import ImuMonitor
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import GNSS, IMU, Measurement
+from hybrid_ins.core.measurements import ASSUMED, GNSS, IMU, Measurement
 from hybrid_ins.core.navigator_events import (
     Event,
     FaultFound,
@@ -265,7 +265,7 @@ class Navigator:
         while self._events:
             event = self._events.popleft()
             if isinstance(event, Verdict):
-                if event.measurement.sensor == IMU:
+                if event.measurement.sensor in (IMU, ASSUMED):
                     continue
                 if event.measurement.sensor == GNSS:
                     self._on_verdict(event)

@@ -10,6 +10,7 @@ from typing import Any
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
+from hybrid_ins.core.missing_height import MissingHeight
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.scale_error_monitor import ScaleErrorMonitor
 from hybrid_ins.ros.aiding_sources import AidingSources
@@ -48,7 +49,7 @@ class Aids:
     ) -> None:
         self._navigator = navigator
         self._scale_errors = ScaleErrorMonitor(values["imu.scale_std"])
-        self._fixes = FixWatch()
+        self._fixes, self._height = FixWatch(), MissingHeight()
         self._reports: list[Report] = []
         self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
         self.sources = AidingSources(values, navigator, self._fixes, inputs)
@@ -63,6 +64,7 @@ class Aids:
     def restart(self) -> None:
         """Restart, as the filter did."""
         self._fixes.restart()
+        self._height.restart()
         self._scale_errors.restart()
         self.vehicle.restart()
         self.sources.restart()
@@ -71,6 +73,7 @@ class Aids:
         """Note a fix; report the verdict on another sensor's reading."""
         if verdict.measurement.sensor == GNSS:
             self._fixes.on_verdict(verdict)
+            self._height.on_verdict(verdict)
         else:
             self._report("aiding/verdict", aiding_verdict_status(verdict))
 
@@ -80,6 +83,9 @@ class Aids:
             self._fixes.on_start(t_ns)
         navigator = self._navigator
         self._scale_errors.run_periodic(navigator.phases, navigator.ring, self._fixes, t_ns)
+        level = self._height.measurement(t_ns)
+        if level is not None:
+            navigator.measure(level)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)
         changed = self._validity.changed(t_ns)

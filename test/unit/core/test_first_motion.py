@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.first_motion import HEIGHT_STD, first_motion
+from hybrid_ins.core.first_motion import (
+    CLIMB_STD,
+    HEIGHT_STD,
+    first_motion,
+)
 from hybrid_ins.core.measurements import PositionFix
 
 STEP_NS = 200_000_000
@@ -32,4 +36,17 @@ def test_velocity_is_the_slope_of_the_fixes_with_a_height_and_without(height: fl
     assert motion.has_velocity
     np.testing.assert_allclose(motion.velocity_n, VELOCITY_N, atol=2e-3)
     assert np.isfinite(motion.lla).all()
-    assert (motion.p_cov[2, 2] == HEIGHT_STD**2) == np.isnan(height)
+    if np.isnan(height):
+        assert motion.p_cov[2, 2] == pytest.approx(HEIGHT_STD**2)
+        assert motion.v_cov[2, 2] >= CLIMB_STD**2 > 100.0 * motion.v_cov[0, 0]
+    else:
+        assert motion.p_cov[2, 2] < 1.0 and motion.v_cov[2, 2] == motion.v_cov[0, 0]
+
+
+def test_the_last_height_serves_where_a_fix_has_none() -> None:
+    series = fixes(120.0)
+    series[-1].lla[2] = np.nan
+
+    motion = first_motion(series, None, 6 * STEP_NS)
+
+    assert motion.lla[2] == 120.0 and motion.p_cov[2, 2] == pytest.approx(HEIGHT_STD**2)
