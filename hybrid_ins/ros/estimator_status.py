@@ -18,6 +18,8 @@ from hybrid_ins.ros.noise_input import NoiseInput
 from hybrid_ins.ros.reporter import Reporter
 from hybrid_ins.ros.reports import Status
 
+LONG_WITHOUT = 10.0  # s without a fix at the end, of which a summary says so
+
 
 @dataclass(frozen=True, slots=True)
 class EstimatorStatus:
@@ -61,5 +63,8 @@ class EstimatorStatus:
     def summary(self) -> str:
         """Return a line on what was fused and what was not."""
         refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.inputs.counts.items()))
-        lines = (f"{self.reporter.fixes_fused} fixes fused", refused, self.review.summary())
+        reporter = self.reporter
+        without = (self.navigator.last_ns - reporter.fused_ns) * 1e-9 if reporter.fused_ns else 0.0
+        ended = f"none in the last {without:.0f} s" if without > LONG_WITHOUT else ""
+        lines = (f"{reporter.fixes_fused} fixes fused", ended, refused, self.review.summary())
         return "; ".join(filter(None, lines))

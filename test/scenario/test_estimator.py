@@ -88,6 +88,15 @@ def test_what_a_user_changes_leaves_a_line() -> None:
     ]
 
 
+def test_the_summary_says_that_fixes_have_ended() -> None:
+    drive = Drive(**KNOWN)
+    drive.play(0.0, 12.0)
+    assert "none in the last" not in drive.estimator.status.summary()
+
+    drive.play(12.0, 30.0, with_fixes=False)
+    assert "fixes fused; none in the last 18 s" in drive.estimator.status.summary()
+
+
 def test_a_flood_of_fixes_is_cut_and_told() -> None:
     drive = Drive()
     drive.play(0.0, 2.0, with_fixes=False)
