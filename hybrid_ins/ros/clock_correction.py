@@ -28,6 +28,7 @@ CORRECTION_NS = 1_000_000_000  # between two corrections of the offset
 USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
 SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
 WRONG = 0.03  # s, of an offset that the user should know of
+LARGEST = 1.0  # s: innovations that show a larger change are of something else
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
 LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
 
@@ -159,7 +160,7 @@ class ClockCorrection:
         sigma = math.sqrt(variance)
         worth = abs(missing) > max(0.3 * sigma, 1e-3)
         is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT
-        if sigma < USABLE and worth and is_left:
+        if sigma < USABLE and worth and is_left and abs(missing) < LARGEST:
             self._moved += missing
             running.submit(ClockShift(running.t_ns, missing))
         if sigma < SETTLED and self._settled is None:
@@ -187,6 +188,8 @@ class ClockCorrection:
         if running is None or not self._axes_are_plausible:
             return ""
         missing, sigma = running.clock.residual, running.clock.sigma
+        if abs(missing) > LARGEST:
+            return ""
         total, limit = self.offset + missing, max(WRONG, 5.0 * sigma)
         if self._estimate:
             settled = self._settled

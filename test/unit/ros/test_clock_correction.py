@@ -97,6 +97,26 @@ def test_the_step_that_a_search_puts_in_force_is_corrected_towards_a_right_given
     assert clock.offset == pytest.approx(0.0, abs=0.01)
 
 
+def test_fixes_that_jump_about_are_no_clock_that_is_seconds_off() -> None:
+    lines: list[str] = []
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    clock._inputs = InputLog(lambda level, text: lines.append(text))
+    running.show(0.0, 0.0, 0.005)
+    clock.run_periodic()
+
+    running.show(2.4, 0.0, 0.02)
+    clock.run_periodic()
+    assert clock.offset == 0.0 and lines == []
+
+    navigator.phases.clock_open = False  # a search has found nothing
+    for in_force in (0.0, 0.2):
+        running.show(0.2, in_force, 0.005)
+        clock.run_periodic()
+    assert clock.offset == pytest.approx(0.2, abs=0.01)
+    assert any("the clock offset moved from +0.000 s" in line for line in lines)
+
+
 def test_what_a_filter_has_found_is_the_prior_of_the_next() -> None:
     running = Running(0.0)
     clock, navigator = correction(running)
