@@ -102,6 +102,7 @@ def test_fixes_that_jump_about_are_no_clock_that_is_seconds_off() -> None:
     running = Running(0.0)
     clock, navigator = correction(running)
     clock._inputs = InputLog(lambda level, text: lines.append(text))
+    navigator.phases.clock_open = False  # the search has ended
     running.show(0.0, 0.0, 0.005)
     clock.run_periodic()
 
@@ -109,7 +110,6 @@ def test_fixes_that_jump_about_are_no_clock_that_is_seconds_off() -> None:
     clock.run_periodic()
     assert clock.offset == 0.0 and lines == []
 
-    navigator.phases.clock_open = False  # a search has found nothing
     for in_force in (0.0, 0.2):
         running.show(0.2, in_force, 0.005)
         clock.run_periodic()
