@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.state import W_G
+from hybrid_ins.core.state import N_FLAT, W_G
 from hybrid_ins.ros.diagnostics import noise_conditions
 
 
@@ -23,7 +23,8 @@ def navigator(factor: float, turning: float, extra_std: float) -> Any:
     samples, ring = np.zeros(500, SAMPLE_DTYPE), ImuRing()
     samples["w"][:, 2] = turning
     ring.extend(samples)
-    return SimpleNamespace(filter=SimpleNamespace(noise=noise), ring=ring)
+    running = SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT))
+    return SimpleNamespace(filter=running, ring=ring)
 
 
 @pytest.mark.parametrize(
