@@ -277,7 +277,7 @@ def initial_yaw(message: Message, map_frame: str) -> tuple[float, float] | Refus
         )
     q = message.pose.pose.orientation
     quat = np.array([q.x, q.y, q.z, q.w], float)
-    norm = float(np.linalg.norm(quat))
+    norm = math.hypot(*quat)
     if not 0.9 < norm < 1.1:
         return Refused("initialpose: no orientation", f"quaternion {quat} has norm {norm:.2f}")
     variance = float(message.pose.covariance[35])
