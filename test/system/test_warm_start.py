@@ -46,7 +46,7 @@ def test_a_killed_node_starts_with_the_heading_that_it_had(
     logs = [tmp_path / f"{name}.log" for name in ("first", "second", "third")]
 
     node = start_node(processes, logs[0], *state)
-    early = client.call(Trigger, "/ins_node/save", Trigger.Request(), 60.0)  # it starts yet
+    early = client.call(Trigger, "/ins_node/save", Trigger.Request(), 60.0)  # it is still starting
     assert not early.success
     assert "does not run yet" in early.message
     play(processes, bag)
