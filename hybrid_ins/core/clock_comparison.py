@@ -16,6 +16,7 @@ CONFIRMATION, CONTRADICTION = 1.0, 2.0
 
 CERTAIN_NS = 10_000_000_000  # for how long [ns] another offset is certain before it is used
 PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
+SIGNIFICANT = 3.0  # standard deviations, from the offset in force
 
 
 class Comparison(Enum):
@@ -31,11 +32,12 @@ def compare(running: InsFilter, search: ClockSearch) -> Comparison:
     """
     Return what a search shows of the clock offset of the filter beside it.
 
-    The search goes on until it is precise. A contradicted filter has to inflate its clock variance:
-    certain to milliseconds of a clock that has jumped since, it would take minutes to find another
-    one. An offset that is too large for this has to be certain for a while before the filter's own
-    is excluded: where the motion hardly shows the clock, chance favours now one offset, now
-    another.
+    The search goes on until it is precise, or until both have found the offset in force to be wrong
+    and agree on the right one: the filter's clock is corrected only once the search has ended. A
+    contradicted filter has to inflate its clock variance: certain to milliseconds of a clock that
+    has jumped since, it would take minutes to find another one. An offset that is too large for
+    this has to be certain for a while before the filter's own is excluded: where the motion hardly
+    shows the clock, chance favours now one offset, now another.
     """
     certain = search.shift_is_certain
     if search.has_lasted("certain", certain, CERTAIN_NS):
@@ -45,7 +47,8 @@ def compare(running: InsFilter, search: ClockSearch) -> Comparison:
     if sigma <= OFFSET_KNOWN[0] and difference > CONTRADICTION * std:
         return Comparison.CONTRADICTED
     precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
-    if certain or not precise or difference > CONFIRMATION * std:
+    significant = min(abs(found) / sigma, abs(own.residual) / own.sigma) > SIGNIFICANT
+    if certain or not (precise or significant) or difference > CONFIRMATION * std:
         return Comparison.NOTHING
     return Comparison.CONFIRMED
 
