@@ -162,3 +162,22 @@ def process_noise(C, psd, dt):  # type: ignore[no-untyped-def]
     q_a = (dt * psd[6], dt * psd[7], dt * psd[8])
     q_g = (dt * psd[9], dt * psd[10], dt * psd[11])
     return q_v, q_eps, q_a, q_g
+
+
+@register_jitable
+def advance(F, dt, x):  # type: ignore[no-untyped-def]
+    """Overwrite ``x``, shape (15, k), by (I + F dt + (F dt)² / 2) x."""
+    n, columns = x.shape
+    change = x.copy()
+    for order in range(1, 3):
+        product = np.zeros((n, columns))
+        for i in range(n):
+            for k in range(n):
+                element = dt / order * F[i, k]
+                if element != 0.0:
+                    for j in range(columns):
+                        product[i, j] += element * change[k, j]
+        for i in range(n):
+            for j in range(columns):
+                x[i, j] += product[i, j]
+        change = product

@@ -59,13 +59,11 @@ class CovarianceInflation:
 
 
 @dataclass(frozen=True, slots=True)
-class ScaleErrors:
-    """From the last fix up to its stamp, and until the next fix, scale errors are considered."""
+class Outage:
+    """Fixes are missing at its stamp: until the next one scale errors of the IMU are considered."""
 
     t_ns: int
-    mean: Array  # (6,) specific force [m/s²] and angular rate [rad/s] with fixes, b
-    std: float  # of the errors of scale factors
-    kind: ClassVar[str] = "axis and scale errors"  # before measurements
+    kind: ClassVar[str] = "an outage"  # before measurements
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +86,7 @@ Change = (
     | ClockInflation
     | ClockShift
     | CovarianceInflation
-    | ScaleErrors
+    | Outage
     | ScatterInForce
 )
 Event = Measurement | Change

@@ -29,6 +29,7 @@ from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
+from hybrid_ins.core.scale_errors import ScaleErrors
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
     LAST_SAMPLE,
@@ -72,6 +73,8 @@ class FilterSettings:
         Learn that from the fixes, see `PositionScatter`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b, as in the fixes.
+    scale_std : float
+        Standard deviation of errors of the IMU's scale factors, see `ScaleErrorObserver`.
     """
 
     covariance_interval: float = 0.01
@@ -83,6 +86,7 @@ class FilterSettings:
     position_scatter: float = 1.0
     learn_scatter: bool = False
     lever_b: Array = field(default_factory=lambda: np.zeros(3))
+    scale_std: float = 0.0
 
     def scatter(self) -> PositionScatter:
         """Return the scatter of positions that a filter begins with."""
@@ -139,7 +143,9 @@ class InsFilter:
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
-        self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns)
+        self._update = MeasurementUpdate(
+            noise, gate, clock, settings.scatter(), t_ns, settings.scale_std
+        )
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring
@@ -196,6 +202,11 @@ class InsFilter:
     def lever_arm(self) -> LeverArmError:
         """What the innovations show of the antenna's place; nothing is corrected by it."""
         return self._update.lever_arm.estimate
+
+    @property
+    def scale_errors(self) -> ScaleErrors:
+        """What the innovations show of the IMU's scale factors and axes; used in outages."""
+        return self._update.scale_errors.estimate
 
     @property
     def sample(self) -> Array:

@@ -59,3 +59,52 @@ def log_determinant(S):  # type: ignore[no-untyped-def]
     for i in range(S.shape[0]):
         total += 2.0 * np.log(root[i, i])
     return total
+
+
+@register_jitable
+def regress(now, P, z, h, S):  # type: ignore[no-untyped-def]
+    """
+    Correct parameters by a measurement of the mean h times the parameters: a Kalman update.
+
+    Parameters
+    ----------
+    now, P : ndarray, shape (n,), (n, n)
+        Parameters and their covariance; overwritten.
+    z, h, S : ndarray, shape (m,), (m, n), (m, m)
+        Measurement, and the covariance of its error; the last is overwritten.
+    """
+    m, n = h.shape
+    rest, white, column, g = z.copy(), np.empty((m, n)), np.empty(m), np.empty(n)
+    factorise(S)
+    whiten(S, rest)
+    for j in range(n):
+        for a in range(m):
+            column[a] = h[a, j]
+        whiten(S, column)
+        for a in range(m):
+            white[a, j] = column[a]
+    for a in range(m):
+        missing, variance = rest[a], 1.0
+        for i in range(n):
+            g[i] = 0.0
+            for j in range(n):
+                g[i] += P[i, j] * white[a, j]
+        for j in range(n):
+            missing -= white[a, j] * now[j]
+            variance += white[a, j] * g[j]
+        for i in range(n):
+            now[i] += g[i] * missing / variance
+            for j in range(n):
+                P[i, j] -= g[i] * (g[j] / variance)
+
+
+@register_jitable
+def mean_square(z, h, now, S):  # type: ignore[no-untyped-def]
+    """Return the normalised square of z - h now, over its dimension; see `regress`."""
+    m, n = h.shape
+    rest, root = z.copy(), S.copy()
+    for a in range(m):
+        for j in range(n):
+            rest[a] -= h[a, j] * now[j]
+    factorise(root)
+    return whiten(root, rest) / m

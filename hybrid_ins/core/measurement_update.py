@@ -26,7 +26,7 @@ from hybrid_ins.core.events import (
     CovarianceInflation,
     Event,
     NoiseChange,
-    ScaleErrors,
+    Outage,
     ScatterInForce,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -60,7 +60,7 @@ from hybrid_ins.core.position_scatter import (
 )
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.scale_errors import ConsideredScaleErrors
+from hybrid_ins.core.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
@@ -113,13 +113,15 @@ class MeasurementUpdate:
         Share of the claimed variance of positions that is white.
     corrected_ns : int
         Stamp of the last fix that was fused, or of the start [ns].
-    scale : ConsideredScaleErrors, optional
-        In outages.
+    scale_std : float
+        Standard deviation of errors of the IMU's scale factors.
 
     Attributes
     ----------
     lever_arm : LeverArmObserver
         Error of the antenna's place, estimated beside the state.
+    scale_errors : ScaleErrorObserver
+        Scale errors of the IMU, likewise.
     """
 
     def __init__(
@@ -129,15 +131,14 @@ class MeasurementUpdate:
         clock: ClockOffsetObserver,
         scatter: PositionScatter,
         corrected_ns: int,
-        scale: ConsideredScaleErrors | None = None,
+        scale_std: float,
     ) -> None:
         self.noise = noise
         self.gate = gate
         self.clock = clock
         self.scatter = scatter
         self._corrected_ns = corrected_ns
-        self._scale = scale
-        self.lever_arm = LeverArmObserver()
+        self.lever_arm, self.scale_errors = LeverArmObserver(), ScaleErrorObserver(scale_std)
 
     def __copy__(self) -> MeasurementUpdate:
         twin = object.__new__(MeasurementUpdate)
@@ -145,6 +146,7 @@ class MeasurementUpdate:
         twin.noise, twin.gate = self.noise.__copy__(), self.gate.__copy__()
         twin.clock, twin.scatter = self.clock.__copy__(), self.scatter.__copy__()
         twin.lever_arm = self.lever_arm.__copy__()
+        twin.scale_errors = self.scale_errors.__copy__()
         return twin
 
     def apply(
@@ -165,10 +167,7 @@ class MeasurementUpdate:
         ring : ImuRing
             Recent IMU samples.
         """
-        if self._scale is None and isinstance(event, ScaleErrors):
-            self._scale = ConsideredScaleErrors(self._corrected_ns, event.mean, event.std)
-        if self._scale is not None:
-            self._scale = self._scale.grown(nav, ring, event.t_ns)
+        self.scale_errors.follow(nav, ring, event.t_ns)
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         split: Split | None = None
         if isinstance(event, NoiseChange):
@@ -180,13 +179,16 @@ class MeasurementUpdate:
         elif isinstance(event, ClockShift):
             inject(nav, self.clock.shift(event.by, nav))
             self.lever_arm.shift_clock(event.by)
+            self.scale_errors.shift_clock(event.by)
         elif isinstance(event, CovarianceInflation):
             inflate(nav, event.std, event.lever_b)
             self.noise.on_imu_fault(event.t_ns)
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
             self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
-        elif not isinstance(event, ScaleErrors):
+        elif isinstance(event, Outage):
+            self.scale_errors.begin_outage(nav, ring, self._corrected_ns, event.t_ns)
+        else:
             if isinstance(event, PositionFix):
                 noise = self.noise
                 claimed = event.claimed
@@ -243,7 +245,8 @@ class MeasurementUpdate:
         ):
             return None
         clock.on_corrected(fix.t_ns)
-        self._corrected_ns, self._scale = fix.t_ns, None
+        self._corrected_ns = fix.t_ns
+        self.scale_errors.end_outage()
         nis, log_det, weight, found = result[: SIGMA.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
@@ -288,14 +291,11 @@ class MeasurementUpdate:
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            if self.noise.factors is not None or self._scale is not None:
+            if self.noise.uses_corrections or self.scale_errors.in_outage:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
-            if self._scale is not None and linear is not None:
-                ends = measurement.sensor == GNSS  # P alone goes on
-                self._scale = None if ends else self._scale.corrected(linear[1], K, linear[3])
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
@@ -317,14 +317,17 @@ class MeasurementUpdate:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
+            self.scale_errors.update(correction, is_fix=False)
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
+            self.scale_errors.end_outage()
         if verdict.receiver_jumped:
             self.noise.jumps = self.noise.jumps.learned(z, S, R, measurement.t_ns)
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
             self.lever_arm.restart()
+            self.scale_errors.restart()
         if verdict.disagrees:
             self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
@@ -334,9 +337,10 @@ class MeasurementUpdate:
         return verdict, self._learn_noise(nav, correction), found
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
-        """Let noise and lever arm learn from a correction; the former may move the state."""
+        """Let noise and sensors' errors learn from it; the former may move the state."""
         if self.noise.uses_corrections:
             self.lever_arm.update(correction, nav, is_fix=True)
+            self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction)
         if moved is not None:
             inject(nav, moved.dx)

@@ -1,35 +1,59 @@
 """
-Errors of an IMU's scale factors and of the directions of its axes, considered in the covariance.
+Errors of an IMU's scale factors and of the directions of its axes, estimated beside the filter.
 
 They are constant: the readings are f + M_a f and ω + M_g ω with small unknown matrices M_a and M_g,
-(3, 3). While fixes come the biases follow M f₀ and M ω₀ of the mean motion, and the innovations
-show the rest. Where fixes are missing the errors grow by M (f - f₀) and M (ω - ω₀). M is not
-estimated but considered, [1]_: its correlation with the errors of the state is kept, so that a
-manoeuvre that ends as it began takes away most of what it has brought.
+(3, 3), [2]_. Of the motion at the start nothing can be told from the biases, which are those about
+it: the errors of the readings are b + M_a (f - f₀) and b + M_g ω, where f₀ is what was measured of
+gravity then.
+
+For the filter their elements m are constants, so the sensitivity U = d(error)/dm, shape (15, 18),
+obeys the filter's own equations, [1]_::
+
+    U <- Phi U + D        over IMU samples; D is what M (f - f₀) and M ω do meanwhile
+    U <- G U - K H U      with every correction
+
+and an innovation has the mean H U m. The estimate is a regression of the innovations on that, with
+the clock offset of the fixes, the age of velocities and the error of the lever arm beside it: in
+turns they do something similar. While fixes come they hold the state, and nothing is corrected.
+Where fixes are missing the state is corrected by U m, and what the samples do to it from then on by
+D m; the covariance P_m of the estimate is *considered*, [3]_: U P_m U' is added to that of the
+state, so that a manoeuvre that ends as it began takes away most of what it has brought.
 
 References
 ----------
-.. [1] S. Schmidt, "Application of state-space methods to navigation problems", Advances in Control
-       Systems 3, 1966.
+.. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
+       Control 14, 1969.
 .. [2] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
        2nd ed., section 4.4.2 (scale factor and cross-coupling errors).
+.. [3] S. Schmidt, "Application of state-space methods to navigation problems", Advances in Control
+       Systems 3, 1966.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from hybrid_ins.core.error_model import system_matrix
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec
+from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
+from hybrid_ins.core.clock_sensitivity import sensitivities
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.earth import normal_gravity
+from hybrid_ins.core.error_model import advance, system_matrix
+from hybrid_ins.core.kalman import inject, innovation_covariance
+from hybrid_ins.core.linalg import mean_square, regress
+from hybrid_ins.core.noise import Correction
+from hybrid_ins.core.rotations import matrix_from_quat, skew
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
+from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
-    B_A,
     BIAS_A,
     BIAS_G,
     COVARIANCE,
+    HEADING_VARIANCE,
     LAST_F,
     LAST_W,
     LLA,
@@ -39,120 +63,311 @@ from hybrid_ins.core.state import (
     covariance,
     pack,
 )
+from hybrid_ins.core.strapdown import half_rotation, multiply, rotation
 
 Array = NDArray[np.float64]
 
-STEP = 0.1  # s, in which the motion is taken for constant
+LONGEST_PART, LARGEST_TURN = 0.1, 0.1  # s, rad, in which the motion is taken for constant
+MAX_INTERVAL_NS = 5_000_000_000  # ns without a measurement, beyond which nothing is followed
+HEADING_STD = math.radians(4.0)  # headings that are hardly known are a nonlinear problem
+AGE_STD, LEVER_STD = 0.3, 0.3  # s, m: of velocities against positions, of the place of the antenna
+
 N_SCALE = 18  # elements of M_a and M_g, row by row
 AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [rad], by data sheets
 SHARES = np.tile(np.where(np.eye(3) > 0.0, 1.0, AXES).ravel(), 2)  # the same, by element
 
+# Parameters of the regression: clock offset that the stamps lack [s], age of velocities [s], error
+# of the lever arm [m], b, and m in units of its deviations; U is by those from the lever arm on.
+CLOCK, LEVER, SCALE = 0, slice(2, 5), slice(5, 5 + N_SCALE)
+N_PARAMETERS, N_LEVER = SCALE.stop, 3
+_START_STD = np.array((MAX_STD, AGE_STD, *3 * [LEVER_STD], *N_SCALE * [1.0]))
 
-@dataclass(frozen=True, slots=True)
-class ConsideredScaleErrors:
+
+class ScaleErrors(NamedTuple):
+    """What the innovations show of an IMU."""
+
+    M_a: Array  # (3, 3), relative errors of the accelerometers' readings
+    M_g: Array  # (3, 3), of the gyroscopes'
+    std_a: Array  # (3, 3)
+    std_g: Array  # (3, 3)
+
+
+class ScaleErrorObserver(ShallowCopy):
     """
-    Scale errors in the covariance of a filter, since its last fix.
+    Estimates scale errors; in outages corrects a state by them, and considers what is not known.
 
-    Attributes
+    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+
+    Parameters
     ----------
-    t_ns : int
-        Stamp up to which they are in it [ns].
-    mean : ndarray, shape (6,)
-        f₀ [m/s²] and ω₀ [rad/s], b.
     std : float
-        Standard deviation of the elements on the diagonals of M_a and M_g.
-    correlation : ndarray, shape (15, N_SCALE)
-        S = E[δx mᵀ] at that stamp, with the elements m of M_a and M_g in units of
-        their deviations, ``std`` times `SHARES`.
+        Standard deviation of the elements on the diagonals of M_a and M_g; 0: there are no errors.
     """
 
-    t_ns: int
-    mean: Array
-    std: float
-    correlation: Array = field(default_factory=lambda: np.zeros((N_ERROR, N_SCALE)))
+    def __init__(self, std: float) -> None:
+        self._units = std * SHARES
+        self._parameters, self._P = np.zeros(N_PARAMETERS), np.diag(_START_STD**2)
+        self._nis = 1.0  # mean normalised NIS
+        self._t_ns = 0  # up to which U holds; 0: it is not known
+        self._U = np.zeros((N_ERROR, N_LEVER + N_SCALE))
+        self._reference = np.zeros(6)  # f₀ and 0
+        self._root: Array | None = None  # of P_m, while U P_m U' is part of a covariance
 
-    def grown(self, nav: Array, ring: ImuRing, t_ns: int) -> ConsideredScaleErrors:
+    @property
+    def estimate(self) -> ScaleErrors:
+        """See `ScaleErrors`."""
+        m = (self._units * self._parameters[SCALE]).reshape(2, 3, 3)
+        variance = np.diag(self._P)[SCALE]
+        std = (self._units * np.sqrt(variance)).reshape(2, 3, 3)
+        return ScaleErrors(*m, *std)
+
+    @property
+    def in_outage(self) -> bool:
+        """Whether the covariance of the state contains what is considered."""
+        return self._root is not None
+
+    @property
+    def correlation(self) -> Array:
+        """E[δx nᵀ], shape (15, 18), in an outage: m is its mean and ``_root`` n."""
+        assert self._root is not None
+        correlation: Array = self._U[:, N_LEVER:] @ self._root
+        return correlation
+
+    def restart(self) -> None:
+        """Note that the state was changed by other means than measurements."""
+        self._t_ns, self._root = 0, None
+
+    def shift_clock(self, by: float) -> None:
+        """Note that ``by`` [s] more is added to the stamps of fixes from now on."""
+        self._parameters, self._P = self._parameters.copy(), self._P.copy()
+        self._parameters[CLOCK] -= by
+        self._P[CLOCK, CLOCK] += by**2
+
+    def follow(self, nav: Array, ring: ImuRing, t_ns: int) -> None:
         """
-        Add what they have done up to a stamp to a covariance.
+        Follow the IMU; in an outage correct the state and let its covariance grow.
 
-        With δx ← Φ δx + D m, and P propagated without them, P ← P + Φ S Dᵀ + D Sᵀ Φᵀ + D Dᵀ and
-        S ← Φ S + D.
+        With the outage's U₁ = Φ U₀ + D, P ← P + U₁ P_m U₁ᵀ - Φ U₀ P_m U₀ᵀ Φᵀ.
 
         Parameters
         ----------
         nav : ndarray, shape (N_FLAT,)
-            Flat state at that stamp with nothing pending; its covariance is changed in place.
+            Flat state at a stamp with nothing pending; changed in place.
         ring : ImuRing
             Holds the samples up to there.
         t_ns : int
             The stamp [ns].
         """
-        if t_ns <= self.t_ns:
-            return self
-        samples = ring.between(self.t_ns, t_ns)
+        if not self._t_ns or t_ns <= self._t_ns:
+            return
+        if t_ns - self._t_ns > MAX_INTERVAL_NS or ring.has_lost(self._t_ns):
+            self.restart()
+            return
+        samples = ring.between(self._t_ns, t_ns)
         if not len(samples) or samples["t_ns"][-1] < t_ns:
             last = np.array([(t_ns, nav[LAST_F], nav[LAST_W])], SAMPLE_DTYPE)
             samples = np.concatenate((samples, last))
-        transition, drive = sensitivity(nav, self.t_ns, samples, self.mean)
-        before = transition @ self.correlation
-        after = before + self.std * SHARES * drive
-        pack(covariance(nav) + after @ after.T - before @ before.T, nav[COVARIANCE])
-        return replace(self, t_ns=t_ns, correlation=after)
+        dt = steps_since(self._t_ns, samples["t_ns"]) * 1e-9
+        U, driven = self._U.copy(), np.zeros((N_ERROR, N_SCALE))
+        follow_samples(nav, dt, readings_of(samples), self._reference, U, driven)
+        driven *= self._units
+        if self._root is not None:
+            before = U[:, N_LEVER:] @ self._root
+            after = before + driven @ self._root
+            pack(covariance(nav) + after @ after.T - before @ before.T, nav[COVARIANCE])
+            inject(nav, driven @ self._parameters[SCALE])
+        U[:, N_LEVER:] += driven
+        self._U, self._P, elapsed = U, self._P.copy(), (t_ns - self._t_ns) * 1e-9
+        self._P[CLOCK, CLOCK] += elapsed * RANDOM_WALK**2
+        self._t_ns = t_ns
 
-    def corrected(self, H: Array, K: Array, G: Array) -> ConsideredScaleErrors:
+    def begin_outage(self, nav: Array, ring: ImuRing, fix_ns: int, t_ns: int) -> None:
         """
-        Follow a correction of the state: S ← G S - K H S.
+        Correct a state at a stamp [ns] by what is known, and consider the rest until the next fix.
+
+        Without an outage that goes on already; ``fix_ns`` is the stamp of the last fix [ns].
+        """
+        if self._root is not None or not self._units.any():
+            return
+        if not self._t_ns:
+            self._begin(nav, fix_ns)
+            self.follow(nav, ring, t_ns)
+        P_m = self._P[SCALE, SCALE]
+        self._root = np.linalg.cholesky(0.5 * (P_m + P_m.T))
+        S = self.correlation
+        pack(covariance(nav) + S @ S.T, nav[COVARIANCE])
+        inject(nav, self._U[:, N_LEVER:] @ self._parameters[SCALE])
+
+    def end_outage(self) -> None:
+        """Note a fix: what is considered is part of the covariance, which goes on alone."""
+        if self._root is not None:
+            self.restart()
+
+    def _begin(self, nav: Array, t_ns: int) -> None:
+        """Begin with a state that was read off the fixes."""
+        C_nb, gravity_n = matrix_from_quat(nav[QUAT]), normal_gravity(nav[LLA][0], nav[LLA][2])
+        self._U = np.zeros((N_ERROR, N_LEVER + N_SCALE))
+        self._U[:3, :N_LEVER] = -C_nb
+        self._reference = np.zeros(6)
+        self._reference[:3] = -C_nb.T @ [gravity_n[0], 0.0, gravity_n[1]]
+        self._t_ns = t_ns
+
+    def update(self, correction: Correction, is_fix: bool) -> None:
+        """
+        Follow a correction, and learn from that by a fix.
 
         Parameters
         ----------
-        H, K, G : ndarray, shape (m, 15), (15, m), (15, 15)
-            Measurement matrix and G as `iterated_update.linearisation` returns them, and the gain
-            as `iterated_update.update` does.
+        correction : Correction
+            With the state before it.
+        is_fix : bool
+            Otherwise another measurement corrected, which only changes U.
         """
-        S = self.correlation
-        return replace(self, correlation=G @ S - K @ (H @ S))
+        if self._root is None:
+            if correction.nav[HEADING_VARIANCE] > HEADING_STD**2 or not self._units.any():
+                self.restart()
+                return
+            if is_fix and not self._t_ns:
+                self._begin(correction.nav, correction.t_ns)
+        if not self._t_ns:
+            return
+        H, G = correction.H, None
+        if correction.linear is not None:
+            _, H, _, G = correction.linear
+        h = H @ self._U
+        if is_fix:
+            direct = _of_lever(correction.nav, correction.H)
+            h[:, :N_LEVER] += direct
+            if correction.fused:
+                self._learn(correction, direct)
+        moved = self._U if G is None else G @ self._U
+        self._U = moved - correction.K @ h
+
+    def _learn(self, correction: Correction, of_lever: Array) -> None:
+        """Regress an innovation; ``of_lever`` is how it depends on the lever arm itself, (m, 3)."""
+        h = np.empty((len(correction.z), N_PARAMETERS))
+        h[:, : LEVER.start], _ = sensitivities(correction.nav, correction.H)
+        h[:, LEVER.start :] = correction.H @ self._U
+        h[:, LEVER] += of_lever
+        self._parameters, self._P = self._parameters.copy(), self._P.copy()
+        self._nis = observe_scale_errors(
+            self._parameters,
+            self._P,
+            self._nis,
+            correction.nav[COVARIANCE],
+            correction.z,
+            correction.H,
+            h,
+            correction.S,
+            correction.weight,
+        )
 
 
-def sensitivity(
-    nav: Array, since_ns: int, samples: NDArray[np.void], mean: Array
-) -> tuple[Array, Array]:
+def _of_lever(nav: Array, H: Array) -> Array:
+    """Return how an innovation depends on an error of the lever arm besides by the state, (m, 3)."""
+    C_nb = matrix_from_quat(nav[QUAT])
+    swing = C_nb @ skew(nav[LAST_W] - nav[BIAS_G])
+    of_lever: Array = H[:, :3] @ C_nb + H[:, 3:6] @ swing
+    return of_lever
+
+
+@kernel()
+def observe_scale_errors(  # type: ignore[no-untyped-def]
+    parameters, P, nis, packed, z, H, h, S, weight
+):
     """
-    Return Φ, shape (15, 15), and D, shape (15, N_SCALE), of δx ← Φ δx + D m over samples.
+    Correct the parameters by an innovation, and return the mean normalised NIS after it.
+
+    Parameters
+    ----------
+    parameters, P : ndarray, shape (N_PARAMETERS,), (N_PARAMETERS, N_PARAMETERS)
+        Overwritten.
+    nis : float
+        Mean normalised NIS before it: what is above 1 makes an innovation say less.
+    packed : ndarray, shape (120,)
+        Upper triangle of the state's covariance before the correction.
+    z, H, h, S : ndarray, shape (m,), (m, 15), (m, N_PARAMETERS), (m, m)
+        Innovation, measurement matrix, mean of the former by parameters, and its covariance.
+    weight : float
+        With which the measurement was fused: its covariance was divided by that.
+    """
+    m = len(z)
+    total, _ = innovation_covariance(packed, H, np.zeros((m, m)))
+    for a in range(m):
+        for b in range(m):
+            total[a, b] += (S[a, b] - total[a, b]) / weight
+    nis += (mean_square(z, h, parameters, total) - nis) / NIS_MEMORY
+    regress(parameters, P, z, h, MARGIN**2 * max(nis, 1.0) * total)
+    return nis
+
+
+@kernel()
+def follow_samples(nav, dt, readings, reference, U, driven):  # type: ignore[no-untyped-def]
+    """
+    Carry sensitivities over IMU samples.
 
     Parameters
     ----------
     nav : ndarray, shape (N_NAV,) or longer
         Flat state at the last sample.
-    since_ns : int
-        Stamp at which they begin [ns].
-    samples : ndarray of ``SAMPLE_DTYPE``
-        At least one.
-    mean : ndarray, shape (6,)
-        f₀ [m/s²] and ω₀ [rad/s], b.
+    dt : ndarray, shape (N,)
+        Time from each sample's predecessor [s].
+    readings : ndarray, shape (N, 6)
+        Specific force [m/s²] and angular rate [rad/s], b, as measured.
+    reference : ndarray, shape (6,)
+        Readings of which the biases contain all that scale errors do.
+    U : ndarray, shape (15, k)
+        Overwritten by Φ U.
+    driven : ndarray, shape (15, N_SCALE)
+        Overwritten by Φ driven + D.
     """
-    dt = steps_since(since_ns, samples["t_ns"]) * 1e-9
-    parts = max(1, round(float(dt.sum()) / STEP))
-    first = np.unique(np.linspace(0, len(dt), parts, endpoint=False, dtype=np.int64))
-    lengths = np.add.reduceat(dt, first)
-    readings = np.add.reduceat(dt[:, None] * readings_of(samples), first) / lengths[:, None]
-    attitudes = _attitudes(matrix_from_quat(nav[QUAT]), readings[:, 3:] - nav[BIAS_G], lengths)
-    transition, drive = np.eye(N_ERROR), np.zeros((N_ERROR, N_SCALE))
-    F = np.zeros((N_ERROR, N_ERROR))
-    for C_nb, reading, length in zip(attitudes, readings, lengths, strict=True):
-        system_matrix(nav[LLA], nav[VELOCITY], C_nb @ (reading[:3] - nav[BIAS_A]), C_nb.ravel(), F)
-        # M (f - f₀) is an error of a reading, as a bias is; half of it before, half behind a step.
-        half = 0.5 * length * (reading - mean).reshape(2, 1, 3)
-        error = (F[:, B_A.start :].reshape(N_ERROR, 2, 3, 1) * half).reshape(N_ERROR, N_SCALE)
-        step = np.eye(N_ERROR) + length * F + 0.5 * length**2 * F @ F
-        transition, drive = step @ transition, step @ (drive + error) + error
-    return transition, drive
+    n, time, turn = len(dt), 0.0, 0.0
+    for k in range(n):
+        time += dt[k]
+        square = 0.0
+        for i in range(3):
+            square += (readings[k, 3 + i] - nav[BIAS_G][i]) ** 2
+        turn += dt[k] * np.sqrt(square)
+    parts = min(max(1, int(np.ceil(max(time / LONGEST_PART, turn / LARGEST_TURN) - 1e-6))), n)
+    lengths, means, C = np.zeros(parts), np.zeros((parts, 6)), np.empty((parts, 9))
+    quat = nav[QUAT].copy()
+    for p in range(parts - 1, -1, -1):
+        for k in range(p * n // parts, (p + 1) * n // parts):
+            lengths[p] += dt[k]
+            for i in range(6):
+                means[p, i] += dt[k] * readings[k, i]
+        for i in range(6):
+            means[p, i] /= lengths[p]
+        back = np.empty(3)  # half of the part's rotation
+        for i in range(3):
+            back[i] = -0.5 * lengths[p] * (means[p, 3 + i] - nav[BIAS_G][i])
+        scale, scalar = half_rotation(back[0], back[1], back[2])
+        multiply(quat, scale * back[0], scale * back[1], scale * back[2], scalar)
+        rotation(quat, C[p])
+        multiply(quat, scale * back[0], scale * back[1], scale * back[2], scalar)
+    F, f_n = np.zeros((N_ERROR, N_ERROR)), np.empty(3)
+    for p in range(parts):
+        for i in range(3):
+            f_n[i] = 0.0
+            for j in range(3):
+                f_n[i] += C[p, 3 * i + j] * (means[p, j] - nav[BIAS_A][j])
+        system_matrix(nav[LLA], nav[VELOCITY], f_n, C[p], F)
+        # M (f - f0) is an error of a reading, as a bias is; half of it before, half behind a part.
+        _drive(driven, F, means[p], reference, 0.5 * lengths[p])
+        advance(F, lengths[p], U)
+        advance(F, lengths[p], driven)
+        _drive(driven, F, means[p], reference, 0.5 * lengths[p])
 
 
-def _attitudes(C_nb: Array, rates_b: Array, lengths: Array) -> Array:
-    """Return C_nb (M, 3, 3) in the middle of each of M parts, from that at the end of the last."""
-    halves = matrix_from_quat(quat_from_rotvec(-0.5 * lengths[:, None] * rates_b))
-    found = np.empty((len(lengths), 3, 3))
-    for k in range(len(lengths) - 1, -1, -1):
-        found[k] = C_nb @ halves[k]
-        C_nb = found[k] @ halves[k]
-    return found
+@register_jitable
+def _drive(driven, F, reading, reference, dt):  # type: ignore[no-untyped-def]
+    """Add what M (f - f₀) and M ω do in a time ``dt`` [s] to ``driven``, (15, N_SCALE)."""
+    for sensor in range(2):
+        for i in range(3):
+            bias = 9 + 3 * sensor + i
+            for row in range(3, 9):
+                element = dt * F[row, bias]
+                if element != 0.0:
+                    for j in range(3):
+                        off = reading[3 * sensor + j] - reference[3 * sensor + j]
+                        driven[row, 9 * sensor + 3 * i + j] += element * off

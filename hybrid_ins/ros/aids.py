@@ -12,7 +12,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.missing_height import MissingHeight
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.scale_error_monitor import ScaleErrorMonitor
+from hybrid_ins.core.outage_monitor import OutageMonitor
 from hybrid_ins.ros.aiding_sources import AidingSources
 from hybrid_ins.ros.diagnostics import aiding_verdict_status
 from hybrid_ins.ros.input_log import InputLog
@@ -48,8 +48,7 @@ class Aids:
         placement: SensorPlacement,
     ) -> None:
         self._navigator = navigator
-        self._scale_errors = ScaleErrorMonitor(values["imu.scale_std"])
-        self._fixes, self._height = FixWatch(), MissingHeight()
+        self._outages, self._fixes, self._height = OutageMonitor(), FixWatch(), MissingHeight()
         self._reports: list[Report] = []
         self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
         self.sources = AidingSources(values, navigator, self._fixes, inputs)
@@ -65,7 +64,7 @@ class Aids:
         """Restart, as the filter did."""
         self._fixes.restart()
         self._height.restart()
-        self._scale_errors.restart()
+        self._outages.restart()
         self.vehicle.restart()
         self.sources.restart()
 
@@ -81,11 +80,10 @@ class Aids:
         """Do what is due at a stamp [ns]; return what is to be published."""
         if self._navigator.phase.best is not None:
             self._fixes.on_start(t_ns)
-        navigator = self._navigator
-        self._scale_errors.run_periodic(navigator.phases, navigator.ring, self._fixes, t_ns)
+        self._outages.run_periodic(self._navigator.phases, self._fixes, t_ns)
         level = self._height.measurement(t_ns)
         if level is not None:
-            navigator.measure(level)
+            self._navigator.measure(level)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)
         changed = self._validity.changed(t_ns)

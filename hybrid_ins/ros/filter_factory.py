@@ -56,6 +56,7 @@ class FilterFactory:
             keep_record=keep_record,
             position_scatter=values["gnss.position_scatter"],
             learn_scatter=self._adapts(),
+            scale_std=values["imu.scale_std"],
         )
         given = values["gnss.time_offset.value"]
         self.set_clock_offset(given, ClockPrior(given, values["gnss.time_offset.std"]))
