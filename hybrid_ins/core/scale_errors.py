@@ -68,12 +68,13 @@ from hybrid_ins.core.strapdown import half_rotation, multiply, rotation
 Array = NDArray[np.float64]
 
 LONGEST_PART, LARGEST_TURN = 0.1, 0.1  # s, rad, in which the motion is taken for constant
-MAX_INTERVAL_NS = 5_000_000_000  # ns without a measurement, beyond which nothing is followed
+MAX_INTERVAL_NS = 10_000_000_000  # ns without a measurement, beyond which nothing is followed
 HEADING_STD = math.radians(4.0)  # headings that are hardly known are a nonlinear problem
 AGE_STD, LEVER_STD = 0.3, 0.3  # s, m: of velocities against positions, of the place of the antenna
 
 N_SCALE = 18  # elements of M_a and M_g, row by row
 AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [rad], by data sheets
+VARYING = 0.4  # of each deviation: that of what is not constant, by temperature and nonlinearity
 SHARES = np.tile(np.where(np.eye(3) > 0.0, 1.0, AXES).ravel(), 2)  # the same, by element
 
 # Parameters of the regression: clock offset that the stamps lack [s], age of velocities [s], error
@@ -108,7 +109,7 @@ class ScaleErrorObserver(ShallowCopy):
         self._units = std * SHARES
         self._parameters, self._P = np.zeros(N_PARAMETERS), np.diag(_START_STD**2)
         self._nis = 1.0  # mean normalised NIS
-        self._t_ns = 0  # up to which U holds; 0: it is not known
+        self._t_ns: int | None = None  # up to which U holds
         self._U = np.zeros((N_ERROR, N_LEVER + N_SCALE))
         self._reference = np.zeros(6)  # f₀ and 0
         self._root: Array | None = None  # of P_m, while U P_m U' is part of a covariance
@@ -135,7 +136,7 @@ class ScaleErrorObserver(ShallowCopy):
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""
-        self._t_ns, self._root = 0, None
+        self._t_ns = self._root = None
 
     def shift_clock(self, by: float) -> None:
         """Note that ``by`` [s] more is added to the stamps of fixes from now on."""
@@ -158,7 +159,7 @@ class ScaleErrorObserver(ShallowCopy):
         t_ns : int
             The stamp [ns].
         """
-        if not self._t_ns or t_ns <= self._t_ns:
+        if self._t_ns is None or t_ns <= self._t_ns:
             return
         if t_ns - self._t_ns > MAX_INTERVAL_NS or ring.has_lost(self._t_ns):
             self.restart()
@@ -189,10 +190,10 @@ class ScaleErrorObserver(ShallowCopy):
         """
         if self._root is not None or not self._units.any():
             return
-        if not self._t_ns:
+        if self._t_ns is None:
             self._begin(nav, fix_ns)
             self.follow(nav, ring, t_ns)
-        P_m = self._P[SCALE, SCALE]
+        P_m = self._P[SCALE, SCALE] + VARYING**2 * np.eye(N_SCALE)
         self._root = np.linalg.cholesky(0.5 * (P_m + P_m.T))
         S = self.correlation
         pack(covariance(nav) + S @ S.T, nav[COVARIANCE])
@@ -227,9 +228,9 @@ class ScaleErrorObserver(ShallowCopy):
             if correction.nav[HEADING_VARIANCE] > HEADING_STD**2 or not self._units.any():
                 self.restart()
                 return
-            if is_fix and not self._t_ns:
+            if is_fix and self._t_ns is None:
                 self._begin(correction.nav, correction.t_ns)
-        if not self._t_ns:
+        if self._t_ns is None:
             return
         H, G = correction.H, None
         if correction.linear is not None:

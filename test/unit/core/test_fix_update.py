@@ -41,7 +41,7 @@ def update(factors: bool) -> MeasurementUpdate:
     bank = NoiseMultipleModelBank() if factors else None
     noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), process, bank)
     gate, clock = Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3)
-    return MeasurementUpdate(noise, gate, clock, PositionScatter(0.5, learning=True), SECOND)
+    return MeasurementUpdate(noise, gate, clock, PositionScatter(0.5, learning=True), SECOND, 0.0)
 
 
 def flat_state(rng: np.random.Generator) -> Array:

@@ -1,4 +1,4 @@
-"""Scale errors in outages: their derivative, what measurements leave of them, and the NEES."""
+"""Scale errors: sensitivities, what fixes show of them, and the covariance in outages."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from support.analytic_motion import Series, Truth, Wave, difference, travel
+from support.runs import begin as begin_run
 
 from hybrid_ins.core import propagation
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.chi_square import quantile
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.events import ScaleErrors
+from hybrid_ins.core.earth import curvature_scale, normal_gravity
+from hybrid_ins.core.events import Outage
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.gate import Gate, Verdict
@@ -22,10 +23,19 @@ from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.outage_monitor import OutageMonitor
+from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.scale_error_monitor import ScaleErrorMonitor
-from hybrid_ins.core.scale_errors import N_SCALE, SHARES, ConsideredScaleErrors, sensitivity
-from hybrid_ins.core.state import DP, N_ERROR, N_NAV, NavState, covariance
+from hybrid_ins.core.scale_errors import (
+    N_LEVER,
+    N_SCALE,
+    SHARES,
+    ScaleErrorObserver,
+    follow_samples,
+)
+from hybrid_ins.core.state import DP, N_ERROR, N_NAV, QUAT, NavState, covariance
+from hybrid_ins.simulation.motions import car_drive
+from tools.paper.runs import Run, Scenario, draw
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Samples = np.ndarray[Any, np.dtype[np.void]]
@@ -35,7 +45,6 @@ SECOND = 1_000_000_000
 STD = 0.01
 SIGMA_0 = np.repeat([0.1, 0.05, 0.002, 0.01, 1e-4], 3)
 Q = np.repeat([4e-4, 4e-6], 3)
-MEAN = np.array([0.3, -0.1, -9.8, 0.0, 0.01, 0.05])  # f₀, ω₀ before the outage
 NO_ROWS = np.empty((0, N_NAV))
 
 
@@ -49,13 +58,24 @@ def manoeuvres(seconds: float) -> Truth:
 
 
 def with_scale_errors(truth: Truth, m: Array) -> Samples:
-    """Return the samples of an IMU with M_a and M_g, row by row in ``m``, about the mean motion."""
-    M = m.reshape(2, 3, 3)
-    off = truth.readings - MEAN
+    """
+    Return the samples of an IMU with M_a and M_g, row by row in ``m``.
+
+    They have no effect on gravity as it was measured after half a second, when outages begin: the
+    biases contain that.
+    """
     samples = np.zeros(len(truth.t), SAMPLE_DTYPE)
     samples["t_ns"] = truth.t_ns
-    samples["f"] = truth.readings[:, :3] + off[:, :3] @ M[0].T
-    samples["w"] = truth.readings[:, 3:] + off[:, 3:] @ M[1].T
+    samples["f"], samples["w"] = truth.readings[:, :3], truth.readings[:, 3:]
+    k = min(RATE // 2, len(truth.t) - 1)
+    return disturbed(samples, m, -truth.C_nb[k].T @ [0.0, 0.0, normal_gravity(*truth.lla[k, ::2])[1]])
+
+
+def disturbed(samples: Samples, m: Array, f_0: Array) -> Samples:
+    """Return samples with M_a (f - f₀) and M_g ω added, row by row in ``m``."""
+    samples, (M_a, M_g) = samples.copy(), m.reshape(2, 3, 3)
+    samples["f"] += (samples["f"] - f_0) @ M_a.T
+    samples["w"] += samples["w"] @ M_g.T
     return samples
 
 
@@ -66,34 +86,32 @@ def advance(nav: Array, samples: Samples) -> Array:
     return nav
 
 
-def start_filter(nav: Array, samples: Samples) -> InsFilter:
-    """Return a filter at the first of some samples."""
+def start_filter(nav: Array, samples: Samples, std: float = STD) -> InsFilter:
+    """Return a filter at the first of some samples; it is told ``std``."""
     ring = ImuRing()
     ring.extend(samples[:1])
     first = np.concatenate((samples["f"][0], samples["w"][0]))
     noise = FilterNoise(ConstantNoise(Q), ProcessNoise(np.zeros(6), 1.0 / RATE))
     gate = Gate({m: quantile(0.9999, m) for m in (1, 2, 3)}, 3.0)
-    return InsFilter(NavState.from_flat(nav), 0, first, noise, gate, ring, FilterSettings(0.0, 5.0))
+    settings = FilterSettings(0.0, 5.0, scale_std=std)
+    return InsFilter(NavState.from_flat(nav), 0, first, noise, gate, ring, settings)
 
 
-def fly(ins: InsFilter, samples: Samples, std: float) -> list[ScaleErrors]:
-    """Advance over samples with scale errors twice a second; return these events."""
+def fly(ins: InsFilter, samples: Samples) -> list[Outage]:
+    """Advance over samples in an outage, with its events; return these."""
     events = []
     for begin in range(0, len(samples), RATE // 2):
         part = samples[begin : begin + RATE // 2]
         ins.ring.extend(part)
         ins.predict_block(part)
-        events.append(ScaleErrors(ins.t_ns, MEAN, std))
-        if std > 0.0:
-            ins.submit(events[-1])
+        events.append(Outage(ins.t_ns))
+        ins.submit(events[-1])
     return events
 
 
-def considered(ins: InsFilter) -> ConsideredScaleErrors:
-    """Return what a filter considers."""
-    scale = ins._update._scale
-    assert scale is not None
-    return scale
+def observer(ins: InsFilter) -> ScaleErrorObserver:
+    """Return a filter's."""
+    return ins._update.scale_errors
 
 
 def smallest_eigenvalue(P: Array) -> float:
@@ -106,9 +124,9 @@ def test_growth_is_the_derivative_of_the_error_by_each_scale_error() -> None:
     """Over 8 s in pieces of any length, also between two samples."""
     truth = manoeuvres(8.0)
     exact, nav = with_scale_errors(truth, np.zeros(N_SCALE)), truth.flat(P=np.diag(SIGMA_0**2))
-    ins = start_filter(nav, exact)
-    for end_ns in (350_000_000, 2_004_000_000, 2_007_000_000, 8 * SECOND):
-        ins.submit(ScaleErrors(end_ns, MEAN, 1e-6))
+    ins = start_filter(nav, exact, 1e-6)
+    for end_ns in (500_000_000, 2_004_000_000, 2_007_000_000, 8 * SECOND):
+        ins.submit(Outage(end_ns))
     ins.ring.extend(exact[1:])
     ins.predict_block(exact[1:])
 
@@ -118,7 +136,7 @@ def test_growth_is_the_derivative_of_the_error_by_each_scale_error() -> None:
         expected[:, k] = difference(down, up) / 2e-4
 
     size = np.abs(expected).max(axis=1, keepdims=True) + 1e-6
-    found = considered(ins).correlation / (1e-6 * SHARES)
+    found = observer(ins).correlation / (1e-6 * SHARES)
     np.testing.assert_allclose(found / size, expected / size, atol=0.02)
 
 
@@ -131,6 +149,7 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
     truth = manoeuvres(1.0)
     samples, nav = with_scale_errors(truth, np.zeros(N_SCALE)), truth.flat(P=np.diag(SIGMA_0**2))
     ins, plain = start_filter(nav, samples), start_filter(nav, samples)
+    ins.submit(Outage(0))
     velocity_b = truth.C_nb[50].T @ truth.velocity_n[50]
     wheels = BodyVelocity(SECOND // 2, velocity_b, 1e-3 * np.eye(3), np.zeros(3))
     joint = np.zeros((N_ERROR + N_SCALE, N_ERROR + N_SCALE))
@@ -140,11 +159,12 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
         for one in (ins, plain):
             one.ring.extend(part)
             one.predict_block(part)
-        since_ns = int(samples["t_ns"][begin - 1])
-        along = np.eye(N_ERROR + N_SCALE)
-        along[:N_ERROR, :N_ERROR], drive = sensitivity(ins.nav, since_ns, part, MEAN)
-        along[:N_ERROR, N_ERROR:] = STD * SHARES * drive
-        ins.submit(ScaleErrors(ins.t_ns, MEAN, STD))
+        along, drive = np.eye(N_ERROR + N_SCALE), np.zeros((N_ERROR, N_SCALE))
+        dt, readings = np.full(50, 1.0 / RATE), np.hstack((part["f"], part["w"]))
+        transition = np.eye(N_ERROR)
+        follow_samples(ins.nav, dt, readings, observer(ins)._reference, transition, drive)
+        along[:N_ERROR, :N_ERROR], along[:N_ERROR, N_ERROR:] = transition, STD * SHARES * drive
+        ins.submit(Outage(ins.t_ns))
         joint = along @ joint @ along.T
         joint[:N_ERROR, :N_ERROR] = covariance(ins.nav)
         if begin == 1:
@@ -161,7 +181,7 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
             joint[:N_ERROR, :N_ERROR] += K @ (R / weight) @ K.T
             np.testing.assert_allclose(covariance(ins.nav), joint[:15, :15], rtol=1e-6, atol=1e-15)
     assert smallest_eigenvalue(joint) > -1e-9  # covariance and correlation of one distribution
-    correlation = considered(ins).correlation
+    correlation = observer(ins).correlation
     np.testing.assert_allclose(correlation, joint[:15, 15:], rtol=1e-6, atol=1e-12)
     assert covariance(ins.nav)[3, 3] > 1.2 * covariance(plain.nav)[3, 3]
 
@@ -176,8 +196,8 @@ def position_nees(seconds: float, runs: int, std: float) -> Array:
         samples["w"] += 0.002 * rng.standard_normal((len(samples), 3))
         nav = truth.flat(P=np.diag(SIGMA_0**2))
         inject(nav, -SIGMA_0 * rng.standard_normal(N_ERROR))
-        ins = start_filter(nav, samples)
-        fly(ins, samples[1:], std)
+        ins = start_filter(nav, samples, std)
+        fly(ins, samples[1:])
         error = difference(truth.flat(len(truth.t) - 1), ins.nav)[DP]
         found.append(error @ np.linalg.solve(covariance(ins.nav)[DP, DP], error))
     return np.array(found)
@@ -202,20 +222,19 @@ def test_a_manoeuvre_that_ends_as_it_began_takes_its_error_of_velocity_away() ->
     ins = start_filter(truth.flat(P=np.diag(SIGMA_0**2)), samples)
     velocity = []
     for half in (samples[1 : 2 * RATE + 1], samples[2 * RATE + 1 : 4 * RATE + 1]):
-        fly(ins, half, STD)
-        velocity.append(abs(considered(ins).correlation[3, 0]) / STD)  # by the scale of f ahead
+        fly(ins, half)
+        velocity.append(abs(observer(ins).correlation[3, 0]) / STD)  # by the scale of f ahead
 
-    lasting = MEAN[0] * 2.0  # what it differs from the mean before all the time
-    assert velocity[0] == pytest.approx(truth.velocity_n[2 * RATE, 0], abs=1.2 * lasting)
-    assert velocity[0] > 15.0 and velocity[1] < 2.5 * lasting
+    assert velocity[0] == pytest.approx(truth.velocity_n[2 * RATE, 0], rel=0.02)
+    assert velocity[0] > 15.0 and velocity[1] < 0.5
 
 
 def test_covariance_stays_positive_definite_with_large_scale_errors_over_minutes() -> None:
     truth = manoeuvres(120.0)
     samples = with_scale_errors(truth, np.zeros(N_SCALE))
-    ins = start_filter(truth.flat(P=np.diag((0.3 * SIGMA_0) ** 2)), samples)
+    ins = start_filter(truth.flat(P=np.diag((0.3 * SIGMA_0) ** 2)), samples, 0.1)
 
-    fly(ins, samples[1:], 0.1)
+    fly(ins, samples[1:])
 
     assert covariance(ins.nav)[0, 0] > 1000.0**2
     assert smallest_eigenvalue(covariance(ins.nav)) > 0.0
@@ -226,9 +245,13 @@ def test_covariance_stays_positive_definite_with_wheels_at_any_stamp(std: float)
     """Readings of all axes at 10 Hz, stamped between samples, late, and hardly ever at a growth."""
     truth = manoeuvres(20.0)
     samples = with_scale_errors(truth, np.zeros(N_SCALE))
-    ins = start_filter(truth.flat(P=np.diag(SIGMA_0**2)), samples)
+    ins = start_filter(truth.flat(P=np.diag(SIGMA_0**2)), samples, std)
     for begin in range(1, len(samples), RATE // 10):
-        fly(ins, samples[begin : begin + RATE // 10], std if begin % (RATE // 2) == 31 else 0.0)
+        part = samples[begin : begin + RATE // 10]
+        ins.ring.extend(part)
+        ins.predict_block(part)
+        if begin % (RATE // 2) == 31:
+            ins.submit(Outage(ins.t_ns))
         k = begin + RATE // 10 - 4
         velocity_b = truth.C_nb[k].T @ truth.velocity_n[k]
         stamp_ns = int(samples["t_ns"][k]) + 3_000_000
@@ -236,14 +259,14 @@ def test_covariance_stays_positive_definite_with_wheels_at_any_stamp(std: float)
         assert smallest_eigenvalue(covariance(ins.flat_state())) > 0.0
 
     assert all(verdict.accepted for verdict in ins.verdicts)
-    assert np.abs(considered(ins).correlation).max() > 0.0
+    assert np.abs(observer(ins).correlation).max() > 0.0
 
 
 def test_a_late_fix_gives_the_result_of_an_in_order_run() -> None:
     """To the last bit, with scale errors before and after the fix; the fix ends the outage."""
     truth = manoeuvres(4.0)
     samples, nav = with_scale_errors(truth, np.zeros(N_SCALE)), truth.flat(P=np.diag(SIGMA_0**2))
-    events = fly(start_filter(nav, samples), samples[1:], STD)
+    events = fly(start_filter(nav, samples), samples[1:])
     lla = truth.lla[230] + np.array([0.2, -0.3, 0.1]) / curvature_scale(truth.lla[230])
     fix = PositionFix(2_300_000_000, lla, 0.01 * np.eye(3), np.zeros(3))
     late, in_order, without = (start_filter(nav, samples) for _ in range(3))
@@ -257,8 +280,8 @@ def test_a_late_fix_gives_the_result_of_an_in_order_run() -> None:
 
     assert late.verdicts[-1].accepted
     np.testing.assert_array_equal(late.nav[:N_NAV], in_order.nav[:N_NAV])
-    np.testing.assert_array_equal(considered(late).correlation, considered(in_order).correlation)
-    velocity = [np.abs(considered(ins).correlation[3:6]).max() for ins in (late, without)]
+    np.testing.assert_array_equal(observer(late).correlation, observer(in_order).correlation)
+    velocity = [np.abs(observer(ins).correlation[3:6]).max() for ins in (late, without)]
     assert velocity[0] < 0.6 * velocity[1]  # since the fix, not since the start
 
 
@@ -267,47 +290,115 @@ class Phases:
 
     def __init__(self) -> None:
         self.filter = object()
-        self.submitted: list[ScaleErrors] = []
+        self.submitted: list[Outage] = []
 
-    def submit(self, event: ScaleErrors) -> None:
+    def submit(self, event: Outage) -> None:
         self.submitted.append(event)
 
 
-def watched(std: float, fixes_until: int, seconds: int) -> tuple[Phases, ScaleErrorMonitor]:
-    """Return what a monitor does: a fix every second from 1 s on, until one."""
-    truth = manoeuvres(float(seconds))
-    samples = with_scale_errors(truth, np.zeros(N_SCALE))
-    samples["t_ns"] += SECOND
-    phases, ring = Phases(), ImuRing()
-    monitor, watch = ScaleErrorMonitor(std), FixWatch()
-    for k, sample in enumerate(samples):
-        ring.extend(samples[k : k + 1])
-        t_ns = int(sample["t_ns"])
+def watched(fixes_until: int, seconds: int) -> list[int]:
+    """Return the stamps of a monitor's events: a fix every second from 1 s on, until one."""
+    phases, watch, monitor = Phases(), FixWatch(), OutageMonitor()
+    for t_ns in range(SECOND, (1 + seconds) * SECOND, SECOND // RATE):
         if t_ns % SECOND == 0 and t_ns <= fixes_until * SECOND:
             fix = PositionFix(t_ns, np.zeros(3), np.eye(3), np.zeros(3))
             watch.on_verdict(replace(Verdict.rejected(fix, ""), accepted=True))
-        monitor.run_periodic(phases, ring, watch, t_ns)  # type: ignore[arg-type]
-    return phases, monitor
+        monitor.run_periodic(phases, watch, t_ns)  # type: ignore[arg-type]
+    return [event.t_ns for event in phases.submitted]
 
 
-def test_monitor_lets_filters_consider_scale_errors_in_outages_alone() -> None:
-    phases, monitor = watched(STD, 10, 20)
-    stamps = [event.t_ns for event in phases.submitted]
+def test_monitor_tells_filters_of_outages_alone() -> None:
+    stamps = watched(10, 20)
 
     assert min(stamps) == pytest.approx(13.0 * SECOND, abs=0.6 * SECOND)
     np.testing.assert_array_equal(np.diff(stamps), SECOND // 2)
-    for event in phases.submitted:
-        np.testing.assert_array_equal(event.mean, monitor.mean)
-    assert not watched(STD, 20, 20)[0].submitted
-    assert not watched(0.0, 10, 20)[0].submitted
+    assert not watched(20, 20)
 
 
-def test_monitor_follows_the_mean_motion_with_fixes() -> None:
-    _, monitor = watched(STD, 60, 60)
-    recent = manoeuvres(60.0).readings[-20 * RATE :].mean(axis=0)
+DRIVE = Scenario("drive", car_drive, rate=100.0, duration=120.0, fix_rate=1.0, scored_from=0.6)
+FLIGHT = Scenario("flight", rate=100.0, duration=30.0, scored_from=0.6)
 
-    assert monitor.mean is not None
-    np.testing.assert_allclose(monitor.mean[:3], recent[:3], atol=2.0)
-    np.testing.assert_allclose(monitor.mean[3:], recent[3:], atol=0.1)
-    monitor.restart()
-    assert monitor.mean is None
+
+def precise(seed: int) -> Run:
+    """Return a drive with a position known to 2 cm wherever the truth is, once a second."""
+    run, rng = draw(DRIVE, seed), np.random.default_rng([seed, 4])
+    stamps, fixes = run.samples["t_ns"][run.scored], []
+    for t_ns, lla in zip(stamps, run.lla, strict=True):
+        lla = lla + 0.02 * rng.standard_normal(3) / curvature_scale(lla)
+        fixes.append(PositionFix(int(t_ns), lla, 4e-4 * np.eye(3), np.zeros(3)))
+    return replace(run, fixes=tuple(fixes))
+
+
+def filtered(run: Run, std: float, scale: Array, f_0: Array | None = None) -> InsFilter:
+    """Run a filter that is told ``std`` over all samples, with scale errors (N_SCALE,) added."""
+    f_0 = run.samples["f"][:50].mean(axis=0) if f_0 is None else f_0
+    run = replace(run, samples=disturbed(run.samples, scale, f_0))
+    ins = begin_run(run, scale_std=std)
+    ins.ring.extend(run.samples[1:])
+    for fix in run.fixes:
+        ins.submit(fix)
+    last = int(run.samples["t_ns"][-1])
+    for t_ns in range(run.fixes[-1].t_ns + 3 * SECOND, last + 1, SECOND // 2):
+        ins.submit(Outage(t_ns))
+    ins.predict_block(run.samples[1:])
+    return ins
+
+
+@pytest.mark.parametrize("element", [0, 1, 8, 9, 13, 14, 17])
+def test_sensitivity_is_the_derivative_of_the_filter_by_a_scale_error(element: int) -> None:
+    run = draw(replace(FLIGHT, fix_rate=5.0), 1)
+    last = int(np.searchsorted(run.samples["t_ns"], run.fixes[-1].t_ns, side="right"))
+    run = replace(run, samples=run.samples[:last])
+    right = filtered(run, 1e-9, np.zeros(N_SCALE))
+    f_0 = observer(right)._reference[:3]
+    wrong = filtered(run, 1e-9, 1e-4 * np.eye(N_SCALE)[element], f_0)
+    U = observer(right)._U[:, N_LEVER + element] / (1e-9 * SHARES[element])
+    sigma = np.sqrt(np.diag(right.state.P))
+
+    by_difference = difference(right.nav, wrong.nav) / 1e-4
+
+    assert np.linalg.norm(U / sigma) > 1.0
+    assert np.linalg.norm((by_difference - U) / sigma) < 0.15 * np.linalg.norm(U / sigma)
+
+
+def test_scale_errors_are_found_with_an_honest_sigma() -> None:
+    """Errors of many drives over their sigma; turns show the scale of the gyroscope about them."""
+    squares, sharper = [], []
+    for seed in range(20):
+        m = STD * SHARES * np.random.default_rng([seed, 5]).standard_normal(N_SCALE)
+        found = filtered(precise(seed), STD, m).scale_errors
+        for found_M, std, M in zip(found[:2], found[2:], m.reshape(2, 3, 3), strict=True):
+            squares.append(np.square((found_M - M) / std))
+        sharper.append(found.std_g[:, 2] / (STD * SHARES[11::3]))
+
+    assert 0.6 < np.mean(squares) < 1.3
+    assert np.all(np.median(sharper, axis=0) < 0.8)
+
+
+def headings_after_an_outage(std: float, seeds: range) -> tuple[Array, Array]:
+    """Return errors of the heading after 15 s without fixes, and their variances [rad²]."""
+    errors, variances = [], []
+    for seed in seeds:
+        m = STD * SHARES * np.random.default_rng([seed, 6]).standard_normal(N_SCALE)
+        run = precise(seed)
+        stamps = run.samples["t_ns"]
+        end = int(run.scored[-1])
+        run = replace(
+            run,
+            samples=run.samples[: end + 1],
+            fixes=tuple(fix for fix in run.fixes if fix.t_ns < stamps[end] - 15 * SECOND),
+        )
+        ins = filtered(run, std, m)
+        right = matrix_from_quat(run.quat_xyzw[-1]) @ matrix_from_quat(ins.nav[QUAT]).T
+        errors.append(0.5 * (right[0, 1] - right[1, 0]))
+        variances.append(covariance(ins.nav)[8, 8])
+    return np.array(errors), np.array(variances)
+
+
+def test_what_was_found_corrects_the_heading_in_an_outage() -> None:
+    ignored, _ = headings_after_an_outage(0.0, range(12))
+    errors, variances = headings_after_an_outage(STD, range(12))
+
+    assert np.sqrt(np.mean(errors**2)) < 0.8 * np.sqrt(np.mean(ignored**2))
+    low, high = chi2.ppf((0.005, 0.995), 12)
+    assert low < np.sum(errors**2 / variances) < high
