@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.earth import displacement
+from hybrid_ins.core.imu_axes_antenna import FAR_AWAY, FarAntenna, far_fit
+from hybrid_ins.core.imu_axes_course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes_faults import (
     DEGREES,
     EXPLANATIONS,
@@ -28,16 +30,8 @@ from hybrid_ins.core.imu_axes_faults import (
     mount_upright,
     to_hypothesis,
 )
-from hybrid_ins.core.imu_axes_fit import (
-    CLOCK_OFFSETS,
-    INTERVALS,
-    STEP,
-    Fit,
-    Motion,
-    attitudes,
-    fit,
-    triples_of,
-)
+from hybrid_ins.core.imu_axes_fit import INTERVALS, STEP, Fit, Motion, fit, triples_of
+from hybrid_ins.core.imu_axes_nuisance import CLOCK_OFFSETS
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
 
 Array = NDArray[np.float64]
@@ -52,25 +46,31 @@ BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more
 AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
-TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
-LEAST_SPEED = 1.5  # m/s, of a course
-NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
 
 AS_GIVEN = ((np.eye(3), np.eye(3)),)
+NO_ARM = np.zeros(3)
 
 
-def _distinct_hypotheses() -> list[Fit]:
-    """Return the fits to try: several explanations may be one hypothesis."""
+def _hypotheses(arm: Array) -> list[Fit]:
+    """
+    Return the fits to try, of readings from an IMU whose antenna is at an arm (3,) [m].
+
+    Several explanations may be one hypothesis: the arm is in the axes of the most ordinary.
+    """
     found: list[Fit] = []
     for pair in EXPLANATIONS:
-        sign, factor = to_hypothesis(*pair)
-        if not any(f.sign == sign and np.allclose(f.gyroscope, factor) for f in found):
-            found.append(Fit(sign, factor))
+        one = _hypothesis(*pair, arm)
+        if not any(f.sign == one.sign and np.allclose(f.gyroscope, one.gyroscope) for f in found):
+            found.append(one)
     return found
 
 
-HYPOTHESES = _distinct_hypotheses()
+def _hypothesis(accelerometer: Array, gyroscope: Array, arm: Array) -> Fit:
+    """Return the start of a fit by an explanation, with the antenna at an arm (3,) [m]."""
+    sign, factor = to_hypothesis(accelerometer, gyroscope)
+    turned = sign * accelerometer.T @ arm
+    return Fit(sign, factor, lever_arm=turned, given_arm=turned)
 
 
 class ImuAxesCheck:
@@ -81,6 +81,8 @@ class ImuAxesCheck:
     ----------
     mount : ndarray, shape (3, 3)
         From the IMU's own axes to b, as given.
+    lever_b : ndarray, shape (3,)
+        From the IMU to the antenna [m], b, as given.
 
     Attributes
     ----------
@@ -88,9 +90,10 @@ class ImuAxesCheck:
         What is wrong.
     """
 
-    def __init__(self, mount: Array) -> None:
-        self._mount = mount
+    def __init__(self, mount: Array, lever_b: Array = NO_ARM) -> None:
+        self._mount, self._arm = mount, mount.T @ lever_b
         self.fault: AxesFault | None = None
+        self._antenna = FarAntenna()
         self.reset()
 
     def reset(self) -> None:
@@ -105,11 +108,19 @@ class ImuAxesCheck:
         self._found: AxesFault | None = None
         self._times = 0
         self._concluded = False
+        self._antenna.reset()
 
     @property
     def doubtful(self) -> bool:
         """Something seems wrong, or nothing is known yet."""
-        return self._found is not None or not self._concluded
+        is_found = self._found is not None or self._antenna.is_doubtful
+        return is_found or not self._concluded
+
+    @property
+    def antenna_error_b(self) -> Array | None:
+        """True minus given place of an antenna that is far from the given one, (3,) [m], b."""
+        error = self._antenna.error
+        return None if error is None else self._mount @ error
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
@@ -152,7 +163,7 @@ class ImuAxesCheck:
             if not motions:
                 self._on_found(self._by_gravity())
                 return
-            kinds = _kinds(motions[0])
+            kinds = kinds_of(motions[0])
             if t_ns < self._rare_ns and all(self._checked[kind] >= ENOUGH for kind in kinds):
                 return
             self._rare_ns = t_ns + LONGEST_PERIOD_NS
@@ -162,7 +173,9 @@ class ImuAxesCheck:
             next(self._work)
         except StopIteration as end:
             self._work, self._concluded = None, True
-            if isinstance(end.value, AxesFault) and self.fault is None:
+            if self._antenna.is_doubtful or (
+                isinstance(end.value, AxesFault) and self.fault is None
+            ):
                 self._checked.clear()
             self._on_found(end.value)
 
@@ -170,6 +183,7 @@ class ImuAxesCheck:
         """Use the result of a check: what several in a row have in common counts."""
         if found is True:
             self._times, self._found, self.fault = 0, None, None
+            self._antenna.reset()
         if not isinstance(found, AxesFault):
             return
         last = self._found
@@ -191,7 +205,8 @@ class ImuAxesCheck:
         True: nothing is. False: no hypothesis fits, or the fixes' noise hides the motion.
         """
         one = np.eye(3)
-        as_given, fits = Fit(1.0, one), HYPOTHESES
+        as_given = Fit(1.0, one, lever_arm=self._arm, given_arm=self._arm)
+        fits = _hypotheses(self._arm)
         passed: list[tuple[Motion, Fit]] = []
         fitting: list[tuple[Motion, Fit]] = []
         tried = 0
@@ -213,22 +228,30 @@ class ImuAxesCheck:
             untried, tried = passed[tried:], len(passed)
             fits = yield from _fit_all(fits, untried[:1] + untried[1:][-1:])
             found = self._explain(motion, change, as_given, fits, len(passed) == 1)
+            best = as_given
             if found is not None:
-                tolerated, others = yield from tolerant_fits(motion, as_given, fits)
-                found = self._explain(motion, change, tolerated, others, len(passed) == 1)
-                if found is not None:
-                    return found
-                if tolerated.left < FITS * change:
-                    fitting.append((motion, tolerated))
+                best, others = yield from tolerant_fits(motion, as_given, fits)
+                found = self._explain(motion, change, best, others, len(passed) == 1)
+                if found is None and best.left < FITS * change:
+                    fitting.append((motion, best))
                     continue
+            far = yield from far_fit(motion, best)
+            if _is_elsewhere(motion, change, best, far):
+                if found is not None:
+                    found = self._explain(motion, change, far, others, len(passed) == 1)
+                if found is None:
+                    self._antenna.add(motion, far)
+                    return False
+            if found is not None:
+                return found
             if not any(one.correlation < NOISE for one in fits):
                 break  # errors that are more than noise only grow with the interval
         if not fitting:
             return self._by_gravity()
         motion, as_given = fitting[-1]
-        fault = _mount_fault(self._mount, motion, one, one, as_given)
+        fault = mount_fault(self._mount, motion, one, one, as_given)
         if fault is not None and not fault.by_course:
-            reversed_force = fit(motion, Fit(-1.0, one))
+            reversed_force = fit(motion, _hypothesis(-one, one, self._arm))
             if reversed_force.left < MUCH_BETTER * as_given.left:
                 return self._by_gravity() or True
         return fault or not self._may_be_as_found(*fitting[0])
@@ -241,8 +264,8 @@ class ImuAxesCheck:
         if found.no_turns:
             return not np.any(np.ptp(motion.turn, axis=0))
         if found.turned:
-            return found.by_course and not _is_winding(_courses(motion)[0])
-        hypothesis = Fit(*to_hypothesis(*found.explanations[0]))
+            return found.by_course and not is_winding(courses(motion)[0])
+        hypothesis = _hypothesis(*found.explanations[0], self._arm)
         return fit(motion, hypothesis).left < AS_GOOD * as_given.left
 
     def _by_gravity(self) -> AxesFault | bool:
@@ -310,7 +333,7 @@ class ImuAxesCheck:
             found = [f for f in fitting if f.sign == sign and np.allclose(f.gyroscope, factor)]
             if not found:
                 continue
-            fault = _mount_fault(self._mount, motion, accelerometer, gyroscope, found[0])
+            fault = mount_fault(self._mount, motion, accelerometer, gyroscope, found[0])
             if fault is None:
                 plain.append((accelerometer, gyroscope))
             else:
@@ -335,66 +358,17 @@ def _fit_all(
     return fits
 
 
+def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> bool:
+    """Return whether only an antenna far from the given place lets the readings fit."""
+    if np.linalg.norm(far.lever_arm - far.given_arm) < FAR_AWAY:
+        return False
+    is_noise = far.correlation < NOISE
+    if not (is_noise or far.left < FITS * change):
+        return False
+    times = max(BETTER, times_by_chance(motion)) if is_noise else MUCH_BETTER
+    return far.left < as_given.left / times
+
+
 def _is_slow(hypothesis: Fit) -> bool:
     """Return whether rates were in degrees: without turns the motion fits this, too."""
     return bool(np.allclose(hypothesis.gyroscope, DEGREES * np.eye(3)))
-
-
-def _courses(motion: Motion) -> tuple[Array, Array]:
-    """Return the courses [rad from north] where there is speed, and their times [s]."""
-    first, _, last = motion.triples.T
-    t = motion.fix_t
-    velocity = (motion.position_n[last] - motion.position_n[first])[:, :2]
-    velocity /= (t[last] - t[first])[:, None]
-    fast = np.hypot(*velocity.T) > LEAST_SPEED
-    course = np.arctan2(velocity[fast, 1], velocity[fast, 0])
-    return course, 0.5 * (t[first] + t[last])[fast]
-
-
-def _is_winding(course: Array) -> bool:
-    """Return whether courses [rad] are no straight run: the wind, or a drone flying sideways."""
-    return len(course) >= 10 and abs(np.mean(np.exp(1j * course))) < 0.9
-
-
-def _kinds(motion: Motion) -> list[str]:
-    """Return what kinds of motion there are: turns about the IMU's axes, and of the course."""
-    turned = np.ptp(np.cumsum(motion.turn, axis=0), axis=0) > TURN
-    course = np.unwrap(_courses(motion)[0])
-    is_curved = len(course) > 0 and float(np.ptp(course)) > TURN
-    turns = [f"turn about {axis}" for axis, is_seen in zip("xyz", turned, strict=True) if is_seen]
-    return ["speed", *turns, *(["course"] if is_curved else [])]
-
-
-def _mount_fault(
-    given: Array, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
-) -> AxesFault | None:
-    """Return the fault if the mount given, (3, 3), does not fit gravity or course."""
-    upright = mount_upright(given, accelerometer @ motion.impulse.sum(axis=0))
-    mount = given if upright is None else upright
-    along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
-    if upright is None and along is None:
-        return None
-    chosen = mount if along is None else along
-    by_course = along is not None
-    explanation = ((accelerometer, gyroscope),)
-    return AxesFault(explanation, chosen, turned=True, by_course=by_course)
-
-
-def _mount_along_course(
-    motion: Motion, mount: Array, accelerometer: Array, gyroscope: Array, fitted: Fit
-) -> Array | None:
-    """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
-    course, t = _courses(motion)
-    if not _is_winding(course):
-        return None
-    rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
-    k = np.clip(((t - motion.t[0]) / STEP).astype(np.intp), 0, len(motion.turn) - 1)
-    C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)[k]
-    nose_n = np.einsum("ij,kjl,lm,m->ki", fitted.C_ni, C, rotation.T, mount.T[:, 0])
-    angle = course - np.arctan2(nose_n[:, 1], nose_n[:, 0])
-    mean = np.mean(np.exp(1j * angle))
-    if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:
-        return None
-    quarter = round(float(np.angle(mean)) / (0.5 * np.pi)) * 0.5 * np.pi
-    c, s = np.cos(quarter), np.sin(quarter)
-    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)

@@ -7,9 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
@@ -22,8 +19,7 @@ from hybrid_ins.ros.fix_scatter import FixScatter
 from hybrid_ins.ros.gps_fix import fix_type
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.lasting import LastingConditions
-
-Array = NDArray[np.float64]
+from hybrid_ins.ros.sensor_placement import SensorPlacement
 
 
 class InputReview:
@@ -35,8 +31,8 @@ class InputReview:
     values : mapping
         Checked parameters.
     navigator : Navigator
-    mount : ndarray, shape (3, 3)
-        From the IMU message's axes to b.
+    placement : SensorPlacement
+        Where the sensors are.
     inputs : InputLog
 
     Attributes
@@ -46,12 +42,16 @@ class InputReview:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], navigator: Navigator, mount: Array, inputs: InputLog
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        placement: SensorPlacement,
+        inputs: InputLog,
     ) -> None:
         self._values = values
         self._navigator = navigator
         self._inputs = inputs
-        self.axes = AxesMonitor(navigator, mount, inputs)
+        self.axes = AxesMonitor(navigator, placement, inputs)
         self._refusals = FixRefusals(navigator, inputs)
         self._scatter = FixScatter(inputs)
         self._lasting = LastingConditions(inputs.log)
