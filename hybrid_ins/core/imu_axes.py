@@ -183,7 +183,7 @@ class ImuAxesCheck:
         """Use the result of a check: what several in a row have in common counts."""
         if found is True:
             self._times, self._found, self.fault = 0, None, None
-            self._antenna.reset()
+            self._antenna.is_doubtful = False
         if not isinstance(found, AxesFault):
             return
         last = self._found
@@ -211,7 +211,7 @@ class ImuAxesCheck:
         fitting: list[tuple[Motion, Fit]] = []
         tried = 0
         for motion in motions:
-            most = 1 if motion.t[-1] - motion.t[0] > WINDOW + SHORTEST else 2
+            most = 1 if _is_long(motion) else 2
             if sum(len(m.t) == len(motion.t) for m, _ in passed) == most:
                 continue
             change = float(np.sum(motion.change_n[:, :2] ** 2))
@@ -221,6 +221,11 @@ class ImuAxesCheck:
                 continue
             passed.append((motion, as_given))
             if as_given.left < FITS * change or as_given.correlation < NOISE:
+                if _is_long(motion) and as_given.left > FITS * change:
+                    far = yield from far_fit(motion, as_given)
+                    if _is_elsewhere(motion, change, as_given, far):
+                        self._antenna.add(motion, far)
+                        return False
                 fitting.append(passed[-1])
                 continue
             if not np.any(np.ptp(motion.turn, axis=0)):
@@ -236,14 +241,16 @@ class ImuAxesCheck:
                     fitting.append((motion, best))
                     continue
             far = yield from far_fit(motion, best)
-            if _is_elsewhere(motion, change, best, far):
-                if found is not None:
-                    found = self._explain(motion, change, far, others, len(passed) == 1)
-                if found is None:
-                    self._antenna.add(motion, far)
-                    return False
+            is_accused = found is not None
+            if is_accused:
+                found = self._explain(motion, change, far, others, len(passed) == 1)
             if found is not None:
                 return found
+            if _is_elsewhere(motion, change, best, far):
+                self._antenna.add(motion, far)
+                return False
+            if is_accused:
+                return False
             if not any(one.correlation < NOISE for one in fits):
                 break  # errors that are more than noise only grow with the interval
         if not fitting:
@@ -362,11 +369,15 @@ def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> boo
     """Return whether only an antenna far from the given place lets the readings fit."""
     if np.linalg.norm(far.lever_arm - far.given_arm) < FAR_AWAY:
         return False
-    is_noise = far.correlation < NOISE
+    is_noise = _is_long(motion) and far.correlation < NOISE
     if not (is_noise or far.left < FITS * change):
         return False
-    times = max(BETTER, times_by_chance(motion)) if is_noise else MUCH_BETTER
-    return far.left < as_given.left / times
+    return far.left < as_given.left / (BETTER if is_noise else MUCH_BETTER)
+
+
+def _is_long(motion: Motion) -> bool:
+    """Return whether a motion is longer than `WINDOW`."""
+    return bool(motion.t[-1] - motion.t[0] > WINDOW + SHORTEST)
 
 
 def _is_slow(hypothesis: Fit) -> bool:

@@ -104,6 +104,8 @@ class Fit:
     lever_arm, given_arm : ndarray, shape (3,)
         From the IMU to the antenna [m], in the axes of the readings that are multiplied; where
         it is said to be.
+    arm_std : ndarray, shape (3,)
+        Standard deviation of ``lever_arm`` [m], of what is left over.
     """
 
     sign: float
@@ -114,6 +116,7 @@ class Fit:
     bias: Array = field(default_factory=lambda: np.zeros(3))
     lever_arm: Array = field(default_factory=lambda: np.zeros(3))
     given_arm: Array = field(default_factory=lambda: np.zeros(3))
+    arm_std: Array = field(default_factory=lambda: np.full(3, np.inf))
 
 
 def triples_of(t: Array, interval: float) -> NDArray[np.intp]:
@@ -200,7 +203,9 @@ def fit(motion: Motion, start: Fit, allowed: tuple[Array, Array] = STRICT) -> Fi
         if tolerant:
             by_force = _changes(motion, -_twice_integrated(arms), around[1:2])[:, 0]
             columns += [*by_force, *by_turns[3:]]
-        step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance, std)
+        by_all = np.stack(columns, axis=-1)
+        step, step_std = _step(C[k], at, by_all, misfit[k], nuisance, std)
+        best = replace(best, arm_std=step_std[3:6])
         nuisance = np.clip(nuisance + step, -largest, largest)
     return best
 
@@ -224,15 +229,18 @@ def _twice_integrated(axes: Array) -> Array:
 
 def _step(
     C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array, std: Array
-) -> Array:
-    """Return the change of the nuisance parameters (P,) by least squares, the rotation free."""
+) -> tuple[Array, Array]:
+    """Return the change of the nuisance parameters (P,) by least squares, and its σ (P,)."""
     count = len(std)
     by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
     of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1)
     weight = np.diag(CHANGE_STD / std)
     H = np.vstack((of_changes.reshape(-1, 3 + count), np.hstack((np.zeros((count, 3)), weight))))
     z = np.concatenate((misfit.ravel(), -weight @ nuisance))
-    return np.asarray(np.linalg.lstsq(H, z, rcond=None)[0][3:])
+    step = np.linalg.lstsq(H, z, rcond=None)[0]
+    noise = max(CHANGE_STD, float(np.sqrt(np.mean(misfit[:, :2] ** 2))))
+    variance = np.diag(np.linalg.pinv(H.T @ H))
+    return step[3:], noise * np.sqrt(variance[3:])
 
 
 def attitudes(turn: Array) -> Array:
