@@ -117,10 +117,10 @@ class ImuAxesCheck:
         return is_found or not self._concluded
 
     @property
-    def antenna_error_b(self) -> Array | None:
-        """True minus given place of an antenna that is far from the given one, (3,) [m], b."""
-        error = self._antenna.error
-        return None if error is None else self._mount @ error
+    def antenna_error_b(self) -> tuple[Array, Array] | None:
+        """True minus given place of an antenna far from the given one, and its σ, (3,) [m], b."""
+        error, std = self._antenna.error, self._antenna.std
+        return None if error is None else (self._mount @ error, np.abs(self._mount) @ std)
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""

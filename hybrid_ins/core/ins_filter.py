@@ -23,13 +23,14 @@ from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.lever_arm_observer import LeverArmError
+from hybrid_ins.core.lever_arm_observer import LeverArmError, LeverArmObserver
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
+    ANTENNA_VARIANCE,
     CLOCK_VARIANCE,
     LAST_SAMPLE,
     N_NAV,
@@ -72,6 +73,8 @@ class FilterSettings:
         Learn that from the fixes, see `PositionScatter`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b, as in the fixes.
+    lever_std : ndarray, shape (3,)
+        Its standard deviation [m], b, where it was found from motion; zeros: it is given.
     """
 
     covariance_interval: float = 0.01
@@ -83,6 +86,7 @@ class FilterSettings:
     position_scatter: float = 1.0
     learn_scatter: bool = False
     lever_b: Array = field(default_factory=lambda: np.zeros(3))
+    lever_std: Array = field(default_factory=lambda: np.zeros(3))
 
     def scatter(self) -> PositionScatter:
         """Return the scatter of positions that a filter begins with."""
@@ -139,7 +143,9 @@ class InsFilter:
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
-        self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns)
+        lever_arm = LeverArmObserver(settings.lever_std)
+        self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns, lever_arm)
+        self.nav[ANTENNA_VARIANCE] = lever_arm.considered
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring

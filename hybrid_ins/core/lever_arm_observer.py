@@ -13,7 +13,8 @@ of velocities beside it: straight ahead one is like the other. The state is not 
 who says where the antenna is decides what the odometry is of. But an error that is certain is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
 reported. Where the noise factors have risen by what the lever arm does, the estimate is too short,
-but no less certain.
+but no less certain. A lever arm that was not given but found from motion is considered from the
+start on.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -55,6 +56,7 @@ from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
+GIVEN = np.zeros(3)  # m
 PRIOR_STD = 2.0  # m, of each component of the error
 AGE_STD = 0.3  # s, of velocities against positions
 HEADING_STD = math.radians(4.0)  # from which the start is observed
@@ -91,10 +93,19 @@ class LeverArmObserver(ShallowCopy):
     Estimates how far the antenna is from where it is said to be.
 
     Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+
+    Parameters
+    ----------
+    found_std : ndarray, shape (3,)
+        Standard deviation of a lever arm that was found from motion [m], b; zeros: it is given.
     """
 
-    def __init__(self) -> None:
-        self._values = _START
+    def __init__(self, found_std: Array = GIVEN) -> None:
+        self._values, self._is_found = _START, bool(np.any(found_std))
+        if self._is_found:
+            self._values = _START.copy()
+            P = np.diag((MAX_STD**2, AGE_STD**2, *np.square(found_std)))
+            self._values[P_PARAMETERS] = P.ravel()
         self._t_ns = self._start_ns = 0  # of the last correction (0: s is not known), of the first
 
     @property
@@ -112,6 +123,9 @@ class LeverArmObserver(ShallowCopy):
     @property
     def considered(self) -> Array:
         """What is added to the covariance of the position that is reported, (3,) [m²], NED."""
+        if self._is_found:
+            error, std = self.estimate[:2]
+            return np.full(3, float(np.max(error**2 + std**2)))
         return self._values[CONSIDERED]
 
     def restart(self) -> None:

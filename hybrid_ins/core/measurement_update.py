@@ -113,6 +113,8 @@ class MeasurementUpdate:
         Share of the claimed variance of positions that is white.
     corrected_ns : int
         Stamp of the last fix that was fused, or of the start [ns].
+    lever_arm : LeverArmObserver
+        See below.
     scale : ConsideredScaleErrors, optional
         In outages.
 
@@ -129,6 +131,7 @@ class MeasurementUpdate:
         clock: ClockOffsetObserver,
         scatter: PositionScatter,
         corrected_ns: int,
+        lever_arm: LeverArmObserver,
         scale: ConsideredScaleErrors | None = None,
     ) -> None:
         self.noise = noise
@@ -137,7 +140,7 @@ class MeasurementUpdate:
         self.scatter = scatter
         self._corrected_ns = corrected_ns
         self._scale = scale
-        self.lever_arm = LeverArmObserver()
+        self.lever_arm = lever_arm
 
     def __copy__(self) -> MeasurementUpdate:
         twin = object.__new__(MeasurementUpdate)

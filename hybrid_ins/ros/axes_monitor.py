@@ -56,6 +56,11 @@ class AxesMonitor:
         return None if self._check.fault is None else describe(self._check.fault)
 
     @property
+    def moved_b(self) -> Array:
+        """Where the antenna is taken to be, less where it is given, (3,) [m], b."""
+        return self._placement.antenna_error_b
+
+    @property
     def are_plausible(self) -> bool:
         """Nothing seems wrong, and the axes have been compared with the motion."""
         return not self._check.doubtful
@@ -79,11 +84,12 @@ class AxesMonitor:
             self._reported = self._check.fault
             if self._reported is not None:
                 self._inputs.count_and_warn("imu/data", describe(self._reported))
-        error_b = self._check.antenna_error_b
-        if error_b is None:
+        found, placement = self._check.antenna_error_b, self._placement
+        if found is None:
             return False
-        self._placement.move_antenna(error_b)
-        self._inputs.count_and_warn("gnss/fix", describe_antenna(self._placement.antenna_error_b))
+        placement.move_antenna(*found)
+        moved = describe_antenna(placement.antenna_error_b, placement.antenna_std)
+        self._inputs.count_and_warn("gnss/fix", moved)
         return True
 
     def _take_samples(self) -> None:
@@ -99,12 +105,12 @@ class AxesMonitor:
         self._check.add_samples(samples[first:])
 
 
-def describe_antenna(error_b: Array) -> Refused:
-    """Return that the antenna is ``error_b`` (3,) [m], b, from where it is said to be."""
+def describe_antenna(error_b: Array, std: Array) -> Refused:
+    """Return that the antenna is ``error_b`` ± ``std`` (3,) [m], b, from where it is given."""
     names = (("forward", "backward"), ("left", "right"), ("up", "down"))
     place = ", ".join(
-        f"{abs(value):.1f} m {pair[int(value < 0.0)]}"
-        for pair, value in zip(names, (FLIP @ error_b).tolist(), strict=True)
+        f"{abs(value):.1f} ± {sigma:.1f} m {pair[int(value < 0.0)]}"
+        for pair, value, sigma in zip(names, (FLIP @ error_b).tolist(), std.tolist(), strict=True)
     )
     return Refused(
         "gnss: antenna elsewhere",

@@ -83,7 +83,8 @@ class InputReview:
         """Note what has lasted for another second."""
         navigator = self._navigator
         conditions = diagnostics.noise_conditions(navigator)
-        self._lasting.note({**conditions, **diagnostics.antenna_conditions(navigator)})
+        antenna = diagnostics.antenna_conditions(navigator, self.axes.moved_b)
+        self._lasting.note({**conditions, **antenna})
 
     def summary(self) -> str:
         """Return what lasted, for the end of a run."""

@@ -43,8 +43,8 @@ class SensorPlacement:
         IMU relative to the base frame's origin [m], b.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b.
-    antenna_error_b : ndarray, shape (3,)
-        What it contains besides what is given [m], b: the motion has shown that.
+    antenna_error_b, antenna_std : ndarray, shape (3,)
+        What it contains besides what is given [m], b, as the motion has shown; its σ.
     """
 
     def __init__(self, values: Mapping[str, Any], inputs: InputLog) -> None:
@@ -60,6 +60,7 @@ class SensorPlacement:
         self._transforms = StaticTransforms()
         self._frames = dict.fromkeys(PARAMETERS, "")
         self.antenna_error_b: Array = np.zeros(3)
+        self.antenna_std: Array = np.zeros(3)
         self._place()
 
     def to_body(self, x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -109,9 +110,10 @@ class SensorPlacement:
             )
         return self._place_again()
 
-    def move_antenna(self, error_b: Array) -> None:
-        """Take the antenna to be ``error_b`` (3,) [m], b, from where it was until now."""
+    def move_antenna(self, error_b: Array, std: Array) -> None:
+        """Take the antenna to be ``error_b`` ± ``std`` (3,) [m], b, from where it was so far."""
         self.antenna_error_b = self.antenna_error_b + error_b
+        self.antenna_std = std
         self._place()
 
     def _place_again(self) -> bool:

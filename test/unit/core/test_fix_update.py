@@ -11,6 +11,7 @@ from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
@@ -41,7 +42,8 @@ def update(factors: bool) -> MeasurementUpdate:
     bank = NoiseMultipleModelBank() if factors else None
     noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), process, bank)
     gate, clock = Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3)
-    return MeasurementUpdate(noise, gate, clock, PositionScatter(0.5, learning=True), SECOND)
+    scatter = PositionScatter(0.5, learning=True)
+    return MeasurementUpdate(noise, gate, clock, scatter, SECOND, LeverArmObserver())
 
 
 def flat_state(rng: np.random.Generator) -> Array:
