@@ -20,7 +20,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.imu_axes_antenna import FAR_AWAY, FarAntenna, far_fit
 from hybrid_ins.core.imu_axes_course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes_faults import (
@@ -30,16 +29,12 @@ from hybrid_ins.core.imu_axes_faults import (
     mount_upright,
     to_hypothesis,
 )
-from hybrid_ins.core.imu_axes_fit import INTERVALS, STEP, Fit, Motion, fit, triples_of
-from hybrid_ins.core.imu_axes_nuisance import CLOCK_OFFSETS
+from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
+from hybrid_ins.core.imu_axes_motion import WINDOW, MotionWindow, is_long
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
 
 Array = NDArray[np.float64]
 
-WINDOW, SHORTEST, LONG_WINDOW = 20.0, 12.0, 60.0  # s, of motion; the last without a finding
-LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
-FEWEST = 8  # changes of velocity
-MAX_FIXES = 1024  # that are kept
 FITS, FITS_OTHER = 0.01, 0.3  # shares of the changes' squares left over as given, by other axes
 NOISE = 0.25  # correlation of successive errors, up to which they are the fixes' noise
 BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more than noise
@@ -98,11 +93,8 @@ class ImuAxesCheck:
 
     def reset(self) -> None:
         """Forget the motion so far."""
-        self._last: NDArray[np.void] | None = None
-        self._sums = np.zeros(6)  # at the last sample
-        self._grid = np.empty((0, 7))  # s since the first sample, integrals of the readings
-        self._fix_ns, self._fix_lla = np.empty(0, np.int64), np.empty((0, 3))
-        self._start_ns = self._next_ns = self._rare_ns = 0
+        self._window = MotionWindow(self._mount)
+        self._next_ns = self._rare_ns = 0
         self._checked: Counter[str] = Counter()
         self._work: Generator[None, None, AxesFault | bool] | None = None
         self._found: AxesFault | None = None
@@ -124,33 +116,11 @@ class ImuAxesCheck:
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
-        if not len(samples):
-            return
-        if self._last is None:
-            self._start_ns = int(samples["t_ns"][0])
-            self._grid = np.zeros((1, 7))
-        else:
-            samples = np.concatenate((self._last, samples))
-        self._last = samples[-1:].copy()
-        t = (samples["t_ns"] - self._start_ns) * 1e-9
-        readings = np.hstack((samples["w"] @ self._mount, samples["f"] @ self._mount))
-        sums = np.zeros((len(t), 6))
-        sums[0] = self._sums
-        steps = 0.5 * (readings[1:] + readings[:-1]) * np.diff(t)[:, None]
-        sums[1:] = self._sums + np.cumsum(steps, axis=0)
-        self._sums = sums[-1]
-        first = round(self._grid[-1, 0] / STEP) + 1
-        grid = STEP * np.arange(first, int(t[-1] / STEP + 1e-9) + 1)
-        columns = [np.interp(grid, t, sums[:, k]) for k in range(6)]
-        rows = np.column_stack((grid, *columns))
-        most = round((LONG_WINDOW + 2.0) / STEP)
-        self._grid = np.concatenate((self._grid, rows))[-most:]
+        self._window.add_samples(samples)
 
     def add_fix(self, t_ns: int, lla: Array) -> None:
         """Add a position fix: stamp [ns], latitude, longitude [rad] and height [m], (3,)."""
-        if not len(self._fix_ns) or t_ns > self._fix_ns[-1]:
-            self._fix_ns = np.concatenate((self._fix_ns[1 - MAX_FIXES :], (t_ns,)))
-            self._fix_lla = np.concatenate((self._fix_lla[1 - MAX_FIXES :], (lla,)))
+        self._window.add_fix(t_ns, lla)
 
     def advance(self, t_ns: int) -> None:
         """Do a share of the work that is due at a stamp [ns]: some milliseconds at most."""
@@ -158,8 +128,8 @@ class ImuAxesCheck:
             if t_ns < self._next_ns:
                 return
             self._next_ns = t_ns + PERIOD_NS
-            short = self._motions_of(WINDOW, 0)
-            motions = short or self._long_motions()
+            short = self._window.motions(WINDOW, 0)
+            motions = short or self._window.long_motions()
             if not motions:
                 self._on_found(self._by_gravity())
                 return
@@ -168,7 +138,7 @@ class ImuAxesCheck:
                 return
             self._rare_ns = t_ns + LONGEST_PERIOD_NS
             self._checked.update(kinds)
-            self._work = self._compare([*short, *self._long_motions()])
+            self._work = self._compare([*short, *self._window.long_motions()])
         try:
             next(self._work)
         except StopIteration as end:
@@ -211,7 +181,7 @@ class ImuAxesCheck:
         fitting: list[tuple[Motion, Fit]] = []
         tried = 0
         for motion in motions:
-            most = 1 if _is_long(motion) else 2
+            most = 1 if is_long(motion) else 2
             if sum(len(m.t) == len(motion.t) for m, _ in passed) == most:
                 continue
             change = float(np.sum(motion.change_n[:, :2] ** 2))
@@ -221,7 +191,7 @@ class ImuAxesCheck:
                 continue
             passed.append((motion, as_given))
             if as_given.left < FITS * change or as_given.correlation < NOISE:
-                if _is_long(motion) and as_given.left > FITS * change:
+                if is_long(motion) and as_given.left > FITS * change:
                     far = yield from far_fit(motion, as_given)
                     if _is_elsewhere(motion, change, as_given, far):
                         self._antenna.add(motion, far)
@@ -277,40 +247,9 @@ class ImuAxesCheck:
 
     def _by_gravity(self) -> AxesFault | bool:
         """Return how the IMU lies by its mean specific force, if it does not lie as given."""
-        grid = self._grid
-        if len(grid) < SHORTEST / STEP:
-            return False
-        begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
-        mount = mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
+        impulse = self._window.impulse()
+        mount = None if impulse is None else mount_upright(self._mount, impulse)
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
-
-    def _long_motions(self) -> list[Motion]:
-        """Return the motions of the last minute, once there is more than the shorter window."""
-        is_longer = len(self._grid) > (WINDOW + SHORTEST) / STEP
-        return self._motions_of(LONG_WINDOW, 1) if is_longer else []
-
-    def _motions_of(self, window: float, shortest: int) -> list[Motion]:
-        """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""
-        grid = self._grid[-round((window + 2.0) / STEP) :]
-        if len(grid) < SHORTEST / STEP or len(self._fix_ns) < 3:
-            return []
-        fix_t, lla = (self._fix_ns - self._start_ns) * 1e-9, self._fix_lla
-        reach = CLOCK_OFFSETS[-1]
-        begin = max(grid[0, 0] + reach, grid[-1, 0] - window)
-        inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
-        fix_t, lla = fix_t[inside], lla[inside]
-        if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
-            return []
-        position_n = np.nan_to_num(displacement(lla[0], lla))
-        steps = np.diff(grid[:, 1:], axis=0)
-        motions = []
-        for interval, least in list(zip(INTERVALS, LEAST_CHANGE, strict=True))[shortest:]:
-            triples = triples_of(fix_t, interval)
-            motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
-            changes = np.sum(motion.change_n[:, :2] ** 2)
-            if len(triples) >= FEWEST and changes > least**2 * len(triples):
-                motions.append(motion)
-        return motions
 
     def _explain(
         self, motion: Motion, change: float, as_given: Fit, fits: list[Fit], is_first: bool
@@ -369,15 +308,10 @@ def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> boo
     """Return whether only an antenna far from the given place lets the readings fit."""
     if np.linalg.norm(far.lever_arm - far.given_arm) < FAR_AWAY:
         return False
-    is_noise = _is_long(motion) and far.correlation < NOISE
+    is_noise = is_long(motion) and far.correlation < NOISE
     if not (is_noise or far.left < FITS * change):
         return False
     return far.left < as_given.left / (BETTER if is_noise else MUCH_BETTER)
-
-
-def _is_long(motion: Motion) -> bool:
-    """Return whether a motion is longer than `WINDOW`."""
-    return bool(motion.t[-1] - motion.t[0] > WINDOW + SHORTEST)
 
 
 def _is_slow(hypothesis: Fit) -> bool:

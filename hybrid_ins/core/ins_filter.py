@@ -30,7 +30,6 @@ from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.state import (
-    ANTENNA_VARIANCE,
     CLOCK_VARIANCE,
     LAST_SAMPLE,
     N_NAV,
@@ -74,7 +73,7 @@ class FilterSettings:
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b, as in the fixes.
     lever_std : ndarray, shape (3,)
-        Its standard deviation [m], b, where it was found from motion; zeros: it is given.
+        See `LeverArmObserver`.
     """
 
     covariance_interval: float = 0.01
@@ -145,7 +144,6 @@ class InsFilter:
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
         lever_arm = LeverArmObserver(settings.lever_std)
         self._update = MeasurementUpdate(noise, gate, clock, settings.scatter(), t_ns, lever_arm)
-        self.nav[ANTENNA_VARIANCE] = lever_arm.considered
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring
@@ -154,9 +152,8 @@ class InsFilter:
         self.covariance_interval = settings.covariance_interval - 1e-6
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
-        self.record: FilterRecord | None = None
-        if settings.keep_record:
-            self.record = FilterRecord(FilterStart(t_ns, sample, initial, noise.levels()))
+        start = FilterStart(t_ns, sample, initial, noise.levels())
+        self.record = FilterRecord(start) if settings.keep_record else None
         self._checkpoint()
         self._schedule()
 

@@ -191,8 +191,7 @@ class MeasurementUpdate:
             self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
         elif not isinstance(event, ScaleErrors):
             if isinstance(event, PositionFix):
-                noise = self.noise
-                claimed = event.claimed
+                noise, claimed = self.noise, event.claimed
                 split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
                 noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
             fused = self._fuse_ordinary(nav, event, split, age)
