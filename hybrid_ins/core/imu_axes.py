@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu_axes_antenna import FAR_AWAY, FarAntenna, far_fit
+from hybrid_ins.core.imu_axes_antenna import FarAntenna, far_fit, is_far_away
 from hybrid_ins.core.imu_axes_course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes_faults import (
     DEGREES,
@@ -212,7 +212,7 @@ class ImuAxesCheck:
                     continue
             far = yield from far_fit(motion, best)
             is_accused = found is not None
-            if is_accused:
+            if is_accused and is_far_away(far):
                 found = self._explain(motion, change, far, others, len(passed) == 1)
             if found is not None:
                 return found
@@ -306,7 +306,7 @@ def _fit_all(
 
 def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> bool:
     """Return whether only an antenna far from the given place lets the readings fit."""
-    if np.linalg.norm(far.lever_arm - far.given_arm) < FAR_AWAY:
+    if not is_far_away(far):
         return False
     is_noise = is_long(motion) and far.correlation < NOISE
     if not (is_noise or far.left < FITS * change):

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 FAR_AWAY = 4.0  # m: nearer ones are left to `lever_arm_observer`
 AGREE = 0.3  # of the error: between two motions, at most
+CERTAIN = 3.0  # standard deviations
 OVERLAP, LEAST_STD = 2.0, 0.2  # of successive changes of velocity, that share fixes; m
 KEPT = 4  # motions: a minute of them
 STARTS = 10.0  # m, along all axes: where the search for the lever arm begins
@@ -41,6 +42,14 @@ def far_fit(motion: Motion, as_given: Fit) -> Generator[None, None, Fit]:
             best = found
         yield
     return best
+
+
+def is_far_away(found: Fit) -> bool:
+    """Return whether a fit has its antenna far from the given place, for certain."""
+    error, std = found.lever_arm - found.given_arm, found.arm_std * OVERLAP + LEAST_STD
+    distance = float(np.linalg.norm(error))
+    along = float(np.linalg.norm(error * std)) / max(distance, 1e-9)
+    return distance > max(FAR_AWAY, CERTAIN * along)
 
 
 class FarAntenna:
