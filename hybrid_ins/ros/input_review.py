@@ -18,6 +18,7 @@ from hybrid_ins.ros.fix_refusals import FixRefusals
 from hybrid_ins.ros.fix_scatter import FixScatter
 from hybrid_ins.ros.gps_fix import fix_type
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.input_units import InputUnits
 from hybrid_ins.ros.lasting import LastingConditions
 from hybrid_ins.ros.sensor_placement import SensorPlacement
 
@@ -54,6 +55,7 @@ class InputReview:
         self.axes = AxesMonitor(navigator, placement, inputs)
         self._refusals = FixRefusals(navigator, inputs)
         self._scatter = FixScatter(inputs)
+        self._units = InputUnits(inputs)
         self._lasting = LastingConditions(inputs.log)
 
     @property
@@ -65,6 +67,7 @@ class InputReview:
     def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
         """Note a NavSatFix, and what it was converted to."""
         self._refusals.note(fix)
+        self._units.on_fix(message, fix)
         self._inputs.receiver["fix_type"] = fix_type(int(message.status.status))
         missing = "" if isinstance(fix, Refused) else missing_covariance(message)
         if missing:
@@ -83,6 +86,7 @@ class InputReview:
         """Note what has lasted for another second."""
         navigator = self._navigator
         conditions = diagnostics.noise_conditions(navigator)
+        self._units.check_rate(navigator.ring)
         antenna = diagnostics.antenna_conditions(navigator, self.axes.moved_b)
         self._lasting.note({**conditions, **antenna})
 
