@@ -27,7 +27,7 @@ from hybrid_ins.ros.reports import Status
 Array = NDArray[np.float64]
 
 NOT_MOVED = np.zeros(3)  # m
-MOVED = "it is taken to be there until they are right; "
+MOVED = "; until then it is taken to be there"
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
 ORDINARY_SCALE_ERROR, MOTION_TIME = 0.01, 1.0  # of a gyroscope, and s that a turn lasts
@@ -256,7 +256,8 @@ def antenna_conditions(navigator: Navigator, moved_b: Array) -> dict[str, str]:
     )
     return {
         "the antenna is elsewhere": f"the antenna is about {place} of where imu.position and "
-        f"gnss.antenna_position put it: {MOVED if is_moved else ''}measure it, or run ins_calibrate"
+        "gnss.antenna_position put it: measure it, or run ins_calibrate"
+        f"{MOVED if is_moved else ''}"
     }
 
 
