@@ -240,7 +240,7 @@ def _step(
     step = np.linalg.lstsq(H, z, rcond=None)[0]
     noise = max(CHANGE_STD, float(np.sqrt(np.mean(misfit[:, :2] ** 2))))
     variance = np.diag(np.linalg.pinv(H.T @ H))
-    return step[3:], noise * np.sqrt(variance[3:])
+    return np.asarray(step[3:]), np.asarray(noise * np.sqrt(variance[3:]))
 
 
 def attitudes(turn: Array) -> Array:
