@@ -13,7 +13,7 @@ from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.imu_axes import ImuAxesCheck
 from hybrid_ins.core.imu_axes_faults import AxesFault
 from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.ros.conversions import mount_matrix
+from hybrid_ins.ros.conversions import FLIP, mount_matrix
 
 STEP = 0.1  # s, between two shares of the check's work
 FIRST = 1.0  # s, the stamp of a recording's first sample: no stamp is zero
@@ -27,9 +27,10 @@ def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | N
     ----------
     recording : Recording
     values : mapping
-        Checked parameters: the mount.
+        Checked parameters: the mount, and where IMU and antenna are.
     """
-    check = ImuAxesCheck(mount_matrix(values["imu.mount_rpy"]))
+    lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
+    check = ImuAxesCheck(mount_matrix(values["imu.mount_rpy"]), lever_b)
     samples = np.empty(len(recording.t), SAMPLE_DTYPE)
     samples["t_ns"] = _ns(recording.t)
     samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]

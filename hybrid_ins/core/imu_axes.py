@@ -20,7 +20,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import displacement
+from hybrid_ins.core.imu_axes_antenna import FarAntenna, far_fit, is_far_away
+from hybrid_ins.core.imu_axes_course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes_faults import (
     DEGREES,
     EXPLANATIONS,
@@ -28,49 +29,43 @@ from hybrid_ins.core.imu_axes_faults import (
     mount_upright,
     to_hypothesis,
 )
-from hybrid_ins.core.imu_axes_fit import (
-    CLOCK_OFFSETS,
-    INTERVALS,
-    STEP,
-    Fit,
-    Motion,
-    attitudes,
-    fit,
-    triples_of,
-)
+from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
+from hybrid_ins.core.imu_axes_motion import WINDOW, MotionWindow, is_long
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
 
 Array = NDArray[np.float64]
 
-WINDOW, SHORTEST, LONG_WINDOW = 20.0, 12.0, 60.0  # s, of motion; the last without a finding
-LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
-FEWEST = 8  # changes of velocity
-MAX_FIXES = 1024  # that are kept
 FITS, FITS_OTHER = 0.01, 0.3  # shares of the changes' squares left over as given, by other axes
 NOISE = 0.25  # correlation of successive errors, up to which they are the fixes' noise
 BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more than noise
 AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
-TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 CONFIRMATIONS = 2  # checks in a row that find the same
-LEAST_SPEED = 1.5  # m/s, of a course
-NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
 
 AS_GIVEN = ((np.eye(3), np.eye(3)),)
+NO_ARM = np.zeros(3)
 
 
-def _distinct_hypotheses() -> list[Fit]:
-    """Return the fits to try: several explanations may be one hypothesis."""
+def _hypotheses(arm: Array) -> list[Fit]:
+    """
+    Return the fits to try, of readings from an IMU whose antenna is at an arm (3,) [m].
+
+    Several explanations may be one hypothesis: the arm is in the axes of the most ordinary.
+    """
     found: list[Fit] = []
     for pair in EXPLANATIONS:
-        sign, factor = to_hypothesis(*pair)
-        if not any(f.sign == sign and np.allclose(f.gyroscope, factor) for f in found):
-            found.append(Fit(sign, factor))
+        one = _hypothesis(*pair, arm)
+        if not any(f.sign == one.sign and np.allclose(f.gyroscope, one.gyroscope) for f in found):
+            found.append(one)
     return found
 
 
-HYPOTHESES = _distinct_hypotheses()
+def _hypothesis(accelerometer: Array, gyroscope: Array, arm: Array) -> Fit:
+    """Return the start of a fit by an explanation, with the antenna at an arm (3,) [m]."""
+    sign, factor = to_hypothesis(accelerometer, gyroscope)
+    turned = sign * accelerometer.T @ arm
+    return Fit(sign, factor, lever_arm=turned, given_arm=turned)
 
 
 class ImuAxesCheck:
@@ -81,6 +76,8 @@ class ImuAxesCheck:
     ----------
     mount : ndarray, shape (3, 3)
         From the IMU's own axes to b, as given.
+    lever_b : ndarray, shape (3,)
+        From the IMU to the antenna [m], b, as given.
 
     Attributes
     ----------
@@ -88,58 +85,42 @@ class ImuAxesCheck:
         What is wrong.
     """
 
-    def __init__(self, mount: Array) -> None:
-        self._mount = mount
+    def __init__(self, mount: Array, lever_b: Array = NO_ARM) -> None:
+        self._mount, self._arm = mount, mount.T @ lever_b
         self.fault: AxesFault | None = None
+        self._antenna = FarAntenna()
         self.reset()
 
     def reset(self) -> None:
         """Forget the motion so far."""
-        self._last: NDArray[np.void] | None = None
-        self._sums = np.zeros(6)  # at the last sample
-        self._grid = np.empty((0, 7))  # s since the first sample, integrals of the readings
-        self._fix_ns, self._fix_lla = np.empty(0, np.int64), np.empty((0, 3))
-        self._start_ns = self._next_ns = self._rare_ns = 0
+        self._window = MotionWindow(self._mount)
+        self._next_ns = self._rare_ns = 0
         self._checked: Counter[str] = Counter()
         self._work: Generator[None, None, AxesFault | bool] | None = None
         self._found: AxesFault | None = None
         self._times = 0
         self._concluded = False
+        self._antenna.reset()
 
     @property
     def doubtful(self) -> bool:
         """Something seems wrong, or nothing is known yet."""
-        return self._found is not None or not self._concluded
+        is_found = self._found is not None or self._antenna.is_doubtful
+        return is_found or not self._concluded
+
+    @property
+    def antenna_error_b(self) -> tuple[Array, Array] | None:
+        """True minus given place of an antenna far from the given one, and its σ, (3,) [m], b."""
+        error, std = self._antenna.error, self._antenna.std
+        return None if error is None else (self._mount @ error, np.abs(self._mount) @ std)
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
-        if not len(samples):
-            return
-        if self._last is None:
-            self._start_ns = int(samples["t_ns"][0])
-            self._grid = np.zeros((1, 7))
-        else:
-            samples = np.concatenate((self._last, samples))
-        self._last = samples[-1:].copy()
-        t = (samples["t_ns"] - self._start_ns) * 1e-9
-        readings = np.hstack((samples["w"] @ self._mount, samples["f"] @ self._mount))
-        sums = np.zeros((len(t), 6))
-        sums[0] = self._sums
-        steps = 0.5 * (readings[1:] + readings[:-1]) * np.diff(t)[:, None]
-        sums[1:] = self._sums + np.cumsum(steps, axis=0)
-        self._sums = sums[-1]
-        first = round(self._grid[-1, 0] / STEP) + 1
-        grid = STEP * np.arange(first, int(t[-1] / STEP + 1e-9) + 1)
-        columns = [np.interp(grid, t, sums[:, k]) for k in range(6)]
-        rows = np.column_stack((grid, *columns))
-        most = round((LONG_WINDOW + 2.0) / STEP)
-        self._grid = np.concatenate((self._grid, rows))[-most:]
+        self._window.add_samples(samples)
 
     def add_fix(self, t_ns: int, lla: Array) -> None:
         """Add a position fix: stamp [ns], latitude, longitude [rad] and height [m], (3,)."""
-        if not len(self._fix_ns) or t_ns > self._fix_ns[-1]:
-            self._fix_ns = np.concatenate((self._fix_ns[1 - MAX_FIXES :], (t_ns,)))
-            self._fix_lla = np.concatenate((self._fix_lla[1 - MAX_FIXES :], (lla,)))
+        self._window.add_fix(t_ns, lla)
 
     def advance(self, t_ns: int) -> None:
         """Do a share of the work that is due at a stamp [ns]: some milliseconds at most."""
@@ -147,22 +128,24 @@ class ImuAxesCheck:
             if t_ns < self._next_ns:
                 return
             self._next_ns = t_ns + PERIOD_NS
-            short = self._motions_of(WINDOW, 0)
-            motions = short or self._long_motions()
+            short = self._window.motions(WINDOW, 0)
+            motions = short or self._window.long_motions()
             if not motions:
                 self._on_found(self._by_gravity())
                 return
-            kinds = _kinds(motions[0])
+            kinds = kinds_of(motions[0])
             if t_ns < self._rare_ns and all(self._checked[kind] >= ENOUGH for kind in kinds):
                 return
             self._rare_ns = t_ns + LONGEST_PERIOD_NS
             self._checked.update(kinds)
-            self._work = self._compare([*short, *self._long_motions()])
+            self._work = self._compare([*short, *self._window.long_motions()])
         try:
             next(self._work)
         except StopIteration as end:
             self._work, self._concluded = None, True
-            if isinstance(end.value, AxesFault) and self.fault is None:
+            if self._antenna.is_doubtful or (
+                isinstance(end.value, AxesFault) and self.fault is None
+            ):
                 self._checked.clear()
             self._on_found(end.value)
 
@@ -170,6 +153,7 @@ class ImuAxesCheck:
         """Use the result of a check: what several in a row have in common counts."""
         if found is True:
             self._times, self._found, self.fault = 0, None, None
+            self._antenna.is_doubtful = False
         if not isinstance(found, AxesFault):
             return
         last = self._found
@@ -191,12 +175,13 @@ class ImuAxesCheck:
         True: nothing is. False: no hypothesis fits, or the fixes' noise hides the motion.
         """
         one = np.eye(3)
-        as_given, fits = Fit(1.0, one), HYPOTHESES
+        as_given = Fit(1.0, one, lever_arm=self._arm, given_arm=self._arm)
+        fits = _hypotheses(self._arm)
         passed: list[tuple[Motion, Fit]] = []
         fitting: list[tuple[Motion, Fit]] = []
         tried = 0
         for motion in motions:
-            most = 1 if motion.t[-1] - motion.t[0] > WINDOW + SHORTEST else 2
+            most = 1 if is_long(motion) else 2
             if sum(len(m.t) == len(motion.t) for m, _ in passed) == most:
                 continue
             change = float(np.sum(motion.change_n[:, :2] ** 2))
@@ -206,6 +191,11 @@ class ImuAxesCheck:
                 continue
             passed.append((motion, as_given))
             if as_given.left < FITS * change or as_given.correlation < NOISE:
+                if is_long(motion) and as_given.left > FITS * change:
+                    far = yield from far_fit(motion, as_given)
+                    if _is_elsewhere(motion, change, as_given, far):
+                        self._antenna.add(motion, far)
+                        return False
                 fitting.append(passed[-1])
                 continue
             if not np.any(np.ptp(motion.turn, axis=0)):
@@ -213,22 +203,32 @@ class ImuAxesCheck:
             untried, tried = passed[tried:], len(passed)
             fits = yield from _fit_all(fits, untried[:1] + untried[1:][-1:])
             found = self._explain(motion, change, as_given, fits, len(passed) == 1)
+            best = as_given
             if found is not None:
-                tolerated, others = yield from tolerant_fits(motion, as_given, fits)
-                found = self._explain(motion, change, tolerated, others, len(passed) == 1)
-                if found is not None:
-                    return found
-                if tolerated.left < FITS * change:
-                    fitting.append((motion, tolerated))
+                best, others = yield from tolerant_fits(motion, as_given, fits)
+                found = self._explain(motion, change, best, others, len(passed) == 1)
+                if found is None and best.left < FITS * change:
+                    fitting.append((motion, best))
                     continue
+            far = yield from far_fit(motion, best)
+            is_accused = found is not None
+            if is_accused and is_far_away(far):
+                found = self._explain(motion, change, far, others, len(passed) == 1)
+            if found is not None:
+                return found
+            if _is_elsewhere(motion, change, best, far):
+                self._antenna.add(motion, far)
+                return False
+            if is_accused:
+                return False
             if not any(one.correlation < NOISE for one in fits):
                 break  # errors that are more than noise only grow with the interval
         if not fitting:
             return self._by_gravity()
         motion, as_given = fitting[-1]
-        fault = _mount_fault(self._mount, motion, one, one, as_given)
+        fault = mount_fault(self._mount, motion, one, one, as_given)
         if fault is not None and not fault.by_course:
-            reversed_force = fit(motion, Fit(-1.0, one))
+            reversed_force = fit(motion, _hypothesis(-one, one, self._arm))
             if reversed_force.left < MUCH_BETTER * as_given.left:
                 return self._by_gravity() or True
         return fault or not self._may_be_as_found(*fitting[0])
@@ -241,46 +241,15 @@ class ImuAxesCheck:
         if found.no_turns:
             return not np.any(np.ptp(motion.turn, axis=0))
         if found.turned:
-            return found.by_course and not _is_winding(_courses(motion)[0])
-        hypothesis = Fit(*to_hypothesis(*found.explanations[0]))
+            return found.by_course and not is_winding(courses(motion)[0])
+        hypothesis = _hypothesis(*found.explanations[0], self._arm)
         return fit(motion, hypothesis).left < AS_GOOD * as_given.left
 
     def _by_gravity(self) -> AxesFault | bool:
         """Return how the IMU lies by its mean specific force, if it does not lie as given."""
-        grid = self._grid
-        if len(grid) < SHORTEST / STEP:
-            return False
-        begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
-        mount = mount_upright(self._mount, grid[-1, 4:] - grid[begin, 4:])
+        impulse = self._window.impulse()
+        mount = None if impulse is None else mount_upright(self._mount, impulse)
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
-
-    def _long_motions(self) -> list[Motion]:
-        """Return the motions of the last minute, once there is more than the shorter window."""
-        is_longer = len(self._grid) > (WINDOW + SHORTEST) / STEP
-        return self._motions_of(LONG_WINDOW, 1) if is_longer else []
-
-    def _motions_of(self, window: float, shortest: int) -> list[Motion]:
-        """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""
-        grid = self._grid[-round((window + 2.0) / STEP) :]
-        if len(grid) < SHORTEST / STEP or len(self._fix_ns) < 3:
-            return []
-        fix_t, lla = (self._fix_ns - self._start_ns) * 1e-9, self._fix_lla
-        reach = CLOCK_OFFSETS[-1]
-        begin = max(grid[0, 0] + reach, grid[-1, 0] - window)
-        inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
-        fix_t, lla = fix_t[inside], lla[inside]
-        if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
-            return []
-        position_n = np.nan_to_num(displacement(lla[0], lla))
-        steps = np.diff(grid[:, 1:], axis=0)
-        motions = []
-        for interval, least in list(zip(INTERVALS, LEAST_CHANGE, strict=True))[shortest:]:
-            triples = triples_of(fix_t, interval)
-            motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
-            changes = np.sum(motion.change_n[:, :2] ** 2)
-            if len(triples) >= FEWEST and changes > least**2 * len(triples):
-                motions.append(motion)
-        return motions
 
     def _explain(
         self, motion: Motion, change: float, as_given: Fit, fits: list[Fit], is_first: bool
@@ -310,7 +279,7 @@ class ImuAxesCheck:
             found = [f for f in fitting if f.sign == sign and np.allclose(f.gyroscope, factor)]
             if not found:
                 continue
-            fault = _mount_fault(self._mount, motion, accelerometer, gyroscope, found[0])
+            fault = mount_fault(self._mount, motion, accelerometer, gyroscope, found[0])
             if fault is None:
                 plain.append((accelerometer, gyroscope))
             else:
@@ -335,66 +304,16 @@ def _fit_all(
     return fits
 
 
+def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> bool:
+    """Return whether only an antenna far from the given place lets the readings fit."""
+    if not is_far_away(far):
+        return False
+    is_noise = is_long(motion) and far.correlation < NOISE
+    if not (is_noise or far.left < FITS * change):
+        return False
+    return far.left < as_given.left / (BETTER if is_noise else MUCH_BETTER)
+
+
 def _is_slow(hypothesis: Fit) -> bool:
     """Return whether rates were in degrees: without turns the motion fits this, too."""
     return bool(np.allclose(hypothesis.gyroscope, DEGREES * np.eye(3)))
-
-
-def _courses(motion: Motion) -> tuple[Array, Array]:
-    """Return the courses [rad from north] where there is speed, and their times [s]."""
-    first, _, last = motion.triples.T
-    t = motion.fix_t
-    velocity = (motion.position_n[last] - motion.position_n[first])[:, :2]
-    velocity /= (t[last] - t[first])[:, None]
-    fast = np.hypot(*velocity.T) > LEAST_SPEED
-    course = np.arctan2(velocity[fast, 1], velocity[fast, 0])
-    return course, 0.5 * (t[first] + t[last])[fast]
-
-
-def _is_winding(course: Array) -> bool:
-    """Return whether courses [rad] are no straight run: the wind, or a drone flying sideways."""
-    return len(course) >= 10 and abs(np.mean(np.exp(1j * course))) < 0.9
-
-
-def _kinds(motion: Motion) -> list[str]:
-    """Return what kinds of motion there are: turns about the IMU's axes, and of the course."""
-    turned = np.ptp(np.cumsum(motion.turn, axis=0), axis=0) > TURN
-    course = np.unwrap(_courses(motion)[0])
-    is_curved = len(course) > 0 and float(np.ptp(course)) > TURN
-    turns = [f"turn about {axis}" for axis, is_seen in zip("xyz", turned, strict=True) if is_seen]
-    return ["speed", *turns, *(["course"] if is_curved else [])]
-
-
-def _mount_fault(
-    given: Array, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
-) -> AxesFault | None:
-    """Return the fault if the mount given, (3, 3), does not fit gravity or course."""
-    upright = mount_upright(given, accelerometer @ motion.impulse.sum(axis=0))
-    mount = given if upright is None else upright
-    along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
-    if upright is None and along is None:
-        return None
-    chosen = mount if along is None else along
-    by_course = along is not None
-    explanation = ((accelerometer, gyroscope),)
-    return AxesFault(explanation, chosen, turned=True, by_course=by_course)
-
-
-def _mount_along_course(
-    motion: Motion, mount: Array, accelerometer: Array, gyroscope: Array, fitted: Fit
-) -> Array | None:
-    """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
-    course, t = _courses(motion)
-    if not _is_winding(course):
-        return None
-    rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
-    k = np.clip(((t - motion.t[0]) / STEP).astype(np.intp), 0, len(motion.turn) - 1)
-    C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)[k]
-    nose_n = np.einsum("ij,kjl,lm,m->ki", fitted.C_ni, C, rotation.T, mount.T[:, 0])
-    angle = course - np.arctan2(nose_n[:, 1], nose_n[:, 0])
-    mean = np.mean(np.exp(1j * angle))
-    if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:
-        return None
-    quarter = round(float(np.angle(mean)) / (0.5 * np.pi)) * 0.5 * np.pi
-    c, s = np.cos(quarter), np.sin(quarter)
-    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)

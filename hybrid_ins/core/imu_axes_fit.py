@@ -23,6 +23,11 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.imu_axes_nuisance import (
+    CLOCK_OFFSETS,
+    CLOCK_STEP,
+    STRICT,
+)
 from hybrid_ins.core.imu_health import GRAVITY
 from hybrid_ins.core.measurements import turned
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec, skew
@@ -34,23 +39,9 @@ STEP = 0.05  # s, over which readings are integrated
 INTERVALS = (1.0, 2.5, 5.0)  # s, of a change of velocity: brisk motion, gentle motion, poor fixes
 TOLERANCE = (0.5, 2.0)  # of an interval
 LEAST_STEP = 0.24  # s, from one change of velocity to the next
-CLOCK_OFFSETS = np.linspace(-1.0, 1.0, 21)  # s, that may explain a misfit
-CLOCK_STEP = float(CLOCK_OFFSETS[1] - CLOCK_OFFSETS[0])
-BIAS_STD, LARGEST_BIAS = 0.02, 0.05  # rad/s, of a gyroscope
-LEVER_ARM_STD, LONGEST_LEVER_ARM = 0.5, 3.0  # m, from the IMU to the antenna along each axis
 CHANGE_STD = 0.3  # m/s, of a change of velocity by fixes
 NUDGE = 1e-3  # rad/s, for derivatives by the bias
 ITERATIONS, SMALLER = 8, 0.99  # at most; as long as so many times as much is left over
-# Bias, lever arm and clock offset between those of the grid.
-STRICT = (
-    np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1)),
-    np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1)),
-)
-# The same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes.
-TOLERANT = (
-    np.repeat((BIAS_STD, 2.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
-    np.repeat((LARGEST_BIAS, 5.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +101,11 @@ class Fit:
         Rotation to n from the IMU's axes at the first step.
     bias : ndarray, shape (3,)
         Of the gyroscope [rad/s], after it is multiplied.
-    lever_arm : ndarray, shape (3,)
-        From the IMU to the antenna [m], in the axes of the readings that are multiplied.
+    lever_arm, given_arm : ndarray, shape (3,)
+        From the IMU to the antenna [m], in the axes of the readings that are multiplied; where
+        it is said to be.
+    arm_std : ndarray, shape (3,)
+        Standard deviation of ``lever_arm`` [m], of what is left over.
     """
 
     sign: float
@@ -121,6 +115,8 @@ class Fit:
     C_ni: Array = field(default_factory=lambda: np.eye(3))
     bias: Array = field(default_factory=lambda: np.zeros(3))
     lever_arm: Array = field(default_factory=lambda: np.zeros(3))
+    given_arm: Array = field(default_factory=lambda: np.zeros(3))
+    arm_std: Array = field(default_factory=lambda: np.full(3, np.inf))
 
 
 def triples_of(t: Array, interval: float) -> NDArray[np.intp]:
@@ -157,21 +153,22 @@ def _differences(t: Array, position: Array, triples: NDArray[np.intp]) -> Array:
     )
 
 
-def fit(motion: Motion, start: Fit, tolerant: bool = False) -> Fit:
+def fit(motion: Motion, start: Fit, allowed: tuple[Array, Array] = STRICT) -> Fit:
     """
     Return how well a hypothesis fits, from the bias and the lever arm of its start on.
 
-    Tolerant: also an accelerometer's bias, a gyroscope's scales and misaligned axes, as ordinary
-    IMUs have them, and a longer lever arm may explain the changes.
+    ``allowed`` are the standard deviations and limits of what may explain the changes besides: of
+    `imu_axes_nuisance`.
     """
     turn, change_n = motion.turn @ start.gyroscope.T, motion.change_n
     impulse = start.sign * motion.impulse
-    std, largest = TOLERANT if tolerant else STRICT
+    std, largest = allowed
+    tolerant = len(std) > 7
     best = replace(start, left=np.inf)
     nuisance = nuisance_of_best = np.zeros(len(std))
-    nuisance[:6] = *start.bias, *start.lever_arm
+    nuisance[:6] = *start.bias, *(start.lever_arm - start.given_arm)
     for _ in range(ITERATIONS):
-        lever_arm, offsets = nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
+        lever_arm, offsets = start.given_arm + nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
         force = impulse - STEP * nuisance[7:10] if tolerant else impulse
         path, arms = _paths(motion, _turns(turn, nuisance), force)
         at_antenna = np.tensordot(lever_arm, arms, 1)
@@ -206,7 +203,9 @@ def fit(motion: Motion, start: Fit, tolerant: bool = False) -> Fit:
         if tolerant:
             by_force = _changes(motion, -_twice_integrated(arms), around[1:2])[:, 0]
             columns += [*by_force, *by_turns[3:]]
-        step = _step(C[k], at, np.stack(columns, axis=-1), misfit[k], nuisance, std)
+        by_all = np.stack(columns, axis=-1)
+        step, step_std = _step(C[k], at, by_all, misfit[k], nuisance, std)
+        best = replace(best, arm_std=step_std[3:6])
         nuisance = np.clip(nuisance + step, -largest, largest)
     return best
 
@@ -230,15 +229,18 @@ def _twice_integrated(axes: Array) -> Array:
 
 def _step(
     C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array, std: Array
-) -> Array:
-    """Return the change of the nuisance parameters (P,) by least squares, the rotation free."""
+) -> tuple[Array, Array]:
+    """Return the change of the nuisance parameters (P,) by least squares, and its σ (P,)."""
     count = len(std)
     by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
     of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1)
     weight = np.diag(CHANGE_STD / std)
     H = np.vstack((of_changes.reshape(-1, 3 + count), np.hstack((np.zeros((count, 3)), weight))))
     z = np.concatenate((misfit.ravel(), -weight @ nuisance))
-    return np.asarray(np.linalg.lstsq(H, z, rcond=None)[0][3:])
+    step = np.linalg.lstsq(H, z, rcond=None)[0]
+    noise = max(CHANGE_STD, float(np.sqrt(np.mean(misfit[:, :2] ** 2))))
+    variance = np.diag(np.linalg.pinv(H.T @ H))
+    return np.asarray(step[3:]), np.asarray(noise * np.sqrt(variance[3:]))
 
 
 def attitudes(turn: Array) -> Array:

@@ -13,9 +13,10 @@ from collections.abc import Generator, Sequence
 import numpy as np
 
 from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
+from hybrid_ins.core.imu_axes_nuisance import TOLERANT
 
 LEVER_ARMS = 2.0 * np.vstack((np.zeros(3), np.eye(3)[:2], -np.eye(3)[:2]))
-"""Where the search for the lever arm begins again [m], b: the course may be half a turn off."""
+"""From the given one, where the search for the lever arm begins again: the course may be off."""
 LOG_ODDS, FITTED = 6.0, 10  # of a fit that is better not by chance; unknowns of a fit
 
 
@@ -27,18 +28,19 @@ def tolerant_fits(
 
     ``as_given`` and ``fits`` are those without; yields between the parts of the work.
     """
-    starts = [as_given]
-    for lever_arm in LEVER_ARMS:
-        starts.append(fit(motion, Fit(1.0, np.eye(3), lever_arm=lever_arm)))
+    starts, given = [as_given], as_given.given_arm
+    for lever_arm in given + LEVER_ARMS:
+        starts.append(fit(motion, Fit(1.0, np.eye(3), lever_arm=lever_arm, given_arm=given)))
         yield
+    plain = Fit(1.0, np.eye(3), lever_arm=given, given_arm=given)
     found: list[Fit] = []
-    for start in [*sorted(starts, key=lambda one: one.left)[:2], Fit(1.0, np.eye(3))]:
-        found.append(fit(motion, start, tolerant=True))
+    for start in [*sorted(starts, key=lambda one: one.left)[:2], plain]:
+        found.append(fit(motion, start, TOLERANT))
         yield
     others: list[Fit] = []
     for hypothesis in fits:
         if hypothesis.left < as_given.left:
-            others.append(fit(motion, hypothesis, tolerant=True))
+            others.append(fit(motion, hypothesis, TOLERANT))
             yield
     return min(found, key=lambda one: one.left), others
 

@@ -16,6 +16,7 @@ from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.lift_watch import LiftWatch
 from hybrid_ins.core.measurements import Standstill
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.phases import FilterParts
@@ -82,6 +83,7 @@ class ImuMonitor:
         self.calm = 0, 0
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._standing_force = StandingForce()
+        self._lift = LiftWatch()
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity, and not several times as much
@@ -100,6 +102,7 @@ class ImuMonitor:
         if verdict.measurement.kind == "position":
             agreed = verdict.accepted and not verdict.inflated
             self._fix_agreed_ns = verdict.measurement.t_ns if agreed else 0
+            self._lift.reset()
 
     def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, fixes_move: bool) -> bool:
         """
@@ -138,12 +141,9 @@ class ImuMonitor:
             return True
         if phases.filter is not None and self.fault is None and not manoeuvres:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
-        if (
-            fixes_move
-            or t_ns - samples["t_ns"][0] <= SHORTEST_STAND
-            or not is_standing(samples)
-            or not _zero_speed_is_plausible(best)
-        ):
+        calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
+        self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
+        if fixes_move or not calm or self._lift.moves or not _zero_speed_is_plausible(best):
             self._calm_ns = None
             self._standing_force.reset()
         elif self._standing_force.changes(samples):
@@ -155,6 +155,8 @@ class ImuMonitor:
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
             best
         )
+        if self.standing:
+            self._lift.note_stand(samples)
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples))
         return True

@@ -23,13 +23,13 @@ from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.lever_arm_observer import LeverArmError
+from hybrid_ins.core.lever_arm_observer import LeverArmError, LeverArmObserver
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.position_scatter import PositionScatter
 from hybrid_ins.core.rewind import Checkpoint, History
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
-from hybrid_ins.core.scale_errors import ScaleErrors
+from hybrid_ins.core.scale_errors import ScaleErrorObserver, ScaleErrors
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
     LAST_SAMPLE,
@@ -73,8 +73,10 @@ class FilterSettings:
         Learn that from the fixes, see `PositionScatter`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b, as in the fixes.
+    lever_std : ndarray, shape (3,)
+        See `LeverArmObserver`.
     scale_std : float
-        Standard deviation of errors of the IMU's scale factors, see `ScaleErrorObserver`.
+        See `ScaleErrorObserver`.
     """
 
     covariance_interval: float = 0.01
@@ -86,6 +88,7 @@ class FilterSettings:
     position_scatter: float = 1.0
     learn_scatter: bool = False
     lever_b: Array = field(default_factory=lambda: np.zeros(3))
+    lever_std: Array = field(default_factory=lambda: np.zeros(3))
     scale_std: float = 0.0
 
     def scatter(self) -> PositionScatter:
@@ -144,7 +147,13 @@ class InsFilter:
         self.t_ns = t_ns
         clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
         self._update = MeasurementUpdate(
-            noise, gate, clock, settings.scatter(), t_ns, settings.scale_std
+            noise,
+            gate,
+            clock,
+            settings.scatter(),
+            t_ns,
+            LeverArmObserver(settings.lever_std),
+            ScaleErrorObserver(settings.scale_std),
         )
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
@@ -154,9 +163,8 @@ class InsFilter:
         self.covariance_interval = settings.covariance_interval - 1e-6
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
-        self.record: FilterRecord | None = None
-        if settings.keep_record:
-            self.record = FilterRecord(FilterStart(t_ns, sample, initial, noise.levels()))
+        start = FilterStart(t_ns, sample, initial, noise.levels())
+        self.record = FilterRecord(start) if settings.keep_record else None
         self._checkpoint()
         self._schedule()
 

@@ -13,7 +13,8 @@ of velocities beside it: straight ahead one is like the other. The state is not 
 who says where the antenna is decides what the odometry is of. But an error that is certain is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
 reported. Where the noise factors have risen by what the lever arm does, the estimate is too short,
-but no less certain.
+but no less certain. A lever arm that was not given but found from motion is considered from the
+start on.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -37,8 +38,9 @@ from numpy.typing import NDArray
 from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
 from hybrid_ins.core.clock_sensitivity import sensitivities
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.error_model import advance
 from hybrid_ins.core.kalman import innovation_covariance
-from hybrid_ins.core.linalg import factorise, whiten
+from hybrid_ins.core.linalg import factorise, mean_square, regress, whiten
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import mean_system
 from hybrid_ins.core.shallow_copy import ShallowCopy
@@ -55,6 +57,7 @@ from hybrid_ins.core.strapdown import rotation
 
 Array = NDArray[np.float64]
 
+GIVEN = np.zeros(3)  # m
 PRIOR_STD = 2.0  # m, of each component of the error
 AGE_STD = 0.3  # s, of velocities against positions
 HEADING_STD = math.radians(4.0)  # from which the start is observed
@@ -91,10 +94,19 @@ class LeverArmObserver(ShallowCopy):
     Estimates how far the antenna is from where it is said to be.
 
     Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+
+    Parameters
+    ----------
+    found_std : ndarray, shape (3,)
+        Standard deviation of a lever arm that was found from motion [m], b; zeros: it is given.
     """
 
-    def __init__(self) -> None:
-        self._values = _START
+    def __init__(self, found_std: Array = GIVEN) -> None:
+        self._values, self._is_found = _START, bool(np.any(found_std))
+        if self._is_found:
+            self._values = _START.copy()
+            P = np.diag((MAX_STD**2, AGE_STD**2, *np.square(found_std)))
+            self._values[P_PARAMETERS] = P.ravel()
         self._t_ns = self._start_ns = 0  # of the last correction (0: s is not known), of the first
 
     @property
@@ -112,6 +124,9 @@ class LeverArmObserver(ShallowCopy):
     @property
     def considered(self) -> Array:
         """What is added to the covariance of the position that is reported, (3,) [m²], NED."""
+        if self._is_found:
+            error, std = self.estimate[:2]
+            return np.full(3, float(np.max(error**2 + std**2)))
         return self._values[CONSIDERED]
 
     def restart(self) -> None:
@@ -195,12 +210,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
                 s[i, j] = -C[3 * i + j] if i < 3 else 0.0
     elif T > 0.0:
         F, _ = mean_system(before, values[LAST_VELOCITY], last_C, T)
-        change = s.copy()
-        for order in range(1, 3):  # s + F T s + (F T)^2 s / 2
-            change = _product(F, change, T / order)
-            for i in range(N_ERROR):
-                for j in range(3):
-                    s[i, j] += change[i, j]
+        advance(F, T, s)
     h = np.zeros((m, N_PARAMETERS))
     of_error = h[:, ERROR]
     for a in range(m):
@@ -225,7 +235,10 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
         total, R = _covariances(before, H, S, weight)
         if H[0, 0] != 0.0:
             values[FIX_STD] = np.sqrt(max(R[0, 0], 0.0))
-        _regress(values, z, h, total)
+        now = values[PARAMETERS]
+        values[NIS_SCALE] += (mean_square(z, h, now, total) - values[NIS_SCALE]) / NIS_MEMORY
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
+        regress(now, P, z, h, total)
         _consider(values, C)
     for i in range(N_ERROR):
         for j in range(3):
@@ -234,19 +247,6 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
     for i in range(3):
         values[LAST_VELOCITY][i] = after[VELOCITY][i]
     rotation(after[QUAT], values[LAST_C])
-
-
-@register_jitable
-def _product(F, x, factor):  # type: ignore[no-untyped-def]
-    """Return factor F x, shape (15, 3), of a matrix with many zeros."""
-    product = np.zeros(x.shape)
-    for i in range(N_ERROR):
-        for k in range(N_ERROR):
-            element = factor * F[i, k]
-            if element != 0.0:
-                for j in range(3):
-                    product[i, j] += element * x[k, j]
-    return product
 
 
 @register_jitable
@@ -289,41 +289,3 @@ def _covariances(before, H, S, weight):  # type: ignore[no-untyped-def]
             R[a, b] = (S[a, b] - of_state[a, b]) / weight
             total[a, b] = of_state[a, b] + R[a, b]
     return total, R
-
-
-@register_jitable
-def _regress(values, z, h, S):  # type: ignore[no-untyped-def]
-    """Correct the parameters by an innovation z (m,) of the mean h (m, 5) times parameters."""
-    m, n, now = len(z), N_PARAMETERS, values[PARAMETERS]
-    P = values[P_PARAMETERS].reshape(n, n)
-    rest, white, column = np.empty(m), np.empty((m, n)), np.empty(m)
-    factorise(S)
-    for a in range(m):
-        rest[a] = z[a]
-    whiten(S, rest)
-    for j in range(n):
-        for a in range(m):
-            column[a] = h[a, j]
-        whiten(S, column)
-        for a in range(m):
-            white[a, j] = column[a]
-    nis, g = 0.0, np.empty(n)
-    for a in range(m):
-        missing = rest[a]
-        for j in range(n):
-            missing -= white[a, j] * now[j]
-        nis += missing * missing
-    values[NIS_SCALE] += (nis / m - values[NIS_SCALE]) / NIS_MEMORY
-    for a in range(m):
-        missing, variance = rest[a], 1.0
-        for i in range(n):
-            g[i] = 0.0
-            for j in range(n):
-                g[i] += P[i, j] * white[a, j]
-        for j in range(n):
-            missing -= white[a, j] * now[j]
-            variance += white[a, j] * g[j]
-        for i in range(n):
-            now[i] += g[i] * missing / variance
-            for j in range(n):
-                P[i, j] -= g[i] * (g[j] / variance)

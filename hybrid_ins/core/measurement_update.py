@@ -113,11 +113,6 @@ class MeasurementUpdate:
         Share of the claimed variance of positions that is white.
     corrected_ns : int
         Stamp of the last fix that was fused, or of the start [ns].
-    scale_std : float
-        Standard deviation of errors of the IMU's scale factors.
-
-    Attributes
-    ----------
     lever_arm : LeverArmObserver
         Error of the antenna's place, estimated beside the state.
     scale_errors : ScaleErrorObserver
@@ -131,14 +126,15 @@ class MeasurementUpdate:
         clock: ClockOffsetObserver,
         scatter: PositionScatter,
         corrected_ns: int,
-        scale_std: float,
+        lever_arm: LeverArmObserver,
+        scale_errors: ScaleErrorObserver,
     ) -> None:
         self.noise = noise
         self.gate = gate
         self.clock = clock
         self.scatter = scatter
         self._corrected_ns = corrected_ns
-        self.lever_arm, self.scale_errors = LeverArmObserver(), ScaleErrorObserver(scale_std)
+        self.lever_arm, self.scale_errors = lever_arm, scale_errors
 
     def __copy__(self) -> MeasurementUpdate:
         twin = object.__new__(MeasurementUpdate)
@@ -190,8 +186,7 @@ class MeasurementUpdate:
             self.scale_errors.begin_outage(nav, ring, self._corrected_ns, event.t_ns)
         else:
             if isinstance(event, PositionFix):
-                noise = self.noise
-                claimed = event.claimed
+                noise, claimed = self.noise, event.claimed
                 split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
                 noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
             fused = self._fuse_ordinary(nav, event, split, age)

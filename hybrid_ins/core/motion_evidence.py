@@ -1,6 +1,9 @@
 """
 Whether a vehicle has moved since filters of several headings began.
 
+A receiver that finds or loses its solution steps by a metre at rest: motion is spread over several
+fixes, so the largest step between two of them does not count.
+
 At rest nothing shows the heading, yet some heading always fits best: that in which the wander of
 the fixes has the direction of the tilt that a gyroscope's bias feigns. A real fixed wing stood for
 200 s; with the noise of its aerobatics assumed, its heading was "known" to 10° after a minute, and
@@ -41,6 +44,9 @@ class MotionEvidence:
     def __init__(self) -> None:
         self.moves = self.shown = False
         self._first_lla: Array | None = None
+        self._last_lla = np.empty(3)
+        self._largest = np.zeros(2)  # m, NE: step from a fix to the next
+        self._steps = 0  # so far, at a fix
         self._since_ns = 0  # of the motion, if there is one
 
     def observe(self, measurement: Measurement, best: InsFilter) -> bool:
@@ -54,10 +60,17 @@ class MotionEvidence:
         before, self.moves = self.moves, speed > FAST * math.sqrt(max(variance, 0.0))
         if isinstance(measurement, PositionFix):
             if self._first_lla is None:
-                self._first_lla = measurement.lla
+                self._first_lla = self._last_lla = measurement.lla
             away = displacement(self._first_lla, measurement.lla)[:2]
+            step = displacement(self._last_lla, measurement.lla)[:2]
+            self._last_lla = measurement.lla
+            if np.linalg.norm(step) > np.linalg.norm(self._largest):
+                self._largest = step
             std = math.sqrt(2.0 * horizontal_variance(measurement.claimed))
-            self.moves = self.moves or bool(np.linalg.norm(away) > FAR * std)
+            others = (away - self._largest) * (1.0 + 1.0 / max(self._steps - 1, 1))
+            self._steps += 1
+            far = min(np.linalg.norm(away), np.linalg.norm(others))
+            self.moves = self.moves or bool(far > FAR * std)
         if self.moves and not before:
             self._since_ns = best.t_ns
         elif self.moves and best.t_ns - self._since_ns >= LASTING_NS:

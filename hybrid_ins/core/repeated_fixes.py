@@ -5,14 +5,18 @@ A driver that is faster than its receiver repeats the last position with a new s
 the vehicle stands, and then jumps. Bit-identical positions alone do not show it. A receiver whose
 positions are rounded repeats them at rest, too; but then it goes on by one component and one unit
 at a time, and in motion each position is a new one. Of a driver that repeats, every position comes
-at least twice, and all components change together.
+at least twice, and all components change together. A driver that is a little faster than its
+receiver, 5 Hz with one of 4 Hz, repeats a few: never for long, and all components always change.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
+RECENT, SOME, SHORT = 30, 5, 3  # runs; repetitions among them that show it, of such a length
 RUNS = 4  # in a row that show a driver that repeats; by chance that takes 10^5 rounded positions
 
 
@@ -23,7 +27,7 @@ class RepetitionCheck:
     Attributes
     ----------
     repeats : bool
-        Each measurement comes several times: only the first has the right stamp.
+        Measurements come several times: only the first of each has the right stamp.
     """
 
     def __init__(self) -> None:
@@ -31,6 +35,7 @@ class RepetitionCheck:
         self._last: NDArray[np.float64] | None = None
         self._length = 0  # of the run of identical measurements
         self._runs = 0  # that show a repetition, less those that contradict it; 0 to RUNS
+        self._recent: deque[int] = deque(maxlen=RECENT)  # lengths of runs; 0: not ended completely
         self._varies = np.array([True, True, False])  # components that are no constants
 
     def is_again(self, measured: NDArray[np.float64]) -> bool:
@@ -50,10 +55,19 @@ class RepetitionCheck:
 
     def _count_run(self, ends_completely: bool) -> None:
         """Count the run of identical measurements that has ended; all components changed or not."""
+        self._recent.append(self._length if ends_completely else 0)
         if self._length == 1:
             self._runs = max(self._runs - 1, 0) if self.repeats else 0
         elif ends_completely:
             self._runs = min(self._runs + 1, RUNS)
         elif not self.repeats:
             self._runs = 0
-        self.repeats = self._runs > 0 if self.repeats else self._runs == RUNS
+        is_every = self._runs > 0 if self.repeats else self._runs == RUNS
+        self.repeats = is_every or self._some_are_repeated()
+
+    def _some_are_repeated(self) -> bool:
+        """Return whether the driver is a little faster than its receiver."""
+        lengths = self._recent
+        if len(lengths) < RECENT or not 0 < min(lengths) <= max(lengths) <= SHORT:
+            return False
+        return sum(length > 1 for length in lengths) >= SOME

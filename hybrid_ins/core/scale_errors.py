@@ -16,8 +16,9 @@ and an innovation has the mean H U m. The estimate is a regression of the innova
 the clock offset of the fixes, the age of velocities and the error of the lever arm beside it: in
 turns they do something similar. While fixes come they hold the state, and nothing is corrected.
 Where fixes are missing the state is corrected by U m, and what the samples do to it from then on by
-D m; the covariance P_m of the estimate is *considered*, [3]_: U P_m U' is added to that of the
-state, so that a manoeuvre that ends as it began takes away most of what it has brought.
+D m; what is not known of m, and a part of it that is not constant, is *considered*, [3]_: with its
+covariance P_m, U P_m U' is added to that of the state, so that a manoeuvre that ends as it began
+takes away most of what it has brought.
 
 References
 ----------
@@ -74,14 +75,14 @@ AGE_STD, LEVER_STD = 0.3, 0.3  # s, m: of velocities against positions, of the p
 
 N_SCALE = 18  # elements of M_a and M_g, row by row
 AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [rad], by data sheets
-VARYING = 0.4  # of each deviation: that of what is not constant, by temperature and nonlinearity
+VARYING = 0.16  # of their variances: what is not constant, by temperature and nonlinearity
 SHARES = np.tile(np.where(np.eye(3) > 0.0, 1.0, AXES).ravel(), 2)  # the same, by element
 
 # Parameters of the regression: clock offset that the stamps lack [s], age of velocities [s], error
 # of the lever arm [m], b, and m in units of its deviations; U is by those from the lever arm on.
 CLOCK, LEVER, SCALE = 0, slice(2, 5), slice(5, 5 + N_SCALE)
 N_PARAMETERS, N_LEVER = SCALE.stop, 3
-_START_STD = np.array((MAX_STD, AGE_STD, *3 * [LEVER_STD], *N_SCALE * [1.0]))
+_START_STD = np.array((MAX_STD, AGE_STD, *3 * [LEVER_STD], *N_SCALE * [math.sqrt(1.0 - VARYING)]))
 
 
 class ScaleErrors(NamedTuple):
@@ -193,7 +194,7 @@ class ScaleErrorObserver(ShallowCopy):
         if self._t_ns is None:
             self._begin(nav, fix_ns)
             self.follow(nav, ring, t_ns)
-        P_m = self._P[SCALE, SCALE] + VARYING**2 * np.eye(N_SCALE)
+        P_m = self._P[SCALE, SCALE] + VARYING * np.eye(N_SCALE)
         self._root = np.linalg.cholesky(0.5 * (P_m + P_m.T))
         S = self.correlation
         pack(covariance(nav) + S @ S.T, nav[COVARIANCE])

@@ -16,6 +16,7 @@ References
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -149,7 +150,8 @@ def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
     """
     Return the horizontal speed [m/s] of positions by a straight line; 0 where it is none.
 
-    Stamps (N,) [ns]; latitude, longitude [rad] and height [m], (N, 3).
+    Stamps (N,) [ns]; latitude, longitude [rad] and height [m], (N, 3). It has to be significant
+    without the largest step between two positions, too: receivers step at rest.
     """
     count = len(t_ns)
     if count < MIN_FIXES:
@@ -161,7 +163,26 @@ def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
         places[k, 0] = (lla[k, 0] - last[0]) * north
         places[k, 1] = wrapped(lla[k, 1] - last[1]) * east
     t -= t.mean()
-    square, residual, speed = np.sum(t * t), 0.0, 0.0
+    speed = _slope(t, places)
+    if speed == 0.0:
+        return 0.0
+    at, largest = 1, 0.0
+    for k in range(1, count):
+        step = np.hypot(places[k, 0] - places[k - 1, 0], places[k, 1] - places[k - 1, 1])
+        if step > largest:
+            at, largest = k, step
+    for axis in range(2):
+        step = places[at, axis] - places[at - 1, axis]
+        others = (places[count - 1, axis] - places[0, axis] - step) / (count - 2)
+        for k in range(at, count):
+            places[k, axis] += others - step
+    return speed if _slope(t, places) > 0.0 else 0.0
+
+
+@register_jitable
+def _slope(t, places):  # type: ignore[no-untyped-def]
+    """Return the speed of places (N, 2) [m] by a straight line, t (N,) about 0; 0: it is none."""
+    count, square, residual, speed = len(t), np.sum(t * t), 0.0, 0.0
     for axis in range(2):
         place = places[:, axis] - places[:, axis].mean()
         slope = np.sum(t * place) / square

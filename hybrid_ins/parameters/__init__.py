@@ -22,6 +22,8 @@ Values = dict[str, Value]
 NODE_NAME = "ins_node"
 SIMILAR = 0.7  # similarity of two names, by difflib, from which one is suggested for the other
 
+LISTED = 4  # names of a group, at most
+
 OTHER_NAMES = {
     "imu_topic": "remap the topic imu/data (launch: imu_topic:=, programs: --imu-topic)",
     "fix_topic": "remap the topic gnss/fix (launch: fix_topic:=, programs: --fix-topic)",
@@ -68,11 +70,20 @@ def find(name: str) -> Parameter:
 def _suggestion(name: str) -> str:
     if name in OTHER_NAMES:
         return OTHER_NAMES[name]
+    parts = [known for known in PARAMETERS if known.startswith(f"{name}.")]
+    if parts:
+        return f"it is a group: did you mean {_listed(parts)}?"
     near = [known for known in PARAMETERS if known.endswith(f".{name}")]
     near += difflib.get_close_matches(name[:100], PARAMETERS, 1, SIMILAR)
     if near:
         return f"did you mean {near[0]}?"
     return "docs/parameters.md and ros2 param list show all names"
+
+
+def _listed(names: list[str]) -> str:
+    """Return the first names of a list for a text."""
+    first = names[:LISTED]
+    return f"{', '.join(first[:-1])} or {first[-1]}" if len(first) > 1 else first[0]
 
 
 def check_change(values: Mapping[str, Value], changes: Mapping[str, object]) -> Values:

@@ -123,7 +123,9 @@ GNSS = (
         "gnss.antenna_position",
         [0.0, 0.0, 0.0],
         "Position of the antenna in base_frame (forward, left, up)",
-        **_METRES,
+        unit="m",
+        low=-200.0,
+        high=200.0,
     ),
     Parameter(
         "gnss.time_offset.value",

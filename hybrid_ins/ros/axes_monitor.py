@@ -1,5 +1,5 @@
 """
-The check of the IMU's axes and units while the estimator runs, and its words for the user.
+The check of the IMU's axes and units and of the antenna's place while the estimator runs, in words.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros.conversions import FLIP, Refused
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.sensor_placement import SensorPlacement
 
 Array = NDArray[np.float64]
 
@@ -31,20 +32,21 @@ class AxesMonitor:
     ----------
     navigator : Navigator
         Its samples are checked.
-    mount : ndarray, shape (3, 3)
-        From the IMU message's axes to b.
+    placement : SensorPlacement
+        Where the sensors are; an antenna that is far from there is moved.
     inputs : InputLog
         Warns.
     """
 
-    def __init__(self, navigator: Navigator, mount: Array, inputs: InputLog) -> None:
+    def __init__(self, navigator: Navigator, placement: SensorPlacement, inputs: InputLog) -> None:
         self._navigator = navigator
         self._inputs = inputs
-        self.set_mount(mount)
+        self._placement = placement
+        self.restart()
 
-    def set_mount(self, mount: Array) -> None:
-        """Start anew with another mount (3, 3)."""
-        self._check = ImuAxesCheck(mount)
+    def restart(self) -> None:
+        """Start anew: the sensors are elsewhere."""
+        self._check = ImuAxesCheck(self._placement.mount, self._placement.lever_b)
         self._taken_ns = self._next_ns = 0
         self._reported: AxesFault | None = None
 
@@ -52,6 +54,11 @@ class AxesMonitor:
     def fault(self) -> Refused | None:
         """What is wrong, as a name and a text."""
         return None if self._check.fault is None else describe(self._check.fault)
+
+    @property
+    def moved_b(self) -> Array:
+        """Where the antenna is taken to be, less where it is given, (3,) [m], b."""
+        return self._placement.antenna_error_b
 
     @property
     def are_plausible(self) -> bool:
@@ -63,8 +70,8 @@ class AxesMonitor:
         if isinstance(measurement, PositionFix):
             self._check.add_fix(measurement.t_ns, measurement.lla)
 
-    def run_periodic(self) -> None:
-        """Do what is due; call it some times a second."""
+    def run_periodic(self) -> bool:
+        """Do what is due, some times a second; return whether the antenna was moved."""
         t_ns = self._navigator.last_ns
         if t_ns < self._taken_ns:  # a new time base
             self._check.reset()
@@ -77,6 +84,13 @@ class AxesMonitor:
             self._reported = self._check.fault
             if self._reported is not None:
                 self._inputs.count_and_warn("imu/data", describe(self._reported))
+        found, placement = self._check.antenna_error_b, self._placement
+        if found is None:
+            return False
+        placement.move_antenna(*found)
+        moved = describe_antenna(placement.antenna_error_b, placement.antenna_std)
+        self._inputs.count_and_warn("gnss/fix", moved)
+        return True
 
     def _take_samples(self) -> None:
         samples = self._navigator.ring.after(self._taken_ns)
@@ -89,6 +103,20 @@ class AxesMonitor:
             self._check.reset()
         self._taken_ns = int(stamps[-1])
         self._check.add_samples(samples[first:])
+
+
+def describe_antenna(error_b: Array, std: Array) -> Refused:
+    """Return that the antenna is ``error_b`` ± ``std`` (3,) [m], b, from where it is given."""
+    names = (("forward", "backward"), ("left", "right"), ("up", "down"))
+    place = ", ".join(
+        f"{abs(value):.1f} ± {sigma:.1f} m {pair[int(value < 0.0)]}"
+        for pair, value, sigma in zip(names, (FLIP @ error_b).tolist(), std.tolist(), strict=True)
+    )
+    return Refused(
+        "gnss: antenna elsewhere",
+        f"the motion shows the antenna {place} of where imu.position and gnss.antenna_position put "
+        "it: correct them; until then it is taken to be there",
+    )
 
 
 def describe(fault: AxesFault) -> Refused:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Verdict
@@ -23,6 +24,10 @@ from hybrid_ins.ros.conversions import FLIP, Refused
 from hybrid_ins.ros.input_log import ORDINARY, InputLog
 from hybrid_ins.ros.reports import Status
 
+Array = NDArray[np.float64]
+
+NOT_MOVED = np.zeros(3)  # m
+MOVED = "; until then it is taken to be there"
 DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
 ORDINARY_SCALE_ERROR, MOTION_TIME = 0.01, 1.0  # of a gyroscope, and s that a turn lasts
@@ -137,7 +142,11 @@ def _alignment_status(navigator: Navigator, waiting: str) -> Status:
 
 
 def input_status(
-    navigator: Navigator, inputs: InputLog, t_ns: int, axes_fault: Refused | None = None
+    navigator: Navigator,
+    inputs: InputLog,
+    t_ns: int,
+    axes_fault: Refused | None = None,
+    moved_b: Array = NOT_MOVED,
 ) -> Status:
     """Return what was refused until a stamp [ns], and what is wrong with the IMU now."""
     fault, new = navigator.monitor.fault, inputs.new_in_last_seconds(t_ns)
@@ -147,7 +156,7 @@ def input_status(
     if fault is not None:
         text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
         return status("input", 2, text, values)
-    for found in antenna_conditions(navigator).values():
+    for found in antenna_conditions(navigator, moved_b).values():
         return status("input", 1, found, values)
     refused = sum(n for name, n in inputs.counts.items() if name not in ORDINARY)
     text = "all input used" if refused == 0 else f"{refused} messages refused or remarkable"
@@ -224,14 +233,20 @@ def _rates_disagree(navigator: Navigator, noise: FilterNoise) -> bool:
     return bool((1.0 - 1.0 / factor) * noise.psd()[W_G].max() > ordinary)
 
 
-def antenna_conditions(navigator: Navigator) -> dict[str, str]:
-    """Return what the innovations show of the antenna's place: a name and a text, or nothing."""
+def antenna_conditions(navigator: Navigator, moved_b: Array) -> dict[str, str]:
+    """
+    Return what is wrong with the antenna's place: a name and a text, or nothing.
+
+    By the innovations, and by ``moved_b`` (3,) [m], b: where it is taken to be, less where given.
+    """
     running = navigator.filter
     if running is None:
         return {}
     error_b, std, _, is_certain = running.lever_arm
-    if not is_certain:
+    is_moved = bool(np.any(moved_b))
+    if not (is_certain or is_moved):
         return {}
+    error_b = error_b + moved_b
     directions = (("forward", "backward"), ("left", "right"), ("up", "down"))
     place = ", ".join(
         f"{abs(value):.2f} ± {sigma:.2f} m {names[int(value < 0.0)]}"
@@ -242,6 +257,7 @@ def antenna_conditions(navigator: Navigator) -> dict[str, str]:
     return {
         "the antenna is elsewhere": f"the antenna is about {place} of where imu.position and "
         "gnss.antenna_position put it: measure it, or run ins_calibrate"
+        f"{MOVED if is_moved else ''}"
     }
 
 

@@ -102,7 +102,7 @@ class Estimator:
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self.odometry = OdometrySource()
         self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
-        self._review = InputReview(values, self.navigator, self.placement.mount, self.inputs)
+        self._review = InputReview(values, self.navigator, self.placement, self.inputs)
         self.reporter = Reporter(values, self.navigator, self.inputs, self.odometry)
         self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
         self.noise = NoiseInput(self.navigator, log)
@@ -180,7 +180,7 @@ class Estimator:
 
     def _on_moved_sensors(self) -> None:
         self._fixes.configure()
-        self._review.axes.set_mount(self.placement.mount)
+        self._review.axes.restart()
         self.noise.configure(self.values, self.placement.mount)
         self.aids.configure(self.placement)
         if self.navigator.ring.count:
@@ -271,7 +271,8 @@ class Estimator:
             self._report_ns = t_ns + REPORT_NS
             self.reporter.add(self.aids.run_periodic(t_ns))
             self.navigator.check_imu()
-            self._review.axes.run_periodic()
+            if self._review.axes.run_periodic():
+                self._on_moved_sensors()
             self.navigator.continue_search()
             self._handle_events()
             self.reporter.report_state(t_ns, self.placement.arm_b)

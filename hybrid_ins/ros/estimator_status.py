@@ -49,12 +49,12 @@ class EstimatorStatus:
 
     def diagnostics(self, t_ns: int) -> list[Status]:
         """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
-        mode, reporter = self.values["noise.mode"], self.reporter
+        mode, reporter, axes = self.values["noise.mode"], self.reporter, self.review.axes
         return [
             diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
-            diagnostics.input_status(self.navigator, self.inputs, t_ns, self.review.axes.fault),
+            diagnostics.input_status(self.navigator, self.inputs, t_ns, axes.fault, axes.moved_b),
             diagnostics.noise_status(self.navigator, self.noise.reader, mode),
             self.clock.status(),
             *self.aids.statuses(t_ns),

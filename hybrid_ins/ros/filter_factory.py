@@ -70,9 +70,13 @@ class FilterFactory:
         self.speed_check.max_speed = self._values["gnss.max_speed"]
         self.speed_check.patience = self._values["gnss.patience"]
 
-    def set_antenna(self, lever_b: Array) -> None:
-        """Note where the antenna is relative to the IMU [m], b, shape (3,)."""
-        self.settings = replace(self.settings, lever_b=lever_b)
+    def set_antenna(self, lever_b: Array, lever_std: Array) -> None:
+        """
+        Note where the antenna is relative to the IMU [m], b, shape (3,).
+
+        Its standard deviation is zero where it is given.
+        """
+        self.settings = replace(self.settings, lever_b=lever_b, lever_std=lever_std)
 
     def set_clock_offset(self, offset: float, prior: ClockPrior) -> None:
         """

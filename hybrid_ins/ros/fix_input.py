@@ -52,7 +52,7 @@ class FixInput:
 
     def configure(self) -> None:
         """Use the present parameters, placement and clock offset."""
-        self._parts.set_antenna(self._placement.lever_b)
+        self._parts.set_antenna(self._placement.lever_b, self._placement.antenna_std)
         self._parts.set_clock_offset(self._clock.offset, self._clock.prior)
         for running in self._navigator.phases.filters:
             running.change_settings(self._parts.settings)

@@ -7,9 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
@@ -21,9 +18,9 @@ from hybrid_ins.ros.fix_refusals import FixRefusals
 from hybrid_ins.ros.fix_scatter import FixScatter
 from hybrid_ins.ros.gps_fix import fix_type
 from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.input_units import InputUnits
 from hybrid_ins.ros.lasting import LastingConditions
-
-Array = NDArray[np.float64]
+from hybrid_ins.ros.sensor_placement import SensorPlacement
 
 
 class InputReview:
@@ -35,8 +32,8 @@ class InputReview:
     values : mapping
         Checked parameters.
     navigator : Navigator
-    mount : ndarray, shape (3, 3)
-        From the IMU message's axes to b.
+    placement : SensorPlacement
+        Where the sensors are.
     inputs : InputLog
 
     Attributes
@@ -46,14 +43,19 @@ class InputReview:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], navigator: Navigator, mount: Array, inputs: InputLog
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        placement: SensorPlacement,
+        inputs: InputLog,
     ) -> None:
         self._values = values
         self._navigator = navigator
         self._inputs = inputs
-        self.axes = AxesMonitor(navigator, mount, inputs)
+        self.axes = AxesMonitor(navigator, placement, inputs)
         self._refusals = FixRefusals(navigator, inputs)
         self._scatter = FixScatter(inputs)
+        self._units = InputUnits(inputs)
         self._lasting = LastingConditions(inputs.log)
 
     @property
@@ -65,6 +67,7 @@ class InputReview:
     def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
         """Note a NavSatFix, and what it was converted to."""
         self._refusals.note(fix)
+        self._units.on_fix(message, fix)
         self._inputs.receiver["fix_type"] = fix_type(int(message.status.status))
         missing = "" if isinstance(fix, Refused) else missing_covariance(message)
         if missing:
@@ -83,7 +86,9 @@ class InputReview:
         """Note what has lasted for another second."""
         navigator = self._navigator
         conditions = diagnostics.noise_conditions(navigator)
-        self._lasting.note({**conditions, **diagnostics.antenna_conditions(navigator)})
+        self._units.check_rate(navigator.ring)
+        antenna = diagnostics.antenna_conditions(navigator, self.axes.moved_b)
+        self._lasting.note({**conditions, **antenna})
 
     def summary(self) -> str:
         """Return what lasted, for the end of a run."""

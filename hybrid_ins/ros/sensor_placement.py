@@ -43,6 +43,8 @@ class SensorPlacement:
         IMU relative to the base frame's origin [m], b.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b.
+    antenna_error_b, antenna_std : ndarray, shape (3,)
+        What it contains besides what is given [m], b, as the motion has shown; its σ.
     """
 
     def __init__(self, values: Mapping[str, Any], inputs: InputLog) -> None:
@@ -57,6 +59,8 @@ class SensorPlacement:
         }
         self._transforms = StaticTransforms()
         self._frames = dict.fromkeys(PARAMETERS, "")
+        self.antenna_error_b: Array = np.zeros(3)
+        self.antenna_std: Array = np.zeros(3)
         self._place()
 
     def to_body(self, x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -106,6 +110,12 @@ class SensorPlacement:
             )
         return self._place_again()
 
+    def move_antenna(self, error_b: Array, std: Array) -> None:
+        """Take the antenna to be ``error_b`` ± ``std`` (3,) [m], b, from where it was so far."""
+        self.antenna_error_b = self.antenna_error_b + error_b
+        self.antenna_std = std
+        self._place()
+
     def _place_again(self) -> bool:
         before = self.mount, self.arm_b, self.lever_b
         self._place()
@@ -126,7 +136,7 @@ class SensorPlacement:
         self.mount = mount
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
         self.arm_b: Array = FLIP @ np.array(position)
-        self.lever_b: Array = FLIP @ np.subtract(antenna, position)
+        self.lever_b: Array = FLIP @ np.subtract(antenna, position) + self.antenna_error_b
 
     def _find(self, topic: str) -> tuple[Array, Array]:
         """Rotation and position in the base frame of the frame that a topic's messages have."""

@@ -109,7 +109,7 @@ def describe_repetition(again: Verdict, count: int) -> str:
     """Return that a driver repeats what it has published, and the remedy."""
     kind = again.measurement.kind
     return (
-        f"gnss: the driver publishes each {kind} several times, with new stamps ({count} repeated "
+        f"gnss: the driver publishes some {kind}s several times, with new stamps ({count} repeated "
         "so far): only the first of each is used; let the driver publish at the receiver's rate"
     )
 

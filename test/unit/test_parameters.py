@@ -82,6 +82,7 @@ class TestValues:
             ({"gnss__position_std_min": 50.0, "gnss__position_std_max": 1.0}, "greater than"),
             ({"noise__q_gyroscope_min": 10.0, "noise__q_gyroscope_max": 1.0}, "greater than"),
             ({"datum": [91.0, 0.0, 0.0]}, "latitude"),
+            ({"gnss__antenna_position": [0.0, 0.0, 1000.0]}, "-200 … 200 m"),
         ],
     )
     def test_values_that_contradict_each_other(self, given: dict[str, object], said: str) -> None:
@@ -94,6 +95,7 @@ class TestNames:
         [
             ("gnss.patiense", "did you mean gnss.patience?"),
             ("max_gap", "did you mean imu.max_gap?"),
+            ("gnss.time_offset", "did you mean gnss.time_offset.value, gnss.time_offset.std or"),
             ("imu_topic", "remap the topic imu/data"),
             ("fix_topic", "remap the topic gnss/fix"),
             ("frequency", "odometry_rate"),

@@ -11,6 +11,7 @@ from hybrid_ins.core.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
+from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurement_update import MeasurementUpdate
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
@@ -18,6 +19,7 @@ from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.position_scatter import PositionScatter, Split
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
@@ -41,7 +43,10 @@ def update(factors: bool) -> MeasurementUpdate:
     bank = NoiseMultipleModelBank() if factors else None
     noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), process, bank)
     gate, clock = Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3)
-    return MeasurementUpdate(noise, gate, clock, PositionScatter(0.5, learning=True), SECOND, 0.0)
+    scatter, lever_arm = PositionScatter(0.5, learning=True), LeverArmObserver()
+    return MeasurementUpdate(
+        noise, gate, clock, scatter, SECOND, lever_arm, ScaleErrorObserver(0.0)
+    )
 
 
 def flat_state(rng: np.random.Generator) -> Array:

@@ -21,6 +21,7 @@ from hybrid_ins.core.imu_axes_fit import (
     subtract_turned,
     triples_of,
 )
+from hybrid_ins.core.imu_axes_nuisance import TOLERANT
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import fixes, sample, sample_times
@@ -147,9 +148,9 @@ def test_ordinary_errors_of_an_imu_are_tolerated_and_wrong_axes_are_not() -> Non
     change = float(np.sum(flown.change_n[:, :2] ** 2))
     # WHEN they may explain what is left over THEN nothing is, but of wrong axes
     strict = fit(flown, Fit(1.0, np.eye(3)))
-    tolerant = fit(flown, strict, tolerant=True)
+    tolerant = fit(flown, strict, TOLERANT)
     reversed_y = fit(flown, Fit(1.0, np.diag([1.0, -1.0, 1.0])))
-    accused = fit(flown, reversed_y, tolerant=True)
+    accused = fit(flown, reversed_y, TOLERANT)
     assert strict.left > MUCH_BETTER * tolerant.left
     assert tolerant.left < FITS * change < accused.left
 

@@ -68,3 +68,14 @@ def test_a_slow_vehicle_is_shown_by_its_way() -> None:
     t = np.arange(60.0)
     found = first_shown(np.full(60, 0.5), 0.5 * t, 1.0)
     assert found == int(FAR * np.sqrt(2.0) * CLAIMED / 0.5) + 1 + 2
+
+
+@pytest.mark.parametrize("size", [20.0, 100.0])
+def test_one_step_of_the_fixes_is_no_motion(size: float) -> None:
+    offsets = np.where(np.arange(60) < 20, 0.0, size)
+    assert first_shown(np.zeros(60), offsets, 0.3) is None
+
+
+def test_a_vehicle_that_goes_on_is_shown_although_its_largest_step_does_not_count() -> None:
+    t = np.arange(30.0)
+    assert first_shown(np.zeros(30), np.maximum(t - 10.0, 0.0) * 20.0, 0.3) == 14

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hybrid_ins.core.repeated_fixes import RUNS, RepetitionCheck
+from hybrid_ins.core.repeated_fixes import RECENT, RUNS, RepetitionCheck
 
 Array = NDArray[np.float64]
 
@@ -49,3 +49,21 @@ def test_new_measurements_end_it() -> None:
     stand = np.repeat(rng.normal(size=(1, 3)), 20, axis=0)
 
     assert not _refused(np.vstack((repeated, fresh, stand)))[len(repeated) :].any()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+@pytest.mark.parametrize(("receiver", "driver"), [(4, 5), (8, 10), (1, 1.4)])
+def test_a_driver_a_little_faster_than_its_receiver_is_found(
+    receiver: float, driver: float, speed: float
+) -> None:
+    """GIVEN positions of 4 Hz at 5 Hz THEN the repeated ones are refused after a while."""
+    rng = np.random.default_rng(4)
+    places = rng.normal(0.0, 0.01, (100, 3)) + speed * np.arange(100.0)[:, None]
+    of = (np.arange(int(100 * driver / receiver)) * receiver / driver).astype(int)
+    is_again = np.concatenate(([False], np.diff(of) == 0))
+
+    refused = _refused(places[of])
+
+    assert not refused[~is_again].any(), "the first of each has the right stamp"
+    late = of > RECENT + 2
+    assert refused[late & is_again].all()

@@ -30,6 +30,7 @@ from hybrid_ins.core.scale_errors import (
     N_LEVER,
     N_SCALE,
     SHARES,
+    VARYING,
     ScaleErrorObserver,
     follow_samples,
 )
@@ -365,7 +366,8 @@ def test_scale_errors_are_found_with_an_honest_sigma() -> None:
     """Errors of many drives over their sigma; turns show the scale of the gyroscope about them."""
     squares, sharper = [], []
     for seed in range(20):
-        m = STD * SHARES * np.random.default_rng([seed, 5]).standard_normal(N_SCALE)
+        constant = STD * np.sqrt(1.0 - VARYING) * SHARES
+        m = constant * np.random.default_rng([seed, 5]).standard_normal(N_SCALE)
         found = filtered(precise(seed), STD, m).scale_errors
         for found_M, std, M in zip(found[:2], found[2:], m.reshape(2, 3, 3), strict=True):
             squares.append(np.square((found_M - M) / std))

@@ -102,3 +102,19 @@ def test_a_speed_across_the_date_line_is_no_other() -> None:
     assert beyond[0, 1] > 0.0 > beyond[-1, 1]
     assert significant_speed(t_ns, beyond) == pytest.approx(significant_speed(t_ns, lla), rel=1e-6)
     assert significant_speed(t_ns, lla) > 0.5
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+@pytest.mark.parametrize("at", [0.3, 0.5, 0.8])
+def test_a_step_of_the_fixes_is_no_speed_and_a_steady_one_is(rate: float, at: float) -> None:
+    t = np.arange(0.0, 5.0, 1.0 / rate)
+    noise = np.random.default_rng(5).normal(0.0, 0.01, (len(t), 2)) / 6.4e6
+
+    def speed(north: np.ndarray) -> float:
+        lla = np.zeros((len(t), 3))
+        lla[:, :2] = noise
+        lla[:, 0] += north / 6.335e6
+        return float(significant_speed(np.round(t * 1e9).astype(np.int64), lla))
+
+    assert speed(np.where(t > 5.0 * at, 1.0, 0.0)) == 0.0
+    assert speed(0.5 * t) == pytest.approx(0.5, rel=0.1)

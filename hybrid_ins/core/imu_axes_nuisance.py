@@ -1,0 +1,31 @@
+"""
+What may explain, besides an IMU's axes, that its readings do not fit a motion: how much of it.
+
+Each is a pair of standard deviations and limits of the parameters that `imu_axes_fit.fit` finds by
+least squares.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+CLOCK_OFFSETS = np.linspace(-1.0, 1.0, 21)  # s, that may explain a misfit
+CLOCK_STEP = float(CLOCK_OFFSETS[1] - CLOCK_OFFSETS[0])
+BIAS_STD, LARGEST_BIAS = 0.02, 0.05  # rad/s, of a gyroscope
+LEVER_ARM_STD, LONGEST_LEVER_ARM = 0.5, 3.0  # m, from the IMU to the antenna along each axis
+
+# Bias, lever arm from where it is said to be, clock offset between those of the grid.
+STRICT = (
+    np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1)),
+    np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1)),
+)
+# The same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes.
+TOLERANT = (
+    np.repeat((BIAS_STD, 2.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
+    np.repeat((LARGEST_BIAS, 5.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
+)
+# The same, with an antenna anywhere.
+FAR = (
+    np.repeat((BIAS_STD, 20.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
+    np.repeat((LARGEST_BIAS, 60.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
+)
