@@ -81,8 +81,9 @@ IMU = (
         "imu.scale_std",
         0.005,
         "Standard deviation of the errors of the scale factors of accelerometers and gyroscopes, "
-        "relative; axes are off their directions by half of it [rad]. They make the covariance "
-        "grow in outages of GNSS; 0: not at all",
+        "relative; axes are off their directions by half of it [rad]. The motion with fixes shows "
+        "them; outages are corrected by what it has shown, and the rest makes their covariance "
+        "grow; 0: not at all",
         low=0.0,
         high=0.1,
     ),

@@ -17,6 +17,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import LearnedNoise
 from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
+from hybrid_ins.core.scale_errors import ScaleErrors
 from hybrid_ins.core.state import JUMP_VARIANCE, W_G, total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
@@ -187,10 +188,22 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "mode": mode,
             **factors,
             **({"slow_error_of_fixes": running.noise.unclaimed_std} if running else {}),
+            **({} if running is None else _scale_errors(running.scale_errors)),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
         },
     )
+
+
+def _scale_errors(found: ScaleErrors) -> dict[str, float]:
+    """Return the errors of the scale factors along and about the axes of ``base_frame``."""
+    values: dict[str, float] = {}
+    sensors = ("accelerometer", found.M_a, found.std_a), ("gyroscope", found.M_g, found.std_g)
+    for sensor, M, std in sensors:
+        for i, axis in enumerate("xyz"):
+            values[f"{sensor}_scale_error_{axis}"] = float(M[i, i])
+            values[f"{sensor}_scale_error_{axis}_sigma"] = float(std[i, i])
+    return values
 
 
 def noise_conditions(navigator: Navigator) -> dict[str, str]:
