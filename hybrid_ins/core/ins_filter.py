@@ -91,9 +91,17 @@ class FilterSettings:
     lever_std: Array = field(default_factory=lambda: np.zeros(3))
     scale_std: float = 0.0
 
-    def scatter(self) -> PositionScatter:
-        """Return the scatter of positions that a filter begins with."""
-        return PositionScatter(self.position_scatter**2, self.learn_scatter)
+    def update(self, noise: FilterNoise, gate: Gate, t_ns: int) -> MeasurementUpdate:
+        """Return what a filter that begins at a stamp [ns] applies events with."""
+        return MeasurementUpdate(
+            noise,
+            gate,
+            ClockOffsetObserver(self.clock_std, self.clock_prior),
+            PositionScatter(self.position_scatter**2, self.learn_scatter),
+            t_ns,
+            LeverArmObserver(self.lever_std),
+            ScaleErrorObserver(self.scale_std),
+        )
 
 
 class InsFilter:
@@ -145,18 +153,9 @@ class InsFilter:
         self.nav[LAST_SAMPLE], self.nav[PSD] = sample, noise.psd()
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
-        clock = ClockOffsetObserver(settings.clock_std, settings.clock_prior)
-        self._update = MeasurementUpdate(
-            noise,
-            gate,
-            clock,
-            settings.scatter(),
-            t_ns,
-            LeverArmObserver(settings.lever_std),
-            ScaleErrorObserver(settings.scale_std),
-        )
+        self._update = settings.update(noise, gate, t_ns)
         self._consider_clock = settings.consider_clock
-        self.nav[CLOCK_VARIANCE] = clock.missing_variance if self._consider_clock else 0.0
+        self.nav[CLOCK_VARIANCE] = self.clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
@@ -340,21 +339,19 @@ class InsFilter:
         point = self._history.before(late.t_ns)
         if point is None or self.ring.has_lost(point.t_ns):
             return False
-        samples = self.ring.between(point.t_ns, self.t_ns)
-        waiting, again = self._pending, self._history.rewind(late.t_ns)
+        samples, waiting = self.ring.between(point.t_ns, self.t_ns), self._pending
+        again = self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)
-        self.nav[:N_NAV] = point.nav
-        self.t_ns, self._update = point.t_ns, point.update
+        self.nav[:N_NAV], self.t_ns, self._update = point.nav, point.t_ns, point.update
         self._checkpoint()
         decided, self.verdicts = self.verdicts, deque()
         self._pending = sorted([*again, late], key=order)
         self.predict_block(samples)
         self._pending = waiting
         self._schedule()
-        own = [
-            replace(v, age=_age(late, self.t_ns)) for v in self.verdicts if v.measurement is late
-        ]
+        age = _age(late, self.t_ns)
+        own = [replace(v, age=age) for v in self.verdicts if v.measurement is late]
         self.verdicts = decided
         self.verdicts.extend(own)
         return True

@@ -266,7 +266,7 @@ class ScaleErrorObserver(ShallowCopy):
 
 
 def _of_lever(nav: Array, H: Array) -> Array:
-    """Return how an innovation depends on an error of the lever arm besides by the state, (m, 3)."""
+    """Return how an innovation depends on the lever arm itself, (m, 3)."""
     C_nb = matrix_from_quat(nav[QUAT])
     swing = C_nb @ skew(nav[LAST_W] - nav[BIAS_G])
     of_lever: Array = H[:, :3] @ C_nb + H[:, 3:6] @ swing

@@ -59,6 +59,7 @@ class SensorPlacement:
         }
         self._transforms = StaticTransforms()
         self._frames = dict.fromkeys(PARAMETERS, "")
+        self._given_b: Array = np.full(3, np.nan)  # the antenna's place without that error
         self.antenna_error_b: Array = np.zeros(3)
         self.antenna_std: Array = np.zeros(3)
         self._place()
@@ -136,7 +137,11 @@ class SensorPlacement:
         self.mount = mount
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
         self.arm_b: Array = FLIP @ np.array(position)
-        self.lever_b: Array = FLIP @ np.subtract(antenna, position) + self.antenna_error_b
+        given_b = FLIP @ np.subtract(antenna, position)
+        if not np.array_equal(given_b, self._given_b):  # what was found is of the place before
+            self._given_b = given_b
+            self.antenna_error_b, self.antenna_std = np.zeros(3), np.zeros(3)
+        self.lever_b: Array = given_b + self.antenna_error_b
 
     def _find(self, topic: str) -> tuple[Array, Array]:
         """Rotation and position in the base frame of the frame that a topic's messages have."""

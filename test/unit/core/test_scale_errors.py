@@ -69,7 +69,8 @@ def with_scale_errors(truth: Truth, m: Array) -> Samples:
     samples["t_ns"] = truth.t_ns
     samples["f"], samples["w"] = truth.readings[:, :3], truth.readings[:, 3:]
     k = min(RATE // 2, len(truth.t) - 1)
-    return disturbed(samples, m, -truth.C_nb[k].T @ [0.0, 0.0, normal_gravity(*truth.lla[k, ::2])[1]])
+    gravity_n = np.array([0.0, 0.0, normal_gravity(*truth.lla[k, ::2])[1]])
+    return disturbed(samples, m, -truth.C_nb[k].T @ gravity_n)
 
 
 def disturbed(samples: Samples, m: Array, f_0: Array) -> Samples:
