@@ -34,7 +34,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -44,16 +43,19 @@ from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_hypotheses import (
     COUNT,
     HYPOTHESES,
-    LOG_FACTORS,
     LOG_PRIOR,
     ON_NOISE,
-    SLOW_LEVEL,
-    SLOW_RATIO,
-    SLOW_STD,
-    SLOW_UNIT,
     SLOW_WALK,
 )
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
+from hybrid_ins.core.noise_weights import (
+    FAMILIES,
+    FAMILY,
+    add_likelihood,
+    average,
+    fade,
+    weigh,
+)
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
@@ -61,11 +63,7 @@ from hybrid_ins.core.strapdown import rotation
 Array = NDArray[np.float64]
 
 OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
-DEAD_BAND = 0.1  # decades that count as none
-MEMORY = 20.0  # s over which the likelihood is remembered
-UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
-CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
 _R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYPOTHESES[2])]
@@ -84,8 +82,9 @@ LOWEST = slice(4, 7)  # of those factors since the running state was last correc
 CLAIMED_STD = 7  # m, of the last position, horizontally
 LAST_VELOCITY, LAST_C = slice(8, 11), slice(11, 20)  # n, and C_nb, after the last correction
 PENDING_G = slice(20, 20 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
-LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each hypothesis, fading
-WEIGHTS = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + COUNT)
+LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
+OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
+WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS] = 1.0, 1.0, 1.0, 0.0
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
@@ -143,13 +142,14 @@ class NoiseMultipleModelBank(ShallowCopy):
         if not keep_weights:
             of_fixes = self._log_likelihood_of_fixes()
             self._values = self._values.copy()
-            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD):
+            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
                 self._values[part] = _START[part]
             self._add_log_likelihood(of_fixes)
 
     def _log_likelihood_of_fixes(self) -> Array:
         """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
-        joint = self._values[LOG_LIKELIHOOD] + HYPOTHESES[LOG_PRIOR]
+        values = self._values
+        joint = values[LOG_LIKELIHOOD] + values[OF_FAMILY][FAMILY] + HYPOTHESES[LOG_PRIOR]
         found = np.empty(COUNT)
         for level in _R_LEVELS:
             found[level] = np.logaddexp.reduce(joint[level]) - _LOG_PRIOR_OF_R[level]
@@ -183,9 +183,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
         values = self._values
         lowest = values[LOWEST].copy()
-        _add_likelihood(one, values[LOG_LIKELIHOOD])
-        _weigh(HYPOTHESES, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
-        _average(HYPOTHESES, values[WEIGHTS], values[FACTORS], values[LOWEST])
+        of_family = values[OF_FAMILY]
+        add_likelihood(one, values[LOG_LIKELIHOOD], of_family)
+        weigh(values[LOG_LIKELIHOOD], of_family, values[CLAIMED_STD], values[WEIGHTS])
+        average(values[WEIGHTS], values[FACTORS], values[LOWEST])
         values[LOWEST] = lowest  # the state is corrected with the next fix
         self._read_factors()
 
@@ -272,7 +273,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
 @kernel(fastmath={"contract"})
 def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, weigh
+    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, teaches
 ):
     """
     Propagate and correct the hypotheses, and weigh them.
@@ -291,7 +292,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
-    weigh : bool
+    teaches : bool
         Otherwise likelihoods are not changed.
 
     Returns
@@ -300,7 +301,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         A factor has risen by `CORRECTION_RATIO`.
     """
     m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
-    fix_factor = values[FACTORS][2] if weigh else 1.0
+    fix_factor = values[FACTORS][2] if teaches else 1.0
     last_C = values[LAST_C].reshape(3, 3)
     F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
     R, _ = innovation_covariance(nav[COVARIANCE], H, np.zeros((m, m)))
@@ -334,58 +335,9 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     for i in range(3):
         values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
     rotation(nav[QUAT], values[LAST_C])
-    fading = np.exp(-T / MEMORY)
-    for h in range(COUNT):
-        values[LOG_LIKELIHOOD][h] *= fading
-    if not weigh:
+    fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    if not teaches:
         return False
-    _add_likelihood(log_likelihood, values[LOG_LIKELIHOOD])
-    _weigh(hypotheses, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
-    return _average(hypotheses, values[WEIGHTS], values[FACTORS], values[LOWEST])
-
-
-@register_jitable
-def _add_likelihood(one, total):  # type: ignore[no-untyped-def]
-    """Add the log-likelihoods of an innovation; totals are from ``UNLIKELIEST`` to 0."""
-    largest = -np.inf
-    for h in range(len(total)):
-        total[h] += one[h]
-        largest = max(largest, total[h])
-    for h in range(len(total)):
-        total[h] = max(total[h] - largest, UNLIKELIEST)
-
-
-@register_jitable
-def _weigh(hypotheses, log_likelihood, claimed_std, weights):  # type: ignore[no-untyped-def]
-    """Write the weights of the hypotheses."""
-    largest, total = -np.inf, 0.0
-    for h in range(len(weights)):
-        slow_std = hypotheses[SLOW_STD, h]
-        weights[h] = log_likelihood[h] + hypotheses[LOG_PRIOR, h]
-        if slow_std > 0.0 and SLOW_RATIO * claimed_std > slow_std:
-            weights[h] = -np.inf
-        largest = max(largest, weights[h])
-    for h in range(len(weights)):
-        weights[h] = np.exp(weights[h] - largest)
-        total += weights[h]
-    for h in range(len(weights)):
-        weights[h] /= total
-
-
-@register_jitable
-def _average(hypotheses, weights, factors, lowest):  # type: ignore[no-untyped-def]
-    """Set the factors to the mixture's mean; return whether one has risen much."""
-    risen, level = 0.0, 0.0
-    for i in range(3):
-        decades = 0.0
-        for h in range(len(weights)):
-            decades += hypotheses[LOG_FACTORS.start + i, h] * weights[h]
-        beyond = max(0.0, abs(decades) - DEAD_BAND)
-        factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
-        risen = max(risen, factors[i] / lowest[i])
-    for i in range(3):
-        lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
-    for h in range(len(weights)):
-        level += hypotheses[SLOW_LEVEL, h] * weights[h]
-    factors[3] = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
-    return risen >= CORRECTION_RATIO
+    add_likelihood(log_likelihood, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], values[CLAIMED_STD], values[WEIGHTS])
+    return average(values[WEIGHTS], values[FACTORS], values[LOWEST])
