@@ -23,13 +23,12 @@ from hybrid_ins.core.noise_hypotheses import (
     HYPOTHESES,
     LOG_FACTORS,
     LOG_PRIOR,
-    SLOW_LEVEL,
     SLOW_STD,
-    SLOW_UNIT,
     smallest_slow_std,
 )
 
 DEAD_BAND = 0.1  # decades that count as none
+IMPROBABLE = 0.1  # probability of a slow error that counts as none
 MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
 SLOW_MEMORY = 200.0  # s over which that of a family is
 UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
@@ -103,7 +102,7 @@ def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-u
 @register_jitable
 def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """Set the factors to the mixture's mean; return whether one has risen much."""
-    risen, level = 0.0, 0.0
+    risen, probable, variance = 0.0, 0.0, 0.0
     for i in range(3):
         decades = 0.0
         for h in range(COUNT):
@@ -114,6 +113,8 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     for i in range(3):
         lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
     for h in range(COUNT):
-        level += HYPOTHESES[SLOW_LEVEL, h] * weights[h]
-    factors[3] = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
+        if HYPOTHESES[SLOW_STD, h] > 0.0:
+            probable += weights[h]
+            variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
+    factors[3] = np.sqrt(variance) if probable > IMPROBABLE else 0.0
     return risen >= CORRECTION_RATIO
