@@ -33,7 +33,6 @@ SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and sin
 SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
 UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
 SLOW_COST = 2.0  # nats of evidence that a slow error needs
-SLOW_UNIT = 0.03  # m: of a smaller one the logarithm is near 0
 
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
@@ -67,14 +66,13 @@ COUNT = len(_LOG_PRIOR)
 
 # What a hypothesis assumes, one per column.
 ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
-LOG_FACTORS, SLOW_LEVEL = slice(6, 9), 9  # what the mixture averages
-SLOW_STD, LOG_PRIOR = 10, 11
+LOG_FACTORS = slice(6, 9)  # decades
+SLOW_STD, LOG_PRIOR = 9, 10
 HYPOTHESES = np.vstack(
     (
         10.0**_DECADES,
         np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME),
         _DECADES,
-        np.log10(1.0 + _SLOW_STD / SLOW_UNIT),
         _SLOW_STD,
         _LOG_PRIOR,
     )

@@ -13,7 +13,8 @@ above the frequencies of motion need not extend down to those that integrate int
 
 A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
 from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
-hypotheses have one of decimetres to metres, as a random walk of position.
+hypotheses have one of decimetres to metres, as a random walk of position. `noise_weights` weighs
+them.
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
@@ -49,8 +50,8 @@ from hybrid_ins.core.noise_hypotheses import (
 )
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.noise_weights import (
+    ANY_CLAIM,
     FAMILIES,
-    FAMILY,
     add_likelihood,
     average,
     fade,
@@ -77,16 +78,16 @@ _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what i
 _HYPOTHESES_OF_IMU[2] = 1.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 4)  # in force: on accelerometer, gyroscope, R; and the slow error's σ [m]
-LOWEST = slice(4, 7)  # of those factors since the running state was last corrected
-CLAIMED_STD = 7  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(8, 11), slice(11, 20)  # n, and C_nb, after the last correction
-PENDING_G = slice(20, 20 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+FACTORS = slice(0, 5)  # in force, see `noise_weights.average`
+LOWEST = slice(5, 8)  # of those on the noise since the running state was last corrected
+CLAIMED_STD = 8  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(9, 12), slice(12, 21)  # n, and C_nb, after the last correction
+PENDING_G = slice(21, 21 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
-_START[FACTORS] = 1.0, 1.0, 1.0, 0.0
+_START[FACTORS][:3] = 1.0
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY = np.eye(N_ERROR)
 _START[PENDING_G] = _IDENTITY.ravel()
@@ -115,6 +116,8 @@ class NoiseMultipleModelBank(ShallowCopy):
     slow_std : float
         Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
         none.
+    slow_probability : float
+        Of there being one.
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
 
@@ -127,7 +130,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def __init__(self) -> None:
         self.imu_factors = (1.0, 1.0)
         self.fix_factor = 1.0
-        self.slow_std = 0.0
+        self.slow_std = self.slow_probability = 0.0
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -148,11 +151,10 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _log_likelihood_of_fixes(self) -> Array:
         """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
-        values = self._values
-        joint = values[LOG_LIKELIHOOD] + values[OF_FAMILY][FAMILY] + HYPOTHESES[LOG_PRIOR]
-        found = np.empty(COUNT)
+        values, posterior, found = self._values, np.empty(COUNT), np.empty(COUNT)
+        weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], ANY_CLAIM, posterior)
         for level in _R_LEVELS:
-            found[level] = np.logaddexp.reduce(joint[level]) - _LOG_PRIOR_OF_R[level]
+            found[level] = np.log(posterior[level].sum()) - _LOG_PRIOR_OF_R[level]
         return np.asarray(found - found.max())
 
     def weigh_jump(self, correction: Correction, R: Array) -> None:
@@ -252,8 +254,9 @@ class NoiseMultipleModelBank(ShallowCopy):
         return bool(have_risen)
 
     def _read_factors(self) -> None:
-        a, g, self.fix_factor, self.slow_std = self._values[FACTORS].tolist()
-        self.imu_factors = a, g
+        found = self._values[FACTORS].tolist()
+        self.imu_factors = found[0], found[1]
+        self.fix_factor, self.slow_std, self.slow_probability = found[2:]
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
@@ -280,7 +283,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (12, WIDTH)
+    hypotheses : ndarray, shape (11, WIDTH)
         `HYPOTHESES`, the last one repeated.
     before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.

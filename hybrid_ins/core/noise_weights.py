@@ -33,6 +33,7 @@ MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
 SLOW_MEMORY = 200.0  # s over which that of a family is
 UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
 UNLIKELIEST_FAMILY = -10.0  # of a family: a slow error may begin and end
+ANY_CLAIM = 1e-6  # m: of positions beside which any slow error would be found
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 
 FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
@@ -101,7 +102,12 @@ def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-u
 
 @register_jitable
 def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
-    """Set the factors to the mixture's mean; return whether one has risen much."""
+    """
+    Set the factors to the mixture's mean; return whether one has risen much.
+
+    ``factors``, shape (5,): on accelerometer, gyroscope and R; the standard deviation [m] of a slow
+    error, by the mixture's second moment, 0 where it is improbable; and its probability.
+    """
     risen, probable, variance = 0.0, 0.0, 0.0
     for i in range(3):
         decades = 0.0
@@ -117,4 +123,5 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
             probable += weights[h]
             variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
     factors[3] = np.sqrt(variance) if probable > IMPROBABLE else 0.0
+    factors[4] = probable
     return risen >= CORRECTION_RATIO
