@@ -39,7 +39,7 @@ CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state i
 FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
 FAMILIES = len(FAMILY_STD)
 _PRIOR_OF_FAMILY = np.array(
-    [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][FAMILY == f]) for f in range(FAMILIES)]
+    [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
 )
 
 

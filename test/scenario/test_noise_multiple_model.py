@@ -110,7 +110,7 @@ def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
     slow_std: float,
 ) -> None:
     # GIVEN fixes that claim 0.3 m, and whose error wanders by a metre in a minute, or does not
-    run = draw(replace(SCENE, duration=100.0), 2)
+    run = draw(replace(SCENE, duration=85.0), 2)
     slow = gauss_markov(slow_std, np.exp(-0.2 / 60.0), len(run.fixes), np.random.default_rng(1))
     claimed = np.diag([0.3, 0.3, 0.45]) ** 2
     white = np.random.default_rng(2).normal(0.0, 0.28, (len(run.fixes), 3))

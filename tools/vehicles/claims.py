@@ -53,9 +53,7 @@ RECEIVERS = {
     "1.0 m, 120 s, claims 0.1 m": Claim(5.0, 0.08, 1.0, 120.0, 0.1),
     "1.5 m, 120 s, claims 0.2 m": Claim(1.0, 0.2, 1.5, 120.0, 0.2),
     "1.5 m, 40 s, claims 0.3 m": Claim(5.0, 0.3, 1.5, 40.0, 0.3),
-    "wave of 1 m, 60 s, and 0.5 m, 300 s, claims 0.2 m": Claim(
-        5.0, 0.1, 0.5, 300.0, 0.2, 1.0
-    ),
+    "wave of 1 m, 60 s, and 0.5 m, 300 s, claims 0.2 m": Claim(5.0, 0.1, 0.5, 300.0, 0.2, 1.0),
     "wave of 1.5 m, 90 s, and 0.5 m, 300 s, claims 0.15 m": Claim(
         1.0, 0.1, 0.5, 300.0, 0.15, 1.5, 90.0
     ),
@@ -112,7 +110,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     ]
     runs = [(m, name, seed) for name in names for m in args.motions for seed in args.seeds]
     rows = []
-    print("| receiver | motion | seed | silently wrong [s] | named | RMSE, up [m] | NEES/2 | NIS/m |")
+    print(
+        "| receiver | motion | seed | silently wrong [s] | named | RMSE, up [m] | NEES/2 | NIS/m |"
+    )
     for row in run_parallel(one, runs, args.jobs):
         rows.append(row)
         motion, name, seed, s, named = row

@@ -150,7 +150,7 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
             one.predict(F, C, T)
             log_likelihood[h] += one.correct(z, H, R / fix_factor, dx, G)
         for f in range(FAMILIES):
-            log_likelihood[FAMILY == f] -= log_likelihood[FAMILY == f].max()
+            log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
         log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)
         velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], matrix_from_quat(nav[QUAT]), 0.2
         if moved is not None:

@@ -81,6 +81,6 @@ def test_uncorrected_receivers_contain_slow_errors_already(
 
     weights = weighed(np.zeros(COUNT), np.zeros(FAMILIES), claimed_std)
 
-    assert np.all((weights > 0.0) == ((SLOW == 0.0) | (SLOW >= smallest)))
+    assert np.all((weights > 0.0) == ((SLOW == 0.0) | (smallest <= SLOW)))
     assert weights.sum() == pytest.approx(1.0)
     assert FAMILY_STD[0] == 0.0
