@@ -51,6 +51,7 @@ from hybrid_ins.core.noise_hypotheses import (
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.noise_weights import (
     ANY_CLAIM,
+    AT_START,
     FAMILIES,
     add_likelihood,
     average,
@@ -88,6 +89,7 @@ OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of eac
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS][:3] = 1.0
+_START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY = np.eye(N_ERROR)
 _START[PENDING_G] = _IDENTITY.ravel()
