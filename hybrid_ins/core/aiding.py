@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.constraint_observer import STATE_TIME, inflated
+from hybrid_ins.core.lasting_errors import LastingErrors
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.rotations import skew
 from hybrid_ins.core.state import BIAS_G, LAST_W, covariance
@@ -81,6 +82,7 @@ class AidingSensor:
         self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
+        self._lasting = LastingErrors()
 
     def state(self, t_ns: int) -> AidingState:
         """Return the state at a stamp [ns]."""
@@ -96,6 +98,11 @@ class AidingSensor:
     def nis(self) -> float:
         """Mean NIS per component of the last readings that could be checked."""
         return self._nis
+
+    @property
+    def factor(self) -> float:
+        """Factor on the claimed variance, by errors that are larger or last longer."""
+        return self._lasting.factor
 
     def admit(self, t_ns: int) -> bool:
         """Note a reading at a stamp [ns]; return whether it is due to be used."""
@@ -132,10 +139,12 @@ class AidingSensor:
         if checked and self.can_check(HPH, R):
             nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
             self._check(nis)
+            of_sensor = inflated(R, self.error_time, self._interval)
+            self._lasting.add(z, HPH + nuisance, of_sensor, self._interval)
             self.learn(reading, nav, z, HPH, R)
         if not self._agrees or not (outage or self.always):
             return None
-        return self.measurement(corrected, R, nuisance)
+        return self.measurement(corrected, self.factor * R, nuisance)
 
     def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
         """Return a reading with the covariance of errors that last."""

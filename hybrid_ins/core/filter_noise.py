@@ -87,6 +87,11 @@ class FilterNoise:
         """Standard deviation [m] of a slow error of fixes that the innovations show; 0: none."""
         return 0.0 if self.factors is None else self.factors.slow_std
 
+    @property
+    def slow_is_probable(self) -> bool:
+        """Whether such an error is more probable than none."""
+        return self.factors is not None and self.factors.slow_probability > 0.5
+
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
         levels, (a, g) = self.model.levels(), self.imu_factors

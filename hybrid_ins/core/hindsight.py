@@ -28,7 +28,7 @@ from hybrid_ins.core.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.forward_record import Stretch
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS, clock_offset_ns
-from hybrid_ins.core.noise_multiple_model import MEMORY
+from hybrid_ins.core.noise_weights import MEMORY
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.smoothed_lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoother import N_ADJOINT, N_STATE, Smoother, Store

@@ -9,8 +9,14 @@ error of positions, and both.
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 
-from hybrid_ins.core.position_scatter import SLOW_AXES, SLOW_TIME
+from hybrid_ins.core.position_scatter import (
+    CORRECTED_STD,
+    SLOW_AXES,
+    SLOW_TIME,
+    UNCORRECTED_STD,
+)
 
 DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
 RATE_DECADES = np.array([-1.5, 0.0, 3.0])  # on the gyroscope's
@@ -24,9 +30,9 @@ SLOW_STDS = np.array([0.3, 1.0, 3.0])  # m, of a slow error of the fixes
 SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
 SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small as well
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
-SLOW_RATIO = 20.0  # smallest, to the claimed σ: mount and clock cause what looks like less
-SLOW_COST = 5.0  # nats of evidence that a slow error needs
-SLOW_UNIT = 0.03  # m: of a smaller one the logarithm is near 0
+SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
+UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
+SLOW_COST = 2.0  # nats of evidence that a slow error needs
 
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
@@ -60,15 +66,22 @@ COUNT = len(_LOG_PRIOR)
 
 # What a hypothesis assumes, one per column.
 ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
-LOG_FACTORS, SLOW_LEVEL = slice(6, 9), 9  # what the mixture averages
-SLOW_STD, LOG_PRIOR = 10, 11
+LOG_FACTORS = slice(6, 9)  # decades
+SLOW_STD, LOG_PRIOR = 9, 10
 HYPOTHESES = np.vstack(
     (
         10.0**_DECADES,
         np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME),
         _DECADES,
-        np.log10(1.0 + _SLOW_STD / SLOW_UNIT),
         _SLOW_STD,
         _LOG_PRIOR,
     )
 )
+
+
+@register_jitable
+def smallest_slow_std(claimed_std):  # type: ignore[no-untyped-def]
+    """Return the smallest slow error [m] to be found besides the claimed σ [m], horizontally."""
+    share = np.log(claimed_std / CORRECTED_STD) / np.log(UNCORRECTED_STD / CORRECTED_STD)
+    share = min(max(share, 0.0), 1.0)
+    return claimed_std * SLOW_RATIO * (UNCORRECTED_RATIO / SLOW_RATIO) ** share

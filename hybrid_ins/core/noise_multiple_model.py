@@ -13,7 +13,8 @@ above the frequencies of motion need not extend down to those that integrate int
 
 A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
 from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
-hypotheses have one of decimetres to metres, as a random walk of position.
+hypotheses have one of decimetres to metres, as a random walk of position. `noise_weights` weighs
+them.
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
@@ -34,7 +35,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -44,16 +44,20 @@ from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_hypotheses import (
     COUNT,
     HYPOTHESES,
-    LOG_FACTORS,
     LOG_PRIOR,
     ON_NOISE,
-    SLOW_LEVEL,
-    SLOW_RATIO,
-    SLOW_STD,
-    SLOW_UNIT,
     SLOW_WALK,
 )
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
+from hybrid_ins.core.noise_weights import (
+    ANY_CLAIM,
+    AT_START,
+    FAMILIES,
+    add_likelihood,
+    average,
+    fade,
+    weigh,
+)
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
@@ -61,11 +65,7 @@ from hybrid_ins.core.strapdown import rotation
 Array = NDArray[np.float64]
 
 OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
-DEAD_BAND = 0.1  # decades that count as none
-MEMORY = 20.0  # s over which the likelihood is remembered
-UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
-CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
 _R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYPOTHESES[2])]
@@ -79,15 +79,17 @@ _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what i
 _HYPOTHESES_OF_IMU[2] = 1.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 4)  # in force: on accelerometer, gyroscope, R; and the slow error's σ [m]
-LOWEST = slice(4, 7)  # of those factors since the running state was last corrected
-CLAIMED_STD = 7  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(8, 11), slice(11, 20)  # n, and C_nb, after the last correction
-PENDING_G = slice(20, 20 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
-LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each hypothesis, fading
-WEIGHTS = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + COUNT)
+FACTORS = slice(0, 5)  # in force, see `noise_weights.average`
+LOWEST = slice(5, 8)  # of those on the noise since the running state was last corrected
+CLAIMED_STD = 8  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(9, 12), slice(12, 21)  # n, and C_nb, after the last correction
+PENDING_G = slice(21, 21 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
+OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
+WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
-_START[FACTORS] = 1.0, 1.0, 1.0, 0.0
+_START[FACTORS][:3] = 1.0
+_START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY = np.eye(N_ERROR)
 _START[PENDING_G] = _IDENTITY.ravel()
@@ -116,6 +118,8 @@ class NoiseMultipleModelBank(ShallowCopy):
     slow_std : float
         Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
         none.
+    slow_probability : float
+        Of there being one.
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
 
@@ -128,7 +132,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def __init__(self) -> None:
         self.imu_factors = (1.0, 1.0)
         self.fix_factor = 1.0
-        self.slow_std = 0.0
+        self.slow_std = self.slow_probability = 0.0
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -143,16 +147,16 @@ class NoiseMultipleModelBank(ShallowCopy):
         if not keep_weights:
             of_fixes = self._log_likelihood_of_fixes()
             self._values = self._values.copy()
-            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD):
+            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
                 self._values[part] = _START[part]
             self._add_log_likelihood(of_fixes)
 
     def _log_likelihood_of_fixes(self) -> Array:
         """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
-        joint = self._values[LOG_LIKELIHOOD] + HYPOTHESES[LOG_PRIOR]
-        found = np.empty(COUNT)
+        values, posterior, found = self._values, np.empty(COUNT), np.empty(COUNT)
+        weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], ANY_CLAIM, posterior)
         for level in _R_LEVELS:
-            found[level] = np.logaddexp.reduce(joint[level]) - _LOG_PRIOR_OF_R[level]
+            found[level] = np.log(posterior[level].sum()) - _LOG_PRIOR_OF_R[level]
         return np.asarray(found - found.max())
 
     def weigh_jump(self, correction: Correction, R: Array) -> None:
@@ -183,9 +187,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
         values = self._values
         lowest = values[LOWEST].copy()
-        _add_likelihood(one, values[LOG_LIKELIHOOD])
-        _weigh(HYPOTHESES, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
-        _average(HYPOTHESES, values[WEIGHTS], values[FACTORS], values[LOWEST])
+        of_family = values[OF_FAMILY]
+        add_likelihood(one, values[LOG_LIKELIHOOD], of_family)
+        weigh(values[LOG_LIKELIHOOD], of_family, values[CLAIMED_STD], values[WEIGHTS])
+        average(values[WEIGHTS], values[FACTORS], values[LOWEST])
         values[LOWEST] = lowest  # the state is corrected with the next fix
         self._read_factors()
 
@@ -251,8 +256,9 @@ class NoiseMultipleModelBank(ShallowCopy):
         return bool(have_risen)
 
     def _read_factors(self) -> None:
-        a, g, self.fix_factor, self.slow_std = self._values[FACTORS].tolist()
-        self.imu_factors = a, g
+        found = self._values[FACTORS].tolist()
+        self.imu_factors = found[0], found[1]
+        self.fix_factor, self.slow_std, self.slow_probability = found[2:]
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
@@ -272,14 +278,14 @@ class NoiseMultipleModelBank(ShallowCopy):
 
 @kernel(fastmath={"contract"})
 def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, weigh
+    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, teaches
 ):
     """
     Propagate and correct the hypotheses, and weigh them.
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (12, WIDTH)
+    hypotheses : ndarray, shape (11, WIDTH)
         `HYPOTHESES`, the last one repeated.
     before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.
@@ -291,7 +297,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
-    weigh : bool
+    teaches : bool
         Otherwise likelihoods are not changed.
 
     Returns
@@ -300,7 +306,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         A factor has risen by `CORRECTION_RATIO`.
     """
     m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
-    fix_factor = values[FACTORS][2] if weigh else 1.0
+    fix_factor = values[FACTORS][2] if teaches else 1.0
     last_C = values[LAST_C].reshape(3, 3)
     F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
     R, _ = innovation_covariance(nav[COVARIANCE], H, np.zeros((m, m)))
@@ -334,58 +340,9 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     for i in range(3):
         values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
     rotation(nav[QUAT], values[LAST_C])
-    fading = np.exp(-T / MEMORY)
-    for h in range(COUNT):
-        values[LOG_LIKELIHOOD][h] *= fading
-    if not weigh:
+    fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    if not teaches:
         return False
-    _add_likelihood(log_likelihood, values[LOG_LIKELIHOOD])
-    _weigh(hypotheses, values[LOG_LIKELIHOOD], values[CLAIMED_STD], values[WEIGHTS])
-    return _average(hypotheses, values[WEIGHTS], values[FACTORS], values[LOWEST])
-
-
-@register_jitable
-def _add_likelihood(one, total):  # type: ignore[no-untyped-def]
-    """Add the log-likelihoods of an innovation; totals are from ``UNLIKELIEST`` to 0."""
-    largest = -np.inf
-    for h in range(len(total)):
-        total[h] += one[h]
-        largest = max(largest, total[h])
-    for h in range(len(total)):
-        total[h] = max(total[h] - largest, UNLIKELIEST)
-
-
-@register_jitable
-def _weigh(hypotheses, log_likelihood, claimed_std, weights):  # type: ignore[no-untyped-def]
-    """Write the weights of the hypotheses."""
-    largest, total = -np.inf, 0.0
-    for h in range(len(weights)):
-        slow_std = hypotheses[SLOW_STD, h]
-        weights[h] = log_likelihood[h] + hypotheses[LOG_PRIOR, h]
-        if slow_std > 0.0 and SLOW_RATIO * claimed_std > slow_std:
-            weights[h] = -np.inf
-        largest = max(largest, weights[h])
-    for h in range(len(weights)):
-        weights[h] = np.exp(weights[h] - largest)
-        total += weights[h]
-    for h in range(len(weights)):
-        weights[h] /= total
-
-
-@register_jitable
-def _average(hypotheses, weights, factors, lowest):  # type: ignore[no-untyped-def]
-    """Set the factors to the mixture's mean; return whether one has risen much."""
-    risen, level = 0.0, 0.0
-    for i in range(3):
-        decades = 0.0
-        for h in range(len(weights)):
-            decades += hypotheses[LOG_FACTORS.start + i, h] * weights[h]
-        beyond = max(0.0, abs(decades) - DEAD_BAND)
-        factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
-        risen = max(risen, factors[i] / lowest[i])
-    for i in range(3):
-        lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
-    for h in range(len(weights)):
-        level += hypotheses[SLOW_LEVEL, h] * weights[h]
-    factors[3] = SLOW_UNIT * (10.0**level - 1.0) if level > DEAD_BAND else 0.0
-    return risen >= CORRECTION_RATIO
+    add_likelihood(log_likelihood, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], values[CLAIMED_STD], values[WEIGHTS])
+    return average(values[WEIGHTS], values[FACTORS], values[LOWEST])

@@ -33,10 +33,17 @@ Array = NDArray[np.float64]
 
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
 KEPT = 12  # states, one with each tenth of a second: readings may be a second late
+EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
     "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
     "heading": "check the sensor's mount and what is magnetic near it",
     "baro": "check the unit, Pa, and the sensor's ventilation",
+}
+
+STD_PARAMETERS = {
+    "velocity": "aiding.velocity_std_min",
+    "heading": "aiding.heading_std_min",
+    "baro": "aiding.height_std_min",
 }
 
 
@@ -73,6 +80,7 @@ class AidingSources:
         )
         self._heading, self._height = HeadingSensor(), HeightSensor()
         self._logged: dict[str, AidingState] = {}
+        self._excessive: set[str] = set()  # names of sensors
         self.restart()
 
     def restart(self) -> None:
@@ -132,7 +140,8 @@ class AidingSources:
     # For the user.
 
     def _log_change(self, sensor: AidingSensor) -> None:
-        """Log a change of a sensor's state."""
+        """Log a change of a sensor's state, and errors beyond what it claims."""
+        self._log_excess(sensor)
         state = sensor.state(self._navigator.last_ns)
         before = self._logged.get(sensor.name)
         if state is before or state is AidingState.ABSENT:
@@ -149,6 +158,19 @@ class AidingSources:
         elif state is AidingState.AIDING:
             self._inputs.log("info", f"aiding: {sensor.name} agrees with the motion: it is used")
 
+    def _log_excess(self, sensor: AidingSensor) -> None:
+        factor = sensor.factor
+        if factor < BOUNDED:
+            self._excessive.discard(sensor.name)
+        elif factor > EXCESSIVE and sensor.name not in self._excessive:
+            self._excessive.add(sensor.name)
+            self._inputs.log(
+                "warn",
+                f"aiding: {sensor.name} errs by more than it claims, or for longer: its variance "
+                f"counts {factor:.0f}-fold; {REMEDIES[sensor.name]}, or raise "
+                f"{STD_PARAMETERS[sensor.name]}",
+            )
+
     def status(self, t_ns: int) -> Status:
         """Return the status on ``/diagnostics`` at a stamp [ns]."""
         values: dict[str, object] = {}
@@ -160,6 +182,7 @@ class AidingSources:
                 continue
             parts.append(f"{sensor.name} {state.value}")
             values[f"{sensor.name}_nis"] = sensor.nis
+            values[f"{sensor.name}_factor"] = sensor.factor
             if state in (AidingState.REFUSED, AidingState.LOST):
                 level = 1
         sigma = self._velocity.sigma

@@ -34,6 +34,24 @@ def test_wheels_bridge_an_outage_with_their_scale_found() -> None:
     assert aided[-1].nees < 4.0
 
 
+@pytest.mark.slow
+def test_a_barometer_that_jumps_is_named_and_does_not_bend_the_height_silently() -> None:
+    """
+    GIVEN a barometer that jumps by 5 m now and then, and claims decimetres
+    WHEN fixes are missing for 60 s
+    THEN it was named, and the covariance holds.
+    """
+    aiding, log = barometer(recording("road car")), []
+    for one in aiding:
+        at = (one.arrival_ns - aiding[0].arrival_ns) * 1e-9
+        one.message.fluid_pressure += 60.0 * (int(at / 45.0) % 2)
+
+    found = ends(drive("road car"), calibrated(), lambda _, text: log.append(text), aiding)
+
+    assert any("baro errs by more than it claims" in text for text in log)
+    assert max(end.nees for end in found) < 4.0
+
+
 def horizontal(found: Drive, aiding: list[Aiding], until: float) -> tuple[Estimator, list[str]]:
     """Return the estimator after some seconds, and what it logged."""
     log: list[str] = []

@@ -105,6 +105,25 @@ def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
     assert np.all(np.sqrt(ins.nav[SLOW_VARIANCE][:2]) == pytest.approx(ins.noise.unclaimed_std))
 
 
+@pytest.mark.parametrize("slow_std", [1.2, 0.0])
+def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
+    slow_std: float,
+) -> None:
+    # GIVEN fixes that claim 0.3 m, and whose error wanders by a metre in a minute, or does not
+    run = draw(replace(SCENE, duration=85.0), 2)
+    slow = gauss_markov(slow_std, np.exp(-0.2 / 60.0), len(run.fixes), np.random.default_rng(1))
+    claimed = np.diag([0.3, 0.3, 0.45]) ** 2
+    white = np.random.default_rng(2).normal(0.0, 0.28, (len(run.fixes), 3))
+    run = moved(run, slow + white)
+    run = replace(run, fixes=[replace(fix, covariance_n=claimed) for fix in run.fixes])
+    # WHEN the filter runs
+    ins, _ = fly(run)
+    # THEN it is known and published, or it is not
+    assert ins.noise.slow_is_probable == (slow_std > 0.0)
+    assert (ins.noise.unclaimed_std > 0.4) == (slow_std > 0.0)
+    assert (total_std(ins.nav)[0] > 0.5) == (slow_std > 0.0)
+
+
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:
     # GIVEN fixes that claim decimetres, and are off by 4 m for a quarter of a minute
     run = draw(replace(SCENE, duration=60.0), 2)

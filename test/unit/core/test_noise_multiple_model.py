@@ -12,15 +12,21 @@ from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_hypotheses import COUNT, HYPOTHESES, ON_NOISE, SLOW_WALK
 from hybrid_ins.core.noise_multiple_model import (
     LOG_LIKELIHOOD,
-    MEMORY,
+    OF_FAMILY,
     PENDING_G,
     TAIL_DOF,
-    UNLIKELIEST,
     WEIGHTS,
     NoiseMultipleModelBank,
     StateCorrection,
 )
 from hybrid_ins.core.noise_multiple_model_step import OFFSETS, mean_system
+from hybrid_ins.core.noise_weights import (
+    FAMILIES,
+    FAMILY,
+    MEMORY,
+    UNLIKELIEST,
+    UNLIKELIEST_FAMILY,
+)
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.core.state import (
     COVARIANCE,
@@ -143,7 +149,9 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         for h, one in enumerate(readable):
             one.predict(F, C, T)
             log_likelihood[h] += one.correct(z, H, R / fix_factor, dx, G)
-        log_likelihood = np.maximum(log_likelihood - log_likelihood.max(), UNLIKELIEST)
+        for f in range(FAMILIES):
+            log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
+        log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)
         velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], matrix_from_quat(nav[QUAT]), 0.2
         if moved is not None:
             moves += 1
@@ -245,3 +253,5 @@ def test_no_hypothesis_is_beyond_return() -> None:
 
     assert bank._values[LOG_LIKELIHOOD].min() >= UNLIKELIEST
     assert bank._values[LOG_LIKELIHOOD].max() == 0.0
+    assert bank._values[OF_FAMILY].min() >= UNLIKELIEST_FAMILY
+    assert bank._values[OF_FAMILY].max() == 0.0

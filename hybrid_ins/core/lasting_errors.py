@@ -1,0 +1,85 @@
+"""
+How much larger the errors of an aiding sensor are than it claims, over seconds to half a minute.
+
+Errors that last do not average: what they do to the position after an outage is told by the mean
+of the innovations over a time, not by each of them. So innovations are averaged over batches of
+several lengths, and the square of each mean is compared with the variance that the filter, with
+the sensor's errors as they are assumed, expects of it: the method of batch means, [1]_. The largest
+ratio is the factor on R, which then has the right variance over that time whatever the errors'
+size and correlation. A sensor whose errors are as assumed has ratios below 1, since those of the
+state and of the sensor's scale or offset count as lasting for the whole batch.
+
+References
+----------
+.. [1] G. S. Fishman, "Grouping observations in digital simulation", Management Science 24, 1978.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LENGTHS = np.array([2.0, 8.0, 30.0])  # s, of batches
+MEMORY = 300.0  # s over which ratios are remembered: jumps and drifts are rare
+PRIOR_COUNT = 2.0  # batches of ratio 1 that are assumed at the start
+LARGEST_RATIO = 1000.0  # of one batch
+
+
+class LastingErrors:
+    """Batch means of one sensor's innovations."""
+
+    def __init__(self) -> None:
+        self._z: list[Array] = [np.zeros(0)] * len(LENGTHS)
+        self._expected: list[Array] = [np.zeros(0)] * len(LENGTHS)  # of the state, of the sensor
+        self._time = np.zeros(len(LENGTHS))
+        self._count = np.zeros(len(LENGTHS))
+        self._sum = np.zeros(len(LENGTHS))
+
+    @property
+    def factor(self) -> float:
+        """Factor on R by which the means of innovations are explained; at least 1."""
+        return max(1.0, float(np.max((self._sum + PRIOR_COUNT) / (self._count + PRIOR_COUNT))))
+
+    def add(self, z: Array, of_state: Array, of_sensor: Array, interval: float) -> None:
+        """
+        Add an innovation.
+
+        Parameters
+        ----------
+        z : ndarray, shape (m,)
+            Innovation.
+        of_state : ndarray, shape (m, m)
+            Covariance of what lasts: the state, the sensor's known systematic errors.
+        of_sensor : ndarray, shape (m, m)
+            Covariance of the rest with which the innovation counts as white: R as it is fused.
+        interval : float
+            Since the innovation before [s].
+        """
+        for i, length in enumerate(LENGTHS):
+            if self._z[i].shape != z.shape:
+                self._restart(i, len(z))
+            self._z[i] = self._z[i] + interval * z
+            self._expected[i] = self._expected[i] + np.stack(
+                (interval * of_state, interval**2 * of_sensor)
+            )
+            self._time[i] += interval
+            if self._time[i] >= length:
+                self._close(i)
+
+    def _restart(self, i: int, m: int) -> None:
+        self._z[i], self._expected[i], self._time[i] = np.zeros(m), np.zeros((2, m, m)), 0.0
+
+    def _close(self, i: int) -> None:
+        """Compare the mean of a batch with what is expected of it, and begin the next."""
+        time, m = self._time[i], len(self._z[i])
+        mean = self._z[i] / time
+        of_state, of_sensor = self._expected[i][0] / time, self._expected[i][1] / time**2
+        surplus = np.maximum(mean**2 - of_state.diagonal(), 0.0) / of_sensor.diagonal()
+        fading = math.exp(-time / MEMORY)
+        self._count[i] = fading * self._count[i] + 1.0
+        self._sum[i] = fading * self._sum[i] + min(float(surplus.max()), LARGEST_RATIO)
+        self._restart(i, m)

@@ -1,0 +1,138 @@
+"""
+Drives whose receivers err slowly by more than they claim, and the same with right claims.
+
+How long the odometry is silently wrong, whether the slow error is named, and how far the published
+covariance holds. Odd seeds are for tuning, even ones judge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid_ins import parameters
+from hybrid_ins.core import earth
+from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
+from tools.parallel import run_parallel
+from tools.vehicles.drives import from_simulation
+from tools.vehicles.judge import Score, score
+
+MOTIONS = (
+    "car",
+    "car on a motorway, clock -0.1 s",
+    "boat",
+    "pedestrian",
+    "slow rover",
+    "quadrotor",
+)
+SHAPE = np.array([1.0, 1.0, 1.5])  # north, east, down
+NAMED = "drift by"  # in the log
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a receiver's errors are and what it claims: horizontal standard deviations [m]."""
+
+    rate: float  # Hz
+    white: float
+    slow: float
+    slow_time: float  # s
+    claimed: float
+    wave: float = 0.0  # m, amplitude of a multipath wave
+    period: float = 60.0  # s, of that
+
+
+RECEIVERS = {
+    "0.7 m, 20 s, claims 0.1 m": Claim(1.0, 0.05, 0.7, 20.0, 0.1),
+    "0.7 m, 60 s, claims 0.2 m": Claim(5.0, 0.1, 0.7, 60.0, 0.2),
+    "1.0 m, 60 s, claims 0.3 m": Claim(1.0, 0.2, 1.0, 60.0, 0.3),
+    "1.0 m, 120 s, claims 0.1 m": Claim(5.0, 0.08, 1.0, 120.0, 0.1),
+    "1.5 m, 120 s, claims 0.2 m": Claim(1.0, 0.2, 1.5, 120.0, 0.2),
+    "1.5 m, 40 s, claims 0.3 m": Claim(5.0, 0.3, 1.5, 40.0, 0.3),
+    "wave of 1 m, 60 s, and 0.5 m, 300 s, claims 0.2 m": Claim(5.0, 0.1, 0.5, 300.0, 0.2, 1.0),
+    "wave of 1.5 m, 90 s, and 0.5 m, 300 s, claims 0.15 m": Claim(
+        1.0, 0.1, 0.5, 300.0, 0.15, 1.5, 90.0
+    ),
+}
+RIGHT = {
+    "right: 0.02 m": Claim(5.0, 0.02, 0.0, 100.0, 0.02),
+    "right: 0.1 m": Claim(1.0, 0.1, 0.0, 100.0, 0.1),
+    "right: 0.3 m": Claim(5.0, 0.3, 0.0, 100.0, 0.3),
+}
+
+
+def recorded(motion: str, claim: Claim, seed: int) -> Recording:
+    """Return a recording of a motion with a receiver."""
+    receiver = Receiver(
+        rate=claim.rate,
+        white_std=tuple(claim.white * SHAPE),
+        slow_std=tuple(claim.slow * SHAPE),
+        slow_time=claim.slow_time,
+        claimed_std=tuple(claim.claimed * SHAPE),
+    )
+    made = record(replace(VEHICLES[motion], receiver=receiver), seed)
+    rng = np.random.default_rng([seed, 41])
+    phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+    wave = claim.wave * SHAPE * np.sin(2.0 * np.pi / claim.period * made.fix_t[:, None] + phase)
+    scale = np.array([earth.curvature_scale(place) for place in made.fix_lla])
+    return replace(made, fix_lla=made.fix_lla + wave / scale)
+
+
+def one(motion: str, name: str, seed: int) -> tuple[str, str, int, Score, int]:
+    """Return a run's motion, receiver, seed, score, and how often its slow error was named."""
+    named = 0
+
+    def log(level: str, text: str) -> None:
+        nonlocal named
+        named += NAMED in text
+
+    claim = {**RECEIVERS, **RIGHT}[name]
+    found = score(from_simulation(recorded(motion, claim, seed)), parameters.defaults(), log)
+    return motion, name, seed, found, named
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print a row for each run, and one for each receiver."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("receivers", nargs="*", metavar="NAME", help="parts of their names")
+    parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, metavar="NAME")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="N")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="[%(default)s]")
+    args = parser.parse_args(argv)
+    names = [
+        name
+        for name in (*RECEIVERS, *RIGHT)
+        if not args.receivers or any(part in name for part in args.receivers)
+    ]
+    runs = [(m, name, seed) for name in names for m in args.motions for seed in args.seeds]
+    rows = []
+    print(
+        "| receiver | motion | seed | silently wrong [s] | named | RMSE, up [m] | NEES/2 | NIS/m |"
+    )
+    for row in run_parallel(one, runs, args.jobs):
+        rows.append(row)
+        motion, name, seed, s, named = row
+        print(
+            f"| {name} | {motion} | {seed} | {s.silent:.0f} | {named} | {s.rmse:.3f}, "
+            f"{s.rmse_up:.3f} | {s.nees:.2f} | {s.nis:.2f} |",
+            flush=True,
+        )
+    print("| receiver | runs | silently wrong: runs, [s] | named | RMSE [m] | NEES/2, median |")
+    for name in names:
+        here = [row for row in rows if row[1] == name]
+        silent = [row[3].silent for row in here]
+        print(
+            f"| {name} | {len(here)} | {sum(s > 0.0 for s in silent)}, {sum(silent):.0f} "
+            f"| {sum(row[4] > 0 for row in here)} "
+            f"| {np.sqrt(np.mean([row[3].rmse ** 2 for row in here])):.4f} "
+            f"| {np.median([row[3].nees for row in here]):.2f} |"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
