@@ -352,8 +352,7 @@ class InsFilter:
         self._schedule()
         age = _age(late, self.t_ns)
         own = [replace(v, age=age) for v in self.verdicts if v.measurement is late]
-        self.verdicts = decided
-        self.verdicts.extend(own)
+        self.verdicts = deque((*decided, *own))
         return True
 
 
