@@ -271,6 +271,5 @@ def test_scale_errors_change_covariances_in_outages_alone() -> None:
     since = int(np.searchsorted(ignored[1], thinned.fix_ns[-1] + OUTAGE_NS))
     np.testing.assert_array_equal(considered[2][:since], ignored[2][:since])
     assert since > 1000
-    np.testing.assert_array_equal(considered[2][:, :7], ignored[2][:, :7])
     variance = [rows[-1, 7] + rows[-1, 14] for _, _, rows in (considered, ignored)]
     assert variance[0] > 1.2 * variance[1]
