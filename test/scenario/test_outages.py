@@ -169,21 +169,24 @@ def test_a_stand_with_the_engine_on_bounds_the_speed(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3])
-def test_a_ferry_that_sets_off_is_no_stand(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ferry_that_sets_off_is_no_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     GIVEN a car that stands on a ferry, without fixes since it boarded
     WHEN the ferry sets off as smoothly as its engine runs
-    THEN the stand ends, and the error is no larger than if it had never been fused.
+    THEN the stand ends, and the error is far smaller than if it had never been fused, or the same.
     """
-    ferry = ROAD_VEHICLES["car, then on a ferry"]
-    speeds, end = near_standstills(ferry, seed, 140.0)
-    assert len(speeds) > 10
-    assert max(speeds) < 1.0
+    ferry, seeds = ROAD_VEHICLES["car, then on a ferry"], (1, 3, 5)
+    fused = []
+    for seed in seeds:
+        speeds, end = near_standstills(ferry, seed, 140.0)
+        assert len(speeds) > 10
+        assert max(speeds) < 1.0
+        fused.append(end.error)
 
     monkeypatch.setattr(NearStandstillDetector, "distinguishes", False)
-    _, without = near_standstills(ferry, seed, 140.0)
-    assert end.error < without.error
+    without = [near_standstills(ferry, seed, 140.0)[1].error for seed in seeds]
+    assert all(one < 1.02 * other for one, other in zip(fused, without, strict=True))
+    assert sum(fused) < 0.6 * sum(without)
 
 
 SMOOTH_DRIVE = Vehicle("smooth drive", smooth_drive, MEASURED, MEMS)
