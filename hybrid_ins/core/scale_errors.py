@@ -69,7 +69,7 @@ from hybrid_ins.core.strapdown import half_rotation, multiply, rotation
 Array = NDArray[np.float64]
 
 LONGEST_PART, LARGEST_TURN = 0.1, 0.1  # s, rad, in which the motion is taken for constant
-MAX_INTERVAL_NS = 10_000_000_000  # ns without a measurement, beyond which nothing is followed
+MAX_INTERVAL_NS = 10_000_000_000  # between two events, beyond which nothing is followed
 HEADING_STD = math.radians(4.0)  # headings that are hardly known are a nonlinear problem
 AGE_STD, LEVER_STD = 0.3, 0.3  # s, m: of velocities against positions, of the place of the antenna
 
@@ -192,7 +192,8 @@ class ScaleErrorObserver(ShallowCopy):
         if self._root is not None or not self._units.any():
             return
         if self._t_ns is None:
-            self._begin(nav, fix_ns)
+            is_out_of_reach = t_ns - fix_ns > MAX_INTERVAL_NS or ring.has_lost(fix_ns)
+            self._begin(nav, t_ns if is_out_of_reach else fix_ns)
             self.follow(nav, ring, t_ns)
         P_m = self._P[SCALE, SCALE] + VARYING * np.eye(N_SCALE)
         self._root = np.linalg.cholesky(0.5 * (P_m + P_m.T))

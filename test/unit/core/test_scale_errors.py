@@ -216,6 +216,19 @@ def test_nees_at_the_end_of_an_outage_with_manoeuvres(seconds: float) -> None:
     assert position_nees(seconds, runs, 2.0 * STD).mean() < low
 
 
+def test_an_outage_that_is_told_of_late_is_considered_from_then_on() -> None:
+    """GIVEN 12 s without a fix or an event, longer than the motion is followed."""
+    truth = manoeuvres(14.0)
+    samples = with_scale_errors(truth, np.zeros(N_SCALE))
+    ins = start_filter(truth.flat(P=np.diag(SIGMA_0**2)), samples)
+    for end_ns in (12 * SECOND, 14 * SECOND):
+        ins.submit(Outage(end_ns))
+    ins.ring.extend(samples[1:])
+    ins.predict_block(samples[1:])
+
+    assert np.abs(observer(ins).correlation[3:6]).max() > STD
+
+
 def test_a_manoeuvre_that_ends_as_it_began_takes_its_error_of_velocity_away() -> None:
     """GIVEN a scale error WHEN a vehicle speeds up and brakes THEN its speed is right again."""
     t = np.arange(8 * RATE + 1) / RATE
