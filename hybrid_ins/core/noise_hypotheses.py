@@ -32,7 +32,7 @@ SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small a
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
 SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
 UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
-SLOW_COST = 5.0  # nats of evidence that a slow error needs
+SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]

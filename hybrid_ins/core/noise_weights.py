@@ -33,7 +33,7 @@ MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
 SLOW_MEMORY = 200.0  # s over which that of a family is
 UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
 UNLIKELIEST_FAMILY = -10.0  # of a family: a slow error may begin and end
-AT_START = -10.0  # of families with a slow error: clock and heading may look like one at first
+AT_START = -7.0  # of families with a slow error: clock and heading may look like one at first
 ANY_CLAIM = 1e-6  # m: of positions beside which any slow error would be found
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 
