@@ -221,6 +221,7 @@ def _compile_output() -> None:
         True,
         True,
     )
+    lever_arm_observer.dependence_on_lever_arm(nav, H)
     n = scale_errors.N_PARAMETERS
     scale_errors.observe_scale_errors(
         np.zeros(n), np.eye(n), 1.0, nav[COVARIANCE], zero, H, np.zeros((3, n)), turn, 1.0

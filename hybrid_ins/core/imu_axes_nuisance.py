@@ -8,6 +8,9 @@ least squares.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 CLOCK_OFFSETS = np.linspace(-1.0, 1.0, 21)  # s, that may explain a misfit
 CLOCK_STEP = float(CLOCK_OFFSETS[1] - CLOCK_OFFSETS[0])
@@ -19,13 +22,14 @@ STRICT = (
     np.repeat((BIAS_STD, LEVER_ARM_STD, 0.5 * CLOCK_STEP), (3, 3, 1)),
     np.repeat((LARGEST_BIAS, LONGEST_LEVER_ARM, 0.5 * CLOCK_STEP), (3, 3, 1)),
 )
-# The same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes.
-TOLERANT = (
-    np.repeat((BIAS_STD, 2.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
-    np.repeat((LARGEST_BIAS, 5.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
-)
-# The same, with an antenna anywhere.
-FAR = (
-    np.repeat((BIAS_STD, 20.0, 0.5 * CLOCK_STEP, 0.1, 0.01), (3, 3, 1, 3, 9)),
-    np.repeat((LARGEST_BIAS, 60.0, 0.5 * CLOCK_STEP, 0.5, 0.03), (3, 3, 1, 3, 9)),
-)
+
+
+def _tolerant(lever_arm_std: float, longest: float) -> tuple[Array, Array]:
+    """Return the same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes."""
+    count = (3, 3, 1, 3, 9)
+    std = np.repeat((BIAS_STD, lever_arm_std, 0.5 * CLOCK_STEP, 0.1, 0.01), count)
+    return std, np.repeat((LARGEST_BIAS, longest, 0.5 * CLOCK_STEP, 0.5, 0.03), count)
+
+
+TOLERANT = _tolerant(2.0, 5.0)
+FAR = _tolerant(20.0, 60.0)  # with an antenna anywhere

@@ -95,6 +95,23 @@ def innovation_covariance(packed, H, R):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
+def covariances_at_full_weight(packed, H, S, weight):  # type: ignore[no-untyped-def]
+    """
+    Return those of an innovation and of its measurement, (m, m).
+
+    ``S`` is that of the innovation as it was fused: that of the measurement divided by ``weight``.
+    """
+    m = len(S)
+    total, _ = innovation_covariance(packed, H, np.zeros((m, m)))
+    R = np.empty((m, m))
+    for a in range(m):
+        for b in range(m):
+            R[a, b] = (S[a, b] - total[a, b]) / weight
+            total[a, b] += R[a, b]
+    return total, R
+
+
+@register_jitable
 def joseph_update(packed, K, H, R):  # type: ignore[no-untyped-def]
     """
     P <- A P A' + K R K' with A = I - K H, eq. (12) of [2]_ in Joseph's form.

@@ -39,7 +39,7 @@ from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WAL
 from hybrid_ins.core.clock_sensitivity import sensitivities
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.error_model import advance
-from hybrid_ins.core.kalman import innovation_covariance
+from hybrid_ins.core.kalman import covariances_at_full_weight
 from hybrid_ins.core.linalg import factorise, mean_square, regress, whiten
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import mean_system
@@ -180,6 +180,24 @@ class LeverArmObserver(ShallowCopy):
 
 
 @kernel()
+def dependence_on_lever_arm(nav, H):  # type: ignore[no-untyped-def]
+    """Return how an innovation depends on the lever arm besides by the state, (m, 3)."""
+    m, C, rate = len(H), np.empty(9), np.empty(3)
+    rotation(nav[QUAT], C)
+    for i in range(3):
+        rate[i] = nav[LAST_W][i] - nav[BIAS_G][i]
+    found = np.zeros((m, 3))
+    for a in range(m):
+        for j in range(3):
+            k, n = (j + 1) % 3, (j + 2) % 3
+            for i in range(3):
+                found[a, j] += H[a, i] * C[3 * i + j]
+                swing = C[3 * i + k] * rate[n] - C[3 * i + n] * rate[k]  # C_nb [w x]
+                found[a, j] += H[a, 3 + i] * swing
+    return found
+
+
+@kernel()
 def observe_lever_arm(  # type: ignore[no-untyped-def]
     values, T, before, after, z, H, K, S, weight, informs, is_fix
 ):
@@ -219,22 +237,17 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
                 of_error[a, j] += H[a, i] * s[i, j]
     if is_fix:
         to_clock, _ = sensitivities(before, H)
-        rate = np.empty(3)
-        for i in range(3):
-            rate[i] = before[LAST_W][i] - before[BIAS_G][i]
+        of_itself = dependence_on_lever_arm(before, H)
         for a in range(m):
             h[a, 0], h[a, 1] = to_clock[a, 0], to_clock[a, 1]
             for j in range(3):
-                k, n = (j + 1) % 3, (j + 2) % 3
-                for i in range(3):
-                    of_error[a, j] += H[a, i] * C[3 * i + j]
-                    swing = C[3 * i + k] * rate[n] - C[3 * i + n] * rate[k]  # C_nb [w x]
-                    of_error[a, j] += H[a, 3 + i] * swing
+                of_error[a, j] += of_itself[a, j]
     if informs:
         values[P_PARAMETERS.start] += max(T, 0.0) * RANDOM_WALK**2
-        total, R = _covariances(before, H, S, weight)
+        total, R = covariances_at_full_weight(before[COVARIANCE], H, S, weight)
         if H[0, 0] != 0.0:
             values[FIX_STD] = np.sqrt(max(R[0, 0], 0.0))
+        factorise(total)
         now = values[PARAMETERS]
         values[NIS_SCALE] += (mean_square(z, h, now, total) - values[NIS_SCALE]) / NIS_MEMORY
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
@@ -276,16 +289,3 @@ def _consider(values, C):  # type: ignore[no-untyped-def]
                 for k in range(3):
                     mean_square = error[j] * error[k] + P[j, k]
                     values[CONSIDERED][i] += C[3 * i + j] * mean_square * C[3 * i + k]
-
-
-@register_jitable
-def _covariances(before, H, S, weight):  # type: ignore[no-untyped-def]
-    """Return those of an innovation and of its measurement, (m, m), fused with a weight."""
-    m = len(S)
-    of_state, _ = innovation_covariance(before[COVARIANCE], H, np.zeros((m, m)))
-    total, R = S.copy(), np.empty((m, m))
-    for a in range(m):
-        for b in range(m):
-            R[a, b] = (S[a, b] - of_state[a, b]) / weight
-            total[a, b] = of_state[a, b] + R[a, b]
-    return total, R

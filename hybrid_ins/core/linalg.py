@@ -62,7 +62,7 @@ def log_determinant(S):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def regress(now, P, z, h, S):  # type: ignore[no-untyped-def]
+def regress(now, P, z, h, root):  # type: ignore[no-untyped-def]
     """
     Correct parameters by a measurement of the mean h times the parameters: a Kalman update.
 
@@ -70,19 +70,16 @@ def regress(now, P, z, h, S):  # type: ignore[no-untyped-def]
     ----------
     now, P : ndarray, shape (n,), (n, n)
         Parameters and their covariance; overwritten.
-    z, h, S : ndarray, shape (m,), (m, n), (m, m)
-        Measurement, and the covariance of its error; the last is overwritten.
+    z, h : ndarray, shape (m,), (m, n)
+        Measurement.
+    root : ndarray, shape (m, m)
+        Cholesky factor of the covariance of its error.
     """
     m, n = h.shape
-    rest, white, column, g = z.copy(), np.empty((m, n)), np.empty(m), np.empty(n)
-    factorise(S)
-    whiten(S, rest)
+    rest, white, g = z.copy(), h.copy(), np.empty(n)
+    whiten(root, rest)
     for j in range(n):
-        for a in range(m):
-            column[a] = h[a, j]
-        whiten(S, column)
-        for a in range(m):
-            white[a, j] = column[a]
+        whiten(root, white[:, j])
     for a in range(m):
         missing, variance = rest[a], 1.0
         for i in range(n):
@@ -99,12 +96,11 @@ def regress(now, P, z, h, S):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def mean_square(z, h, now, S):  # type: ignore[no-untyped-def]
+def mean_square(z, h, now, root):  # type: ignore[no-untyped-def]
     """Return the normalised square of z - h now, over its dimension; see `regress`."""
     m, n = h.shape
-    rest, root = z.copy(), S.copy()
+    rest = z.copy()
     for a in range(m):
         for j in range(n):
             rest[a] -= h[a, j] * now[j]
-    factorise(root)
     return whiten(root, rest) / m

@@ -44,10 +44,11 @@ from hybrid_ins.core.clock_sensitivity import sensitivities
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
 from hybrid_ins.core.error_model import advance, system_matrix
-from hybrid_ins.core.kalman import inject, innovation_covariance
-from hybrid_ins.core.linalg import mean_square, regress
+from hybrid_ins.core.kalman import covariances_at_full_weight, inject
+from hybrid_ins.core.lever_arm_observer import AGE_STD, HEADING_STD, dependence_on_lever_arm
+from hybrid_ins.core.linalg import factorise, mean_square, regress
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.rotations import matrix_from_quat, skew
+from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
@@ -70,8 +71,7 @@ Array = NDArray[np.float64]
 
 LONGEST_PART, LARGEST_TURN = 0.1, 0.1  # s, rad, in which the motion is taken for constant
 MAX_INTERVAL_NS = 10_000_000_000  # between two events, beyond which nothing is followed
-HEADING_STD = math.radians(4.0)  # headings that are hardly known are a nonlinear problem
-AGE_STD, LEVER_STD = 0.3, 0.3  # s, m: of velocities against positions, of the place of the antenna
+LEVER_STD = 0.3  # m, of the place of the antenna
 
 N_SCALE = 18  # elements of M_a and M_g, row by row
 AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [rad], by data sheets
@@ -239,7 +239,7 @@ class ScaleErrorObserver(ShallowCopy):
             _, H, _, G = correction.linear
         h = H @ self._U
         if is_fix:
-            direct = _of_lever(correction.nav, correction.H)
+            direct = dependence_on_lever_arm(correction.nav, correction.H)
             h[:, :N_LEVER] += direct
             if correction.fused:
                 self._learn(correction, direct)
@@ -266,14 +266,6 @@ class ScaleErrorObserver(ShallowCopy):
         )
 
 
-def _of_lever(nav: Array, H: Array) -> Array:
-    """Return how an innovation depends on the lever arm itself, (m, 3)."""
-    C_nb = matrix_from_quat(nav[QUAT])
-    swing = C_nb @ skew(nav[LAST_W] - nav[BIAS_G])
-    of_lever: Array = H[:, :3] @ C_nb + H[:, 3:6] @ swing
-    return of_lever
-
-
 @kernel()
 def observe_scale_errors(  # type: ignore[no-untyped-def]
     parameters, P, nis, packed, z, H, h, S, weight
@@ -294,13 +286,10 @@ def observe_scale_errors(  # type: ignore[no-untyped-def]
     weight : float
         With which the measurement was fused: its covariance was divided by that.
     """
-    m = len(z)
-    total, _ = innovation_covariance(packed, H, np.zeros((m, m)))
-    for a in range(m):
-        for b in range(m):
-            total[a, b] += (S[a, b] - total[a, b]) / weight
-    nis += (mean_square(z, h, parameters, total) - nis) / NIS_MEMORY
-    regress(parameters, P, z, h, MARGIN**2 * max(nis, 1.0) * total)
+    root, _ = covariances_at_full_weight(packed, H, S, weight)
+    factorise(root)
+    nis += (mean_square(z, h, parameters, root) - nis) / NIS_MEMORY
+    regress(parameters, P, z, h, MARGIN * np.sqrt(max(nis, 1.0)) * root)
     return nis
 
 

@@ -159,7 +159,7 @@ def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-u
     costate, information : ndarray, shape (15,), (15, 15)
         Before it.
     """
-    packed, m = nav[COVARIANCE], len(z)
+    packed = nav[COVARIANCE]
     dx, K = gain(packed, z, H, R)
     if is_nonlinear(packed, dx, H, R):
         converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, dx, K)
@@ -175,13 +175,8 @@ def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-u
     factorise(root)
     weighted, SH = z.copy(), H.copy()
     solve(root, weighted)
-    column = np.empty(m)
     for j in range(N_ERROR):
-        for a in range(m):
-            column[a] = SH[a, j]
-        solve(root, column)
-        for a in range(m):
-            SH[a, j] = column[a]
+        solve(root, SH[:, j])
     A = np.eye(N_ERROR) - _product(K, H)
     before = _transposed_times(A, costate) + _transposed_times(H, weighted)
     gained = _product(H.T.copy(), SH)

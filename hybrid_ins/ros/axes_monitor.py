@@ -15,6 +15,7 @@ from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros.conversions import FLIP, Refused
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.sensor_placement import SensorPlacement
+from hybrid_ins.ros.wording import place_of
 
 Array = NDArray[np.float64]
 
@@ -107,11 +108,7 @@ class AxesMonitor:
 
 def describe_antenna(error_b: Array, std: Array) -> Refused:
     """Return that the antenna is ``error_b`` ± ``std`` (3,) [m], b, from where it is given."""
-    names = (("forward", "backward"), ("left", "right"), ("up", "down"))
-    place = ", ".join(
-        f"{abs(value):.1f} ± {sigma:.1f} m {pair[int(value < 0.0)]}"
-        for pair, value, sigma in zip(names, (FLIP @ error_b).tolist(), std.tolist(), strict=True)
-    )
+    place = place_of(error_b, std, digits=1)
     return Refused(
         "gnss: antenna elsewhere",
         f"the motion shows the antenna {place} of where imu.position and gnss.antenna_position put "

@@ -21,7 +21,7 @@ from hybrid_ins.core.scale_errors import ScaleErrors
 from hybrid_ins.core.state import JUMP_VARIANCE, W_G, total_std
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.ros import wording
-from hybrid_ins.ros.conversions import FLIP, Refused
+from hybrid_ins.ros.conversions import Refused
 from hybrid_ins.ros.input_log import ORDINARY, InputLog
 from hybrid_ins.ros.reports import Status
 
@@ -260,14 +260,7 @@ def antenna_conditions(navigator: Navigator, moved_b: Array) -> dict[str, str]:
     is_moved = bool(np.any(moved_b))
     if not (is_certain or is_moved):
         return {}
-    error_b = error_b + moved_b
-    directions = (("forward", "backward"), ("left", "right"), ("up", "down"))
-    place = ", ".join(
-        f"{abs(value):.2f} ± {sigma:.2f} m {names[int(value < 0.0)]}"
-        for names, value, sigma in zip(
-            directions, (FLIP @ error_b).tolist(), std.tolist(), strict=True
-        )
-    )
+    place = wording.place_of(error_b + moved_b, std, digits=2)
     return {
         "the antenna is elsewhere": f"the antenna is about {place} of where imu.position and "
         "gnss.antenna_position put it: measure it, or run ins_calibrate"

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hybrid_ins.core.alignment import Need, Waiting
 from hybrid_ins.core.clock_search import ClockSearch
 from hybrid_ins.core.gate import Verdict
@@ -17,7 +20,9 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import HeadingCorrected, RestartCause, Restarted
 from hybrid_ins.core.phases import Aligning, Searching
 from hybrid_ins.core.stamp_check import StampFault
-from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.conversions import FLIP, Refused
+
+Array = NDArray[np.float64]
 
 ONE_G = (0.7, 1.3)  # mean specific force of an IMU at rest that reports in g
 
@@ -36,7 +41,18 @@ STAMP_FAULTS = {
         "header.stamp jumps; the filter restarts if the stamps stay there",
     ),
 }
+DIRECTIONS = ("forward", "backward"), ("left", "right"), ("up", "down")
 STATES = {"imu": "waiting for the IMU", "gnss": "waiting for GNSS", "heading": "finding heading"}
+
+
+def place_of(error_b: Array, std: Array, digits: int) -> str:
+    """Return a displacement and its σ, (3,) [m], b, by the directions it goes in."""
+    return ", ".join(
+        f"{abs(value):.{digits}f} ± {sigma:.{digits}f} m {names[int(value < 0.0)]}"
+        for names, value, sigma in zip(
+            DIRECTIONS, (FLIP @ error_b).tolist(), std.tolist(), strict=True
+        )
+    )
 
 
 def name_of_fault(fault: ImuFault) -> str:
