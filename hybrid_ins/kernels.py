@@ -33,6 +33,7 @@ from hybrid_ins.core import (
     position_scatter,
     propagation,
     scale_errors,
+    scale_sensitivity,
     standstill,
 )
 from hybrid_ins.core.samples import SAMPLE_DTYPE
@@ -226,13 +227,15 @@ def _compile_output() -> None:
     scale_errors.observe_scale_errors(
         np.zeros(n), np.eye(n), 1.0, nav[COVARIANCE], zero, H, np.zeros((3, n)), turn, 1.0
     )
-    scale_errors.follow_samples(
+    sensitivity = np.zeros((N_ERROR, scale_errors.N_LEVER + scale_sensitivity.N_SCALE))
+    scale_errors.attitude_mean_square(sensitivity, np.zeros(n), np.eye(n), np.zeros(6))
+    scale_sensitivity.follow_samples(
         nav,
         np.ones(1),
         np.zeros((1, 6)),
         np.zeros(6),
-        np.zeros((N_ERROR, scale_errors.N_LEVER + scale_errors.N_SCALE)),
-        np.zeros((N_ERROR, scale_errors.N_SCALE)),
+        sensitivity,
+        np.zeros((N_ERROR, scale_sensitivity.N_SCALE)),
     )
     imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))

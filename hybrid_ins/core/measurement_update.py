@@ -72,6 +72,7 @@ from hybrid_ins.core.state import (
     N_NAV,
     PSD,
     QUAT,
+    SCALE_COVARIANCE,
     SENSITIVITY,
     SLOW_VARIANCE,
     VELOCITY,
@@ -200,6 +201,7 @@ class MeasurementUpdate:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered
+        nav[SCALE_COVARIANCE] = self.scale_errors.considered
         nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 

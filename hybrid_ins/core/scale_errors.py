@@ -14,7 +14,10 @@ obeys the filter's own equations, [1]_::
 
 and an innovation has the mean H U m. The estimate is a regression of the innovations on that, with
 the clock offset of the fixes, the age of velocities and the error of the lever arm beside it: in
-turns they do something similar. While fixes come they hold the state, and nothing is corrected.
+turns they do something similar. While fixes come they hold the state, and nothing is corrected. The
+attitude of a vehicle that circles they hold only loosely: the mean square of U m is part of its
+covariance as it is reported.
+
 Where fixes are missing the state is corrected by U m, and what the samples do to it from then on by
 D m; what is not known of m, and a part of it that is not constant, is *considered*, [3]_: with its
 covariance P_m, U P_m U' is added to that of the state, so that a manoeuvre that ends as it began
@@ -36,24 +39,21 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
 from hybrid_ins.core.clock_sensitivity import sensitivities
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.earth import normal_gravity
-from hybrid_ins.core.error_model import advance, system_matrix
 from hybrid_ins.core.kalman import covariances_at_full_weight, inject
 from hybrid_ins.core.lever_arm_observer import AGE_STD, HEADING_STD, dependence_on_lever_arm
 from hybrid_ins.core.linalg import factorise, mean_square, regress
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, readings_of, steps_since
+from hybrid_ins.core.scale_sensitivity import N_SCALE, follow_samples
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
-    BIAS_A,
-    BIAS_G,
     COVARIANCE,
     HEADING_VARIANCE,
     LAST_F,
@@ -61,19 +61,15 @@ from hybrid_ins.core.state import (
     LLA,
     N_ERROR,
     QUAT,
-    VELOCITY,
     covariance,
     pack,
 )
-from hybrid_ins.core.strapdown import half_rotation, multiply, rotation
 
 Array = NDArray[np.float64]
 
-LONGEST_PART, LARGEST_TURN = 0.1, 0.1  # s, rad, in which the motion is taken for constant
 MAX_INTERVAL_NS = 10_000_000_000  # between two events, beyond which nothing is followed
 LEVER_STD = 0.3  # m, of the place of the antenna
 
-N_SCALE = 18  # elements of M_a and M_g, row by row
 AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [rad], by data sheets
 VARYING = 0.16  # of their variances: what is not constant, by temperature and nonlinearity
 SHARES = np.tile(np.where(np.eye(3) > 0.0, 1.0, AXES).ravel(), 2)  # the same, by element
@@ -134,6 +130,18 @@ class ScaleErrorObserver(ShallowCopy):
         assert self._root is not None
         correlation: Array = self._U[:, N_LEVER:] @ self._root
         return correlation
+
+    @property
+    def considered(self) -> Array:
+        """
+        Mean square of what they do to the attitude beside its covariance [rad²], (6,), n.
+
+        Upper triangle, row by row. In an outage the covariance of the state itself contains it.
+        """
+        attitude = np.zeros(6)
+        if self._root is None and self._t_ns is not None:
+            attitude_mean_square(self._U, self._parameters, self._P, attitude)
+        return attitude
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""
@@ -294,72 +302,31 @@ def observe_scale_errors(  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def follow_samples(nav, dt, readings, reference, U, driven):  # type: ignore[no-untyped-def]
+def attitude_mean_square(U, parameters, P, out):  # type: ignore[no-untyped-def]
     """
-    Carry sensitivities over IMU samples.
+    Write the mean square of U m of an attitude: U (m mᵀ + P_m) Uᵀ.
 
     Parameters
     ----------
-    nav : ndarray, shape (N_NAV,) or longer
-        Flat state at the last sample.
-    dt : ndarray, shape (N,)
-        Time from each sample's predecessor [s].
-    readings : ndarray, shape (N, 6)
-        Specific force [m/s²] and angular rate [rad/s], b, as measured.
-    reference : ndarray, shape (6,)
-        Readings of which the biases contain all that scale errors do.
-    U : ndarray, shape (15, k)
-        Overwritten by Φ U.
-    driven : ndarray, shape (15, N_SCALE)
-        Overwritten by Φ driven + D.
+    U : ndarray, shape (15, N_LEVER + N_SCALE)
+        Sensitivities.
+    parameters, P : ndarray, shape (N_PARAMETERS,), (N_PARAMETERS, N_PARAMETERS)
+        Estimate and its covariance, to which that is added which is not constant.
+    out : ndarray, shape (6,)
+        Upper triangle, row by row; overwritten.
     """
-    n, time, turn = len(dt), 0.0, 0.0
-    for k in range(n):
-        time += dt[k]
-        square = 0.0
-        for i in range(3):
-            square += (readings[k, 3 + i] - nav[BIAS_G][i]) ** 2
-        turn += dt[k] * np.sqrt(square)
-    parts = min(max(1, int(np.ceil(max(time / LONGEST_PART, turn / LARGEST_TURN) - 1e-6))), n)
-    lengths, means, C = np.zeros(parts), np.zeros((parts, 6)), np.empty((parts, 9))
-    quat = nav[QUAT].copy()
-    for p in range(parts - 1, -1, -1):
-        for k in range(p * n // parts, (p + 1) * n // parts):
-            lengths[p] += dt[k]
-            for i in range(6):
-                means[p, i] += dt[k] * readings[k, i]
-        for i in range(6):
-            means[p, i] /= lengths[p]
-        back = np.empty(3)  # half of the part's rotation
-        for i in range(3):
-            back[i] = -0.5 * lengths[p] * (means[p, 3 + i] - nav[BIAS_G][i])
-        scale, scalar = half_rotation(back[0], back[1], back[2])
-        multiply(quat, scale * back[0], scale * back[1], scale * back[2], scalar)
-        rotation(quat, C[p])
-        multiply(quat, scale * back[0], scale * back[1], scale * back[2], scalar)
-    F, f_n = np.zeros((N_ERROR, N_ERROR)), np.empty(3)
-    for p in range(parts):
-        for i in range(3):
-            f_n[i] = 0.0
-            for j in range(3):
-                f_n[i] += C[p, 3 * i + j] * (means[p, j] - nav[BIAS_A][j])
-        system_matrix(nav[LLA], nav[VELOCITY], f_n, C[p], F)
-        # M (f - f0) is an error of a reading, as a bias is; half of it before, half behind a part.
-        _drive(driven, F, means[p], reference, 0.5 * lengths[p])
-        advance(F, lengths[p], U)
-        advance(F, lengths[p], driven)
-        _drive(driven, F, means[p], reference, 0.5 * lengths[p])
-
-
-@register_jitable
-def _drive(driven, F, reading, reference, dt):  # type: ignore[no-untyped-def]
-    """Add what M (f - f₀) and M ω do in a time ``dt`` [s] to ``driven``, (15, N_SCALE)."""
-    for sensor in range(2):
-        for i in range(3):
-            bias = 9 + 3 * sensor + i
-            for row in range(3, 9):
-                element = dt * F[row, bias]
-                if element != 0.0:
-                    for j in range(3):
-                        off = reading[3 * sensor + j] - reference[3 * sensor + j]
-                        driven[row, 9 * sensor + 3 * i + j] += element * off
+    from_m, mean, spread = SCALE.start, np.zeros(3), np.zeros((3, N_SCALE))
+    for i in range(3):
+        u = U[6 + i, N_LEVER:]
+        for a in range(N_SCALE):
+            mean[i] += u[a] * parameters[from_m + a]
+            spread[i, a] = VARYING * u[a]
+            for b in range(N_SCALE):
+                spread[i, a] += u[b] * P[from_m + b, from_m + a]
+    k = 0
+    for i in range(3):
+        for j in range(i, 3):
+            out[k] = mean[i] * mean[j]
+            for a in range(N_SCALE):
+                out[k] += spread[i, a] * U[6 + j, N_LEVER + a]
+            k += 1

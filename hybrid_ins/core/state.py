@@ -55,7 +55,9 @@ SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `
 JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
 # m², NED, of a position that refers to an antenna in another place: `lever_arm_observer`
 ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
-N_NAV = ANTENNA_VARIANCE.stop
+# rad², NED, upper triangle row by row, of an attitude by an IMU's scale errors: `scale_errors`
+SCALE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
+N_NAV = SCALE_COVARIANCE.stop
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 PRODUCTS = slice(SCRATCH.stop, SCRATCH.stop + 24 * 16)  # see `covariance_step`
@@ -86,8 +88,8 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     """
     Write the covariance that is reported, (15, 15).
 
-    P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, and
-    what an antenna in another place does to the position.
+    P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, what
+    an antenna in another place does to the position, and an IMU's scale errors to the attitude.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -97,6 +99,12 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
                 full[i, j] += variance * s[i] * s[j]
     for i in range(3):
         full[i, i] += nav[SLOW_VARIANCE][i] + nav[JUMP_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
+    k = SCALE_COVARIANCE.start
+    for i in range(6, 9):
+        for j in range(i, 9):
+            full[i, j] += nav[k]
+            full[j, i] = full[i, j]
+            k += 1
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -161,4 +169,5 @@ def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
     variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE] + nav[ANTENNA_VARIANCE]
+    variance[EPS] += nav[SCALE_COVARIANCE][[0, 3, 5]]
     return np.sqrt(variance)

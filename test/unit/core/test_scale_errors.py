@@ -26,16 +26,10 @@ from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.outage_monitor import OutageMonitor
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.scale_errors import (
-    N_LEVER,
-    N_SCALE,
-    SHARES,
-    VARYING,
-    ScaleErrorObserver,
-    follow_samples,
-)
-from hybrid_ins.core.state import DP, N_ERROR, N_NAV, QUAT, NavState, covariance
-from hybrid_ins.simulation.motions import car_drive
+from hybrid_ins.core.scale_errors import N_LEVER, SHARES, VARYING, ScaleErrorObserver
+from hybrid_ins.core.scale_sensitivity import N_SCALE, follow_samples
+from hybrid_ins.core.state import DP, EPS, N_ERROR, N_NAV, QUAT, NavState, covariance, unpack_total
+from hybrid_ins.simulation.motions import aircraft_flight, car_drive
 from tools.paper.runs import Run, Scenario, draw
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -331,12 +325,15 @@ def test_monitor_tells_filters_of_outages_alone() -> None:
 
 
 DRIVE = Scenario("drive", car_drive, rate=100.0, duration=120.0, fix_rate=1.0, scored_from=0.6)
+ORBIT = Scenario(
+    "orbit", aircraft_flight, rate=100.0, duration=120.0, fix_rate=1.0, scored_from=0.6
+)
 FLIGHT = Scenario("flight", rate=100.0, duration=30.0, scored_from=0.6)
 
 
-def precise(seed: int) -> Run:
-    """Return a drive with a position known to 2 cm wherever the truth is, once a second."""
-    run, rng = draw(DRIVE, seed), np.random.default_rng([seed, 4])
+def precise(seed: int, scenario: Scenario = DRIVE) -> Run:
+    """Return a run with a position known to 2 cm wherever the truth is, once a second."""
+    run, rng = draw(scenario, seed), np.random.default_rng([seed, 4])
     stamps, fixes = run.samples["t_ns"][run.scored], []
     for t_ns, lla in zip(stamps, run.lla, strict=True):
         lla = lla + 0.02 * rng.standard_normal(3) / curvature_scale(lla)
@@ -389,6 +386,30 @@ def test_scale_errors_are_found_with_an_honest_sigma() -> None:
 
     assert 0.6 < np.mean(squares) < 1.3
     assert np.all(np.median(sharper, axis=0) < 0.8)
+
+
+def attitude_nees(reported: bool) -> float:
+    """Return that of aircraft, by the covariance that is reported or that of the state alone."""
+    found, P = [], np.empty((N_ERROR, N_ERROR))
+    for seed in range(15):
+        m = STD * SHARES * np.random.default_rng([seed, 7]).standard_normal(N_SCALE)
+        run = precise(seed, ORBIT)
+        run = replace(run, samples=run.samples[: int(run.scored[-1]) + 1])
+        ins = filtered(run, STD, m)
+        unpack_total(ins.nav, P)
+        if not reported:
+            P = covariance(ins.nav)
+        turn = matrix_from_quat(run.quat_xyzw[-1]) @ matrix_from_quat(ins.nav[QUAT]).T
+        error = 0.5 * np.array(
+            (turn[1, 2] - turn[2, 1], turn[2, 0] - turn[0, 2], turn[0, 1] - turn[1, 0])
+        )
+        found.append(error @ np.linalg.solve(P[EPS, EPS], error) / 3.0)
+    return float(np.mean(found))
+
+
+def test_the_reported_attitude_of_an_aircraft_that_turns_contains_its_scale_errors() -> None:
+    assert 0.6 < attitude_nees(reported=True) < 1.6  # 99.9 % of 45 independent values
+    assert attitude_nees(reported=False) > 2.5
 
 
 def headings_after_an_outage(std: float, seeds: range) -> tuple[Array, Array]:
