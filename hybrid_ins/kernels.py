@@ -152,7 +152,7 @@ def _compile_filter() -> None:
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
-    position_scatter.residual_variance(nav[COVARIANCE], z, H, np.eye(3), 1.0)
+    position_scatter.residual_variance(nav[COVARIANCE], z, H, np.eye(3), 1.0, np.eye(3))
     position_scatter.change_slow_error(nav, np.zeros(3), 0.0)
     clock = clock_offset.ClockOffsetObserver(0.1).values
     fix_update.fuse_ordinary_fix(
@@ -166,6 +166,7 @@ def _compile_filter() -> None:
         0.0,
         False,
         1.0,
+        0.0,
         clock,
         0.0,
         0.0,

@@ -88,6 +88,16 @@ class FilterNoise:
         return 0.0 if self.factors is None else self.factors.slow_std
 
     @property
+    def stamp_std(self) -> float:
+        """Standard deviation [s] of the stamps of positions that the innovations show; 0: none."""
+        return 0.0 if self.factors is None else self.factors.stamp_std
+
+    @property
+    def stamps_scatter(self) -> bool:
+        """Whether that is more probable than stamps that are right."""
+        return self.factors is not None and self.factors.stamp_probability > 0.5
+
+    @property
     def slow_is_probable(self) -> bool:
         """Whether such an error is more probable than none."""
         return self.factors is not None and self.factors.slow_probability > 0.5

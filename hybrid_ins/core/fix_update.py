@@ -31,6 +31,7 @@ from hybrid_ins.core.state import (
     N_NAV,
     QUAT,
     SLOW_VARIANCE,
+    VELOCITY,
 )
 from hybrid_ins.core.strapdown import rotation
 
@@ -62,6 +63,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     slow_interval,
     learning,
     fix_factor,
+    stamp_variance,
     clock,
     interval,
     limit,
@@ -85,6 +87,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         The scatter of positions is learned.
     fix_factor : float
         On the covariance of fixes.
+    stamp_variance : float
+        Of their stamps [s²]; 0 of a velocity.
     clock : ndarray, shape (N_CLOCK,)
         `ClockOffsetObserver.values`; overwritten.
     interval : float
@@ -125,10 +129,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval)
     h, change = sensitivities(nav, H)
+    v, of_stamp = nav[VELOCITY], np.empty((m, m))
     age = age_mean_square(clock) if variance > 0.0 and not is_position else 0.0
     for a in range(m):
         for b in range(m):
-            R[a, b] += age * change[a] * change[b]
+            of_stamp[a, b] = stamp_variance * v[a] * v[b]
+            R[a, b] += age * change[a] * change[b] + of_stamp[a, b]
     S, _ = innovation_covariance(packed, H, R)
     root = np.empty((m, m))
     for a in range(m):
@@ -144,7 +150,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             packed[DIAGONAL[a]], nav[SLOW_VARIANCE][a] = diagonal[a], slow[a]
         return False
     if is_position and learning:
-        result[FOUND] = share * residual_variance(packed, z, H, white, fix_factor)
+        result[FOUND] = share * residual_variance(packed, z, H, white, fix_factor, of_stamp)
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]

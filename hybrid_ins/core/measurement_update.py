@@ -213,8 +213,10 @@ class MeasurementUpdate:
             assert split is not None
             measured, share = fix.lla, split.share
             slow, slow_interval = split.slow_variance, split.interval
+            stamp_variance = self.noise.stamp_std**2
         elif isinstance(fix, VelocityFix):
             measured, share, slow, slow_interval = fix.velocity_n, 1.0, NO_SLOW_ERROR, 0.0
+            stamp_variance = 0.0
         else:
             return None
         claimed = fix.claimed
@@ -234,6 +236,7 @@ class MeasurementUpdate:
             slow_interval,
             self.scatter.learning,
             noise.fix_factor,
+            stamp_variance,
             clock.values,
             clock.interval(fix.t_ns),
             self.gate.ordinary_limit(fix.kind, m, interval),
@@ -266,13 +269,15 @@ class MeasurementUpdate:
         """
         model, found = measurement.linearise(nav), None
         if split is not None:
-            model, found = _split_position(nav, model, split, self.scatter, self.noise.fix_factor)
+            model, found = _split_position(nav, model, split, self.scatter, self.noise)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         of_age = np.zeros_like(R)
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
+            if split is not None:
+                R = R + _of_stamp(nav, len(z), self.noise)
             h, change = sensitivities(nav, H)
             if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
                 of_age = age_mean_square(self.clock.values) * np.outer(change, change)
@@ -347,7 +352,7 @@ class MeasurementUpdate:
 
 
 def _split_position(
-    nav: Array, model: Model, split: Split, scatter: PositionScatter, fix_factor: float
+    nav: Array, model: Model, split: Split, scatter: PositionScatter, noise: FilterNoise
 ) -> tuple[Model, float | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
@@ -355,8 +360,15 @@ def _split_position(
     white = split.share * claimed
     if not scatter.learning:
         return (z, H, white), None
-    found = residual_variance(nav[COVARIANCE], z, H, white, fix_factor)
+    others = _of_stamp(nav, len(z), noise)
+    found = residual_variance(nav[COVARIANCE], z, H, white, noise.fix_factor, others)
     return (z, H, white), split.share * found
+
+
+def _of_stamp(nav: Array, m: int, noise: FilterNoise) -> Array:
+    """Return the covariance that the stamp adds to that of a position, (m, m)."""
+    v = nav[VELOCITY][:m]
+    return np.asarray(noise.stamp_std**2 * np.outer(v, v))
 
 
 def _correction(

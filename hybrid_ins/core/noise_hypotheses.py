@@ -3,7 +3,8 @@ The hypotheses of `noise_multiple_model`: factors on the noise, and slow errors 
 
 Most are a grid of factors on the noise of accelerometer, gyroscope and fixes. Beside it are those
 of a receiver that claims centimetres whatever solution it has: an R that is far too small, a slow
-error of positions, and both.
+error of positions, and both; and of a driver that stamps fixes when they arrive, which is late by a
+time that varies.
 """
 
 from __future__ import annotations
@@ -34,6 +35,10 @@ SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
 UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
 SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
+STAMP_STDS = np.array([0.01, 0.03, 0.1])  # s, of the stamps of fixes
+STAMP_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
+STAMP_COST = 3.5  # nats of evidence that stamps scatter
+
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
@@ -43,10 +48,15 @@ _BESIDE_SLOW = np.zeros((3, SLOW_STDS.size * SLOW_DECADES.size))
 _BESIDE_SLOW[0] = np.tile(SLOW_DECADES, SLOW_STDS.size)
 _SLOW_AND_WHITE = np.zeros((3, SLOW_WHITE_STDS.size * SLOW_WHITE_DECADES.size))
 _SLOW_AND_WHITE[2] = np.tile(SLOW_WHITE_DECADES, SLOW_WHITE_STDS.size)
-_DECADES = np.hstack((_GRID, _POOREST, _BESIDE_SLOW, _SLOW_AND_WHITE))
+_BESIDE_STAMPS = np.zeros((3, STAMP_STDS.size * STAMP_DECADES.size))
+_BESIDE_STAMPS[0] = np.tile(STAMP_DECADES, STAMP_STDS.size)
+_DECADES = np.hstack((_GRID, _POOREST, _BESIDE_STAMPS, _BESIDE_SLOW, _SLOW_AND_WHITE))
+_STAMP_STD = np.zeros(_DECADES.shape[1])
+_FIRST = _GRID.shape[1] + _POOREST.shape[1]
+_STAMP_STD[_FIRST:][: _BESIDE_STAMPS.shape[1]] = np.repeat(STAMP_STDS, STAMP_DECADES.size)
 _SLOW_STD = np.concatenate(
     (
-        np.zeros(_GRID.shape[1] + _POOREST.shape[1]),
+        np.zeros(_FIRST + _BESIDE_STAMPS.shape[1]),
         np.repeat(SLOW_STDS, SLOW_DECADES.size),
         np.repeat(SLOW_WHITE_STDS, SLOW_WHITE_DECADES.size),
     )
@@ -60,14 +70,14 @@ _LOG_PRIOR = -sum(
         )
         for grid, cost in zip(_DECADES, DECADE_COST, strict=True)
     ),
-    SLOW_COST * (_SLOW_STD > 0.0),
+    SLOW_COST * (_SLOW_STD > 0.0) + STAMP_COST * (_STAMP_STD > 0.0),
 )
 COUNT = len(_LOG_PRIOR)
 
 # What a hypothesis assumes, one per column.
 ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
 LOG_FACTORS = slice(6, 9)  # decades
-SLOW_STD, LOG_PRIOR = 9, 10
+SLOW_STD, LOG_PRIOR, STAMP_STD = 9, 10, 11  # m; s
 HYPOTHESES = np.vstack(
     (
         10.0**_DECADES,
@@ -75,6 +85,7 @@ HYPOTHESES = np.vstack(
         _DECADES,
         _SLOW_STD,
         _LOG_PRIOR,
+        _STAMP_STD,
     )
 )
 

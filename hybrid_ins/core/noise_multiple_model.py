@@ -14,7 +14,8 @@ above the frequencies of motion need not extend down to those that integrate int
 A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
 from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
 hypotheses have one of decimetres to metres, as a random walk of position. `noise_weights` weighs
-them.
+them. A driver that stamps fixes when they arrive makes errors along the velocity, and no others:
+some hypotheses have stamps that scatter.
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
@@ -47,6 +48,7 @@ from hybrid_ins.core.noise_hypotheses import (
     LOG_PRIOR,
     ON_NOISE,
     SLOW_WALK,
+    STAMP_STD,
 )
 from hybrid_ins.core.noise_multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.noise_weights import (
@@ -76,14 +78,14 @@ for _level in _R_LEVELS:
 WIDTH = COUNT + -COUNT % 16
 WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
-_HYPOTHESES_OF_IMU[2] = 1.0
+_HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 5)  # in force, see `noise_weights.average`
-LOWEST = slice(5, 8)  # of those on the noise since the running state was last corrected
-CLAIMED_STD = 8  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(9, 12), slice(12, 21)  # n, and C_nb, after the last correction
-PENDING_G = slice(21, 21 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+FACTORS = slice(0, 7)  # in force, see `noise_weights.average`
+LOWEST = slice(7, 10)  # of those on the noise since the running state was last corrected
+CLAIMED_STD = 10  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(11, 14), slice(14, 23)  # n, and C_nb, after the last correction
+PENDING_G = slice(23, 23 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
@@ -120,6 +122,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         none.
     slow_probability : float
         Of there being one.
+    stamp_std : float
+        Standard deviation of the stamps of positions [s]; 0: the innovations show none.
+    stamp_probability : float
+        Of their scattering.
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
 
@@ -132,7 +138,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def __init__(self) -> None:
         self.imu_factors = (1.0, 1.0)
         self.fix_factor = 1.0
-        self.slow_std = self.slow_probability = 0.0
+        self.slow_std = self.slow_probability = self.stamp_std = self.stamp_probability = 0.0
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -258,7 +264,8 @@ class NoiseMultipleModelBank(ShallowCopy):
     def _read_factors(self) -> None:
         found = self._values[FACTORS].tolist()
         self.imu_factors = found[0], found[1]
-        self.fix_factor, self.slow_std, self.slow_probability = found[2:]
+        self.fix_factor, self.slow_std, self.slow_probability = found[2:5]
+        self.stamp_std, self.stamp_probability = found[5:]
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
@@ -285,7 +292,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (11, WIDTH)
+    hypotheses : ndarray, shape (12, WIDTH)
         `HYPOTHESES`, the last one repeated.
     before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.
@@ -313,7 +320,14 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     for a in range(m):
         for b in range(m):
             R[a, b] = S[a, b] - R[a, b]
-    if H[0, 0] != 0.0:  # a position
+    moved = np.zeros(m)
+    if teaches and H[0, 0] != 0.0:  # a position
+        stamp_variance = values[FACTORS][5] ** 2
+        for a in range(m):
+            moved[a] = nav[VELOCITY][a]
+        for a in range(m):
+            for b in range(m):
+                R[a, b] -= stamp_variance * moved[a] * moved[b]
         values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
     log_likelihood = np.zeros(before.shape[1])
     factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
@@ -327,9 +341,11 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         psd,
         factors,
         walk,
+        hypotheses[STAMP_STD],
         z_x,
         H_x,
         R / fix_factor,
+        moved,
         x,
         TAIL_DOF,
         log_likelihood,

@@ -58,7 +58,23 @@ def mean_system(nav, velocity_n, C_nb, T):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def advance(  # type: ignore[no-untyped-def]
-    estimates, after, G, F, T, C, psd, factors, walk, z, H, R, dx, tail_dof, log_likelihood
+    estimates,
+    after,
+    G,
+    F,
+    T,
+    C,
+    psd,
+    factors,
+    walk,
+    stamp_std,
+    z,
+    H,
+    R,
+    moved,
+    dx,
+    tail_dof,
+    log_likelihood,
 ):
     """
     Predict and update every hypothesis.
@@ -79,8 +95,13 @@ def advance(  # type: ignore[no-untyped-def]
     factors, walk : ndarray, shape (3, n)
         On the accelerometer's noise, the gyroscope's, and R; density of a random walk of
         position [m²/s].
+    stamp_std : ndarray, shape (n,)
+        Standard deviation of the fix's stamp [s].
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
-        The running filter's innovation, measurement matrix, covariance at factor 1.
+        The running filter's innovation, measurement matrix, covariance at factor 1 with a stamp
+        that is exact.
+    moved : ndarray, shape (m,)
+        By how much a later stamp changes what is measured, per second.
     dx : ndarray, shape (15,)
         By which the running filter was corrected.
     tail_dof : float
@@ -96,7 +117,8 @@ def advance(  # type: ignore[no-untyped-def]
     PHt, own = np.zeros((padded * N_ERROR, count)), np.empty((m, count))
     HPHt, S, white = np.empty((m * m, count)), np.empty((m, m, count)), np.zeros((padded, count))
     _innovations(after, z, H, PHt, HPHt, own)
-    r_factor, nis, root_det = np.empty(count), np.empty(count), np.empty(count)
+    r_factor, outlying = np.empty(count), np.ones(count)
+    nis, root_det = np.empty(count), np.empty(count)
     for h in range(count):
         r_factor[h] = factors[2, h]
     for repeat in range(2):
@@ -107,6 +129,9 @@ def advance(  # type: ignore[no-untyped-def]
                 place, r = m * a + b, R[a, b]
                 for h in range(count):
                     S[a, b, h] = HPHt[place, h] + r_factor[h] * r
+                if moved[a] * moved[b] != 0.0:
+                    for h in range(count):
+                        S[a, b, h] += outlying[h] * stamp_std[h] ** 2 * (moved[a] * moved[b])
         _whiten(S, white, nis, root_det)
         if repeat == 0:
             outliers = False
@@ -114,7 +139,8 @@ def advance(  # type: ignore[no-untyped-def]
                 tail = np.log1p(nis[h] / (tail_dof - 1.3))
                 log_likelihood[h] -= np.log(root_det[h]) + 0.5 * (tail_dof + m) * tail
                 if nis[h] > m:  # An outlier is weighted down, by each hypothesis for itself.
-                    r_factor[h] *= (tail_dof + nis[h]) / (tail_dof + m)
+                    outlying[h] = (tail_dof + nis[h]) / (tail_dof + m)
+                    r_factor[h] *= outlying[h]
                     outliers = True
             if not outliers:
                 break

@@ -24,11 +24,12 @@ from hybrid_ins.core.noise_hypotheses import (
     LOG_FACTORS,
     LOG_PRIOR,
     SLOW_STD,
+    STAMP_STD,
     smallest_slow_std,
 )
 
 DEAD_BAND = 0.1  # decades that count as none
-IMPROBABLE = 0.1  # probability of a slow error that counts as none
+IMPROBABLE = 0.1  # probability of a slow error, or of stamps that scatter, that counts as none
 MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
 SLOW_MEMORY = 200.0  # s over which that of a family is
 UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
@@ -106,10 +107,12 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """
     Set the factors to the mixture's mean; return whether one has risen much.
 
-    ``factors``, shape (5,): on accelerometer, gyroscope and R; the standard deviation [m] of a slow
-    error, by the mixture's second moment, 0 where it is improbable; and its probability.
+    ``factors``, shape (7,): on accelerometer, gyroscope and R; the standard deviation [m] of a slow
+    error, by the mixture's second moment, 0 where it is improbable, and its probability; and the
+    standard deviation of the stamps of fixes [s], likewise.
     """
-    risen, probable, variance = 0.0, 0.0, 0.0
+    risen, slow_variance, stamp_variance = 0.0, 0.0, 0.0
+    slow_probability, stamp_probability = 0.0, 0.0
     for i in range(3):
         decades = 0.0
         for h in range(COUNT):
@@ -121,8 +124,13 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
         lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
     for h in range(COUNT):
         if HYPOTHESES[SLOW_STD, h] > 0.0:
-            probable += weights[h]
-            variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
-    factors[3] = np.sqrt(variance) if probable > IMPROBABLE else 0.0
-    factors[4] = probable
+            slow_probability += weights[h]
+            slow_variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
+        if HYPOTHESES[STAMP_STD, h] > 0.0:
+            stamp_probability += weights[h]
+            stamp_variance += HYPOTHESES[STAMP_STD, h] ** 2 * weights[h]
+    factors[3] = np.sqrt(slow_variance) if slow_probability > IMPROBABLE else 0.0
+    factors[4] = slow_probability
+    factors[5] = np.sqrt(stamp_variance) if stamp_probability > IMPROBABLE else 0.0
+    factors[6] = stamp_probability
     return risen >= CORRECTION_RATIO

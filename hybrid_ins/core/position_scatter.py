@@ -177,13 +177,14 @@ def _least_slow(claimed: Array) -> float:
 
 
 @kernel()
-def residual_variance(packed, z, H, claimed, factor):  # type: ignore[no-untyped-def]
+def residual_variance(packed, z, H, claimed, factor, others):  # type: ignore[no-untyped-def]
     """
     Return the variance that a fix shows after its update, relative to the claimed one.
 
-    With R = ``factor`` ``claimed``, y = S^-1 z and the residual e = R y, it is the mean over the
-    components of claimed^-1 (e e' + H P H'), where H P H' = R - R S^-1 R after the update; eq. (25)
-    of [2]_ in terms of the innovation.
+    It is the mean over the components of claimed^-1 E[w w' | z] of the white error w: with
+    R = ``factor`` ``claimed`` that has the mean R S^-1 z and the covariance R - R S^-1 R. Where
+    nothing else is wrong with the fix these are the residual and H P H' after the update, eq. (25)
+    of [2]_.
 
     Parameters
     ----------
@@ -193,9 +194,11 @@ def residual_variance(packed, z, H, claimed, factor):  # type: ignore[no-untyped
         Innovation, measurement matrix, claimed covariance.
     factor : float
         With which that is fused.
+    others : ndarray, shape (m, m)
+        Covariance of the fix's other errors.
     """
     m = len(z)
-    root, _ = innovation_covariance(packed, H, factor * claimed)
+    root, _ = innovation_covariance(packed, H, factor * claimed + others)
     factorise(root)
     y, square, trace = z.copy(), 0.0, 0.0
     solve(root, y)

@@ -188,6 +188,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "mode": mode,
             **factors,
             **({"slow_error_of_fixes": running.noise.unclaimed_std} if running else {}),
+            **({"stamp_scatter_of_fixes": running.noise.stamp_std} if running else {}),
             **({} if running is None else _scale_errors(running.scale_errors)),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
@@ -219,6 +220,12 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
         found["fixes scatter by more than they claim"] = (
             "fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
+        )
+    if running.noise.stamps_scatter:
+        found["stamps of fixes scatter"] = (
+            f"the stamps of fixes scatter by about {running.noise.stamp_std:.2g} s, and count for "
+            "so much less along the motion: let the driver stamp them with the time of validity, "
+            "not that of their arrival"
         )
     if running.nav[JUMP_VARIANCE].any():
         jumps = running.noise.jumps

@@ -9,7 +9,7 @@ import pytest
 from hybrid_ins.core.iterated_update import linearisation
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.noise_hypotheses import COUNT, HYPOTHESES, ON_NOISE, SLOW_WALK
+from hybrid_ins.core.noise_hypotheses import COUNT, HYPOTHESES, ON_NOISE, SLOW_WALK, STAMP_STD
 from hybrid_ins.core.noise_multiple_model import (
     LOG_LIKELIHOOD,
     OF_FAMILY,
@@ -94,6 +94,7 @@ class Readable:
 
     def __init__(self, hypothesis: Array, nav: Array) -> None:
         self.factors, self.walk = hypothesis[ON_NOISE], hypothesis[SLOW_WALK]
+        self.stamp_variance = hypothesis[STAMP_STD] ** 2
         self.P, self.offset = covariance(nav), np.zeros(N_ERROR)
 
     def predict(self, F: Array, C: Array, T: float) -> None:
@@ -108,17 +109,18 @@ class Readable:
         self.P = A @ P @ A.T + T / 6.0 * (D + 4.0 * half @ D @ half.T + A @ D @ A.T)
         self.offset = A @ self.offset
 
-    def correct(self, z: Array, H: Array, R: Array, dx: Array, G: Array) -> float:
+    def correct(self, z: Array, H: Array, R: Array, moved: Array, dx: Array, G: Array) -> float:
         m, weight = len(z), 1.0
         own = z - H @ self.offset
-        S = H @ self.P @ H.T + self.factors[2] * R
+        R = self.factors[2] * R + self.stamp_variance * np.outer(moved, moved)
+        S = H @ self.P @ H.T + R
         nis = own @ np.linalg.solve(S, own)
         log_det = np.linalg.slogdet(S)[1]
         tail = np.log1p(nis / (TAIL_DOF - 1.3))
         log_likelihood = -0.5 * log_det - 0.5 * (TAIL_DOF + m) * tail
         if nis > m:
             weight = (TAIL_DOF + nis) / (TAIL_DOF + m)
-            S = H @ self.P @ H.T + weight * self.factors[2] * R
+            S = H @ self.P @ H.T + weight * R
         K = self.P @ H.T @ np.linalg.inv(S)
         self.P = G @ (self.P - K @ S @ K.T) @ G.T
         self.offset = G @ (self.offset - dx + K @ own)
@@ -136,19 +138,21 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
     for k in range(1, 9):
         nav = flat_state(rng, tilt_std)
         correction = correction_of(rng, nav, k)
-        fix_factor = bank.fix_factor
+        fix_factor, stamp_variance = bank.fix_factor, bank.stamp_std**2
         moved = bank.update(correction, PSD)
 
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
+        by_stamp = nav[VELOCITY] if correction.H[0, 0] != 0.0 else np.zeros(3)
+        R -= stamp_variance * np.outer(by_stamp, by_stamp)
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
         z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
         log_likelihood *= np.exp(-T / MEMORY)
         for h, one in enumerate(readable):
             one.predict(F, C, T)
-            log_likelihood[h] += one.correct(z, H, R / fix_factor, dx, G)
+            log_likelihood[h] += one.correct(z, H, R / fix_factor, by_stamp, dx, G)
         for f in range(FAMILIES):
             log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
         log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)

@@ -4,9 +4,9 @@ import copy
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from hybrid_ins.core import iterated_update
-from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.position_scatter import (
     MARGIN,
     PositionScatter,
@@ -50,7 +50,7 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         pack(P, nav[COVARIANCE])
         offset += rng.normal(0.0, walk, 3)
         z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
-        residual = residual_variance(nav[COVARIANCE], z, H, R, share)
+        residual = residual_variance(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
         dx, _ = iterated_update.update(nav, z, H, share * R)
         offset -= dx[DP]
         found.learn(residual, 3, k * SECOND // 5)
@@ -121,19 +121,21 @@ def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     assert split.excess == 1.0
 
 
-def test_residual_variance_is_that_of_the_dense_update() -> None:
+def test_residual_variance_is_that_of_the_white_error_given_the_fix() -> None:
     rng = np.random.default_rng(5)
-    root, other = rng.normal(size=(2, 3, 3))
-    nav, claimed = standing(root @ root.T), other @ other.T + np.eye(3)
+    root, other, third = rng.normal(size=(3, 3, 3))
+    nav, claimed, others = standing(root @ root.T), other @ other.T + np.eye(3), third @ third.T
     z, factor = rng.normal(size=3), 0.3
-    P, R = covariance(nav), factor * claimed
-    S, _ = innovation(nav, z, H, R)
-    K = P @ H.T @ np.linalg.inv(S)
-    e, after = z - H @ K @ z, H @ (P - K @ H @ P) @ H.T
+    joint = block_diag(covariance(nav), factor * claimed, others)
+    of_all = np.hstack((H, np.eye(3), np.eye(3)))
+    gain = joint @ of_all.T @ np.linalg.inv(of_all @ joint @ of_all.T)
+    white, after = (gain @ z)[N_ERROR:-3], joint - gain @ of_all @ joint
+    second_moment = np.outer(white, white) + after[N_ERROR:-3, N_ERROR:-3]
 
-    expected = np.trace(np.linalg.inv(claimed) @ (np.outer(e, e) + after)) / 3.0
+    expected = np.trace(np.linalg.solve(claimed, second_moment)) / 3.0
 
-    assert residual_variance(nav[COVARIANCE], z, H, claimed, factor) == pytest.approx(expected)
+    found = residual_variance(nav[COVARIANCE], z, H, claimed, factor, others)
+    assert found == pytest.approx(expected)
 
 
 def test_the_slow_error_is_reported_and_walks() -> None:
