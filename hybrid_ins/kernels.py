@@ -198,6 +198,7 @@ def _compile_output() -> None:
         np.ones(12),
         H,
         turn,
+        turn,
         np.zeros(N_ERROR),
         z,
         H,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid_ins.core.clock_offset import age_mean_square, observe
+from hybrid_ins.core.clock_offset import age_mean_square, observe, share_of_motion
 from hybrid_ins.core.clock_sensitivity import (
     correct_sensitivities,
     noise_information,
@@ -23,6 +23,7 @@ from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
 from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
+from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
     COVARIANCE,
@@ -48,7 +49,8 @@ LINEAR_Z = slice(K_MATRIX.stop, K_MATRIX.stop + 3)
 LINEAR_H = slice(LINEAR_Z.stop, LINEAR_Z.stop + 3 * N_ERROR)
 LINEAR_X = slice(LINEAR_H.stop, LINEAR_H.stop + N_ERROR)
 LINEAR_G = slice(LINEAR_X.stop, LINEAR_X.stop + N_ERROR * N_ERROR)
-N_RESULT = LINEAR_G.stop
+OF_STAMP = slice(LINEAR_G.stop, LINEAR_G.stop + 9)
+N_RESULT = OF_STAMP.stop
 
 
 @kernel()
@@ -100,8 +102,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     result : ndarray, shape (N_RESULT,)
         Written: NIS and log det of the innovation, and the standard deviations used for the fix,
         all with the variance of the clock offset considered; the fix's weight; the
-        `residual_variance`; innovation, correction, C_nb after it, S, H and gain; and the
-        `iterated_update.linearisation`.
+        `residual_variance`; innovation, correction, C_nb after it, S, H and gain; the
+        `iterated_update.linearisation`; and the `stamp_covariance` of a position.
 
     Returns
     -------
@@ -129,11 +131,14 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval)
     h, change = sensitivities(nav, H)
-    v, of_stamp = nav[VELOCITY], np.empty((m, m))
+    of_stamp = np.zeros((m, m))
+    if is_position:
+        of_stamp = stamp_covariance(nav[VELOCITY], share_of_motion(clock), m)
     age = age_mean_square(clock) if variance > 0.0 and not is_position else 0.0
     for a in range(m):
         for b in range(m):
-            of_stamp[a, b] = stamp_variance * v[a] * v[b]
+            result[OF_STAMP][m * a + b] = of_stamp[a, b]
+            of_stamp[a, b] *= stamp_variance
             R[a, b] += age * change[a] * change[b] + of_stamp[a, b]
     S, _ = innovation_covariance(packed, H, R)
     root = np.empty((m, m))

@@ -34,6 +34,8 @@ TAIL_DOF = 6.0  # degrees of freedom of the t distribution, [2]_
 TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outliers
 ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
 MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
+ORDINARY_ACCELERATION_ERROR = 2.0  # m/s², of an INS that agreed with the fixes
+CERTAIN = 200.0  # NIS that no error of such an INS makes
 SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
 UNREMARKABLE = 1.5  # a scale that is forgotten
 UNCONFIRMED = "innovation beyond the gate after a pause: waits for a fix that agrees"
@@ -69,8 +71,10 @@ class Verdict:
         It is rejected, in a run of rejections that began with a jump: no error of an INS grows
         that fast.
     receiver_jumped : bool
-        The covariance was inflated for a jump that the receiver made: the state agreed with the
-        fixes until then, no error of an INS grows that fast, and the fixes stayed there.
+        The receiver's positions have jumped: the state agreed with them until then, no error of an
+        INS grows that fast, and they stayed there. Either the covariance was inflated for that, or
+        it is the second large innovation, and no larger than the first: an error of an INS that
+        made that would have grown by now.
     disagrees : bool
         A jump that does not show the same error as the one before: evidence on the fixes.
     weight : float
@@ -104,6 +108,8 @@ class _Rejections:
     first_ns: int
     consistent_ns: int  # since when they are consistent with each other
     z: Array  # innovation of the last
+    count: int
+    certain: bool  # none had a NIS below `CERTAIN`
     jump: bool  # the first was one, or one after it
     began_with_jump: bool
 
@@ -240,12 +246,23 @@ class Gate(ShallowCopy):
             scale = 1.0 if of_state else self._scales.get(kind, 1.0)
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             began = jump if last is None else last.began_with_jump
-            run = _Rejections(first_ns, consistent_ns, z, jump, began)
+            certain = nis > CERTAIN and (last is None or last.certain)
+            count = 1 if last is None else last.count + 1
+            run = _Rejections(first_ns, consistent_ns, z, count, certain, jump, began)
             self._rejections = {**others, kind: run}
             if is_gnss and not jump:
                 if is_pause and not of_state:
                     return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
-                return replace(plain, reason="large innovation")
+                jumped = (
+                    kind == "position"
+                    and last is not None
+                    and certain
+                    and count == 2
+                    and not self._scales
+                    and confirmed_ns >= self._patience_ns
+                    and _has_jumped(last.z, z, R, interval)
+                )
+                return replace(plain, reason="large innovation", receiver_jumped=jumped)
             return replace(
                 plain,
                 accepted=False,
@@ -273,6 +290,15 @@ def weight(nis: float, m: int) -> float:
     It is 1 for 95 % of ordinary measurements, so that their fusion stays optimal.
     """
     return float(min(1.0, (TAIL_DOF + ORDINARY[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT)
+
+
+def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
+    """Return whether two innovations of positions are alike, and larger than those of an INS."""
+    m, tolerance = min(len(first), len(second)), 4.0 * float(np.sqrt(np.trace(R)))
+    size = float(np.linalg.norm(first[:m]))
+    change = float(np.linalg.norm(second[:m] - first[:m]))
+    grown = 0.5 * ORDINARY_ACCELERATION_ERROR * interval**2
+    return size > grown + tolerance and change <= max(0.2 * size, tolerance)
 
 
 def _is_jump(kind: str, z: Array, R: Array, interval: float) -> bool:

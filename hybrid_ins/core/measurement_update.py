@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import iterated_update
-from hybrid_ins.core.clock_offset import ClockOffsetObserver, age_mean_square
+from hybrid_ins.core.clock_offset import ClockOffsetObserver, age_mean_square, share_of_motion
 from hybrid_ins.core.clock_sensitivity import (
     correct_sensitivities,
     initial_sensitivity,
@@ -41,6 +41,7 @@ from hybrid_ins.core.fix_update import (
     LINEAR_X,
     LINEAR_Z,
     N_RESULT,
+    OF_STAMP,
     S_MATRIX,
     SIGMA,
     fuse_ordinary_fix,
@@ -61,6 +62,7 @@ from hybrid_ins.core.position_scatter import (
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.scale_errors import ScaleErrorObserver
+from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
@@ -267,17 +269,20 @@ class MeasurementUpdate:
 
         ``split`` is that of a position's covariance.
         """
-        model, found = measurement.linearise(nav), None
+        model, found, of_stamp = measurement.linearise(nav), None, None
         if split is not None:
-            model, found = _split_position(nav, model, split, self.scatter, self.noise)
+            of_stamp = stamp_covariance(
+                nav[VELOCITY], share_of_motion(self.clock.values), len(model[0])
+            )
+            model, found = _split_position(nav, model, split, self.scatter, self.noise, of_stamp)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         of_age = np.zeros_like(R)
         if measurement.sensor == GNSS:
             R = R * self.noise.fix_factor
-            if split is not None:
-                R = R + _of_stamp(nav, len(z), self.noise)
+            if of_stamp is not None:
+                R = R + self.noise.stamp_std**2 * of_stamp
             h, change = sensitivities(nav, H)
             if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
                 of_age = age_mean_square(self.clock.values) * np.outer(change, change)
@@ -314,6 +319,7 @@ class MeasurementUpdate:
             verdict.accepted,
             weight=verdict.weight,
             linear=linear,
+            of_stamp=of_stamp,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:
@@ -352,7 +358,12 @@ class MeasurementUpdate:
 
 
 def _split_position(
-    nav: Array, model: Model, split: Split, scatter: PositionScatter, noise: FilterNoise
+    nav: Array,
+    model: Model,
+    split: Split,
+    scatter: PositionScatter,
+    noise: FilterNoise,
+    of_stamp: Array,
 ) -> tuple[Model, float | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
@@ -360,15 +371,9 @@ def _split_position(
     white = split.share * claimed
     if not scatter.learning:
         return (z, H, white), None
-    others = _of_stamp(nav, len(z), noise)
+    others = noise.stamp_std**2 * of_stamp
     found = residual_variance(nav[COVARIANCE], z, H, white, noise.fix_factor, others)
     return (z, H, white), split.share * found
-
-
-def _of_stamp(nav: Array, m: int, noise: FilterNoise) -> Array:
-    """Return the covariance that the stamp adds to that of a position, (m, m)."""
-    v = nav[VELOCITY][:m]
-    return np.asarray(noise.stamp_std**2 * np.outer(v, v))
 
 
 def _correction(
@@ -394,4 +399,5 @@ def _correction(
             result[LINEAR_X],
             result[LINEAR_G].reshape(N_ERROR, N_ERROR),
         ),
+        of_stamp=result[OF_STAMP][: m * m].reshape(m, m),
     )

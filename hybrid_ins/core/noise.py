@@ -66,6 +66,8 @@ class Correction:
         With which it was fused: its covariance was divided by that.
     linear : tuple of ndarray, optional
         Where the correction was found by iteration, `iterated_update.linearisation`.
+    of_stamp : ndarray, shape (m, m), optional
+        `stamp_scatter.stamp_covariance` of a position.
     """
 
     t_ns: int
@@ -81,6 +83,7 @@ class Correction:
     restarted: bool = False
     weight: float = 1.0
     linear: tuple[Array, Array, Array, Array] | None = None
+    of_stamp: Array | None = None
 
 
 class NoiseModel(Protocol):

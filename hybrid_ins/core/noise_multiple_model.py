@@ -82,10 +82,10 @@ _HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
 FACTORS = slice(0, 7)  # in force, see `noise_weights.average`
-LOWEST = slice(7, 10)  # of those on the noise since the running state was last corrected
-CLAIMED_STD = 10  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(11, 14), slice(14, 23)  # n, and C_nb, after the last correction
-PENDING_G = slice(23, 23 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+LOWEST = slice(7, 11)  # of those that move the state, since it was last corrected
+CLAIMED_STD = 11  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(12, 15), slice(15, 24)  # n, and C_nb, after the last correction
+PENDING_G = slice(24, 24 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
@@ -93,7 +93,7 @@ _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS][:3] = 1.0
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
-_IDENTITY = np.eye(N_ERROR)
+_IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
 _START[PENDING_G] = _IDENTITY.ravel()
 
 
@@ -237,7 +237,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
-        before, T = self.estimates, self._time_to(correction)
+        before, T, m = self.estimates, self._time_to(correction), len(correction.z)
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
             T, before = 0.0, np.zeros((N_ROWS, WIDTH))
@@ -255,6 +255,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             psd,
             correction.H,
             correction.S,
+            _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
@@ -285,7 +286,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
 @kernel(fastmath={"contract"})
 def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses, before, after, values, T, nav, psd, H, S, dx, z_x, H_x, x, G_x, teaches
+    hypotheses, before, after, values, T, nav, psd, H, S, of_stamp, dx, z_x, H_x, x, G_x, teaches
 ):
     """
     Propagate and correct the hypotheses, and weigh them.
@@ -300,7 +301,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, dx : ndarray
+    nav, psd, H, S, of_stamp, dx : ndarray
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
@@ -319,15 +320,8 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     R, _ = innovation_covariance(nav[COVARIANCE], H, np.zeros((m, m)))
     for a in range(m):
         for b in range(m):
-            R[a, b] = S[a, b] - R[a, b]
-    moved = np.zeros(m)
-    if teaches and H[0, 0] != 0.0:  # a position
-        stamp_variance = values[FACTORS][5] ** 2
-        for a in range(m):
-            moved[a] = nav[VELOCITY][a]
-        for a in range(m):
-            for b in range(m):
-                R[a, b] -= stamp_variance * moved[a] * moved[b]
+            R[a, b] = S[a, b] - R[a, b] - values[FACTORS][5] ** 2 * of_stamp[a, b]
+    if H[0, 0] != 0.0:  # a position
         values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
     log_likelihood = np.zeros(before.shape[1])
     factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
@@ -345,7 +339,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         z_x,
         H_x,
         R / fix_factor,
-        moved,
+        of_stamp,
         x,
         TAIL_DOF,
         log_likelihood,

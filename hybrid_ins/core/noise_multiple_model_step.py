@@ -71,7 +71,7 @@ def advance(  # type: ignore[no-untyped-def]
     z,
     H,
     R,
-    moved,
+    of_stamp,
     dx,
     tail_dof,
     log_likelihood,
@@ -100,8 +100,8 @@ def advance(  # type: ignore[no-untyped-def]
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
         The running filter's innovation, measurement matrix, covariance at factor 1 with a stamp
         that is exact.
-    moved : ndarray, shape (m,)
-        By how much a later stamp changes what is measured, per second.
+    of_stamp : ndarray, shape (m, m)
+        `stamp_scatter.stamp_covariance`.
     dx : ndarray, shape (15,)
         By which the running filter was corrected.
     tail_dof : float
@@ -129,9 +129,9 @@ def advance(  # type: ignore[no-untyped-def]
                 place, r = m * a + b, R[a, b]
                 for h in range(count):
                     S[a, b, h] = HPHt[place, h] + r_factor[h] * r
-                if moved[a] * moved[b] != 0.0:
+                if of_stamp[a, b] != 0.0:
                     for h in range(count):
-                        S[a, b, h] += outlying[h] * stamp_std[h] ** 2 * (moved[a] * moved[b])
+                        S[a, b, h] += outlying[h] * stamp_std[h] ** 2 * of_stamp[a, b]
         _whiten(S, white, nis, root_det)
         if repeat == 0:
             outliers = False

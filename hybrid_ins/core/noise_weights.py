@@ -36,6 +36,7 @@ UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be t
 UNLIKELIEST_FAMILY = -10.0  # of a family: a slow error may begin and end
 AT_START = -7.0  # of families with a slow error: clock and heading may look like one at first
 ANY_CLAIM = 1e-6  # m: of positions beside which any slow error would be found
+EXACT_STAMP = 0.005  # s, of stamps: by less they do hardly any harm
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 
 FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
@@ -111,7 +112,7 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     error, by the mixture's second moment, 0 where it is improbable, and its probability; and the
     standard deviation of the stamps of fixes [s], likewise.
     """
-    risen, slow_variance, stamp_variance = 0.0, 0.0, 0.0
+    in_question, slow_variance, stamp_variance = np.empty(4), 0.0, 0.0
     slow_probability, stamp_probability = 0.0, 0.0
     for i in range(3):
         decades = 0.0
@@ -119,9 +120,7 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
             decades += HYPOTHESES[LOG_FACTORS.start + i, h] * weights[h]
         beyond = max(0.0, abs(decades) - DEAD_BAND)
         factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
-        risen = max(risen, factors[i] / lowest[i])
-    for i in range(3):
-        lowest[i] = factors[i] if risen >= CORRECTION_RATIO else min(lowest[i], factors[i])
+        in_question[i] = factors[i]
     for h in range(COUNT):
         if HYPOTHESES[SLOW_STD, h] > 0.0:
             slow_probability += weights[h]
@@ -133,4 +132,10 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     factors[4] = slow_probability
     factors[5] = np.sqrt(stamp_variance) if stamp_probability > IMPROBABLE else 0.0
     factors[6] = stamp_probability
-    return risen >= CORRECTION_RATIO
+    in_question[3] = 1.0 + (factors[5] / EXACT_STAMP) ** 2
+    risen = False
+    for i in range(4):
+        risen |= in_question[i] >= CORRECTION_RATIO * lowest[i]
+    for i in range(4):
+        lowest[i] = in_question[i] if risen else min(lowest[i], in_question[i])
+    return risen

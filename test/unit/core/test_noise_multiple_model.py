@@ -28,6 +28,7 @@ from hybrid_ins.core.noise_weights import (
     UNLIKELIEST_FAMILY,
 )
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
     COVARIANCE,
     DV,
@@ -85,7 +86,20 @@ def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
     linear = linearisation(nav[COVARIANCE], z, H, R / weight) if fused else None
     interval = 0.2
     return Correction(
-        k * SECOND // 5, z, S, H, K, dx, C_nb, interval, nav, fused, False, weight, linear
+        k * SECOND // 5,
+        z,
+        S,
+        H,
+        K,
+        dx,
+        C_nb,
+        interval,
+        nav,
+        fused,
+        False,
+        weight,
+        linear,
+        stamp_covariance(nav[VELOCITY], 0.7, 3) if H[0, 0] != 0.0 else np.zeros((3, 3)),
     )
 
 
@@ -109,10 +123,10 @@ class Readable:
         self.P = A @ P @ A.T + T / 6.0 * (D + 4.0 * half @ D @ half.T + A @ D @ A.T)
         self.offset = A @ self.offset
 
-    def correct(self, z: Array, H: Array, R: Array, moved: Array, dx: Array, G: Array) -> float:
+    def correct(self, z: Array, H: Array, R: Array, of_stamp: Array, dx: Array, G: Array) -> float:
         m, weight = len(z), 1.0
         own = z - H @ self.offset
-        R = self.factors[2] * R + self.stamp_variance * np.outer(moved, moved)
+        R = self.factors[2] * R + self.stamp_variance * of_stamp
         S = H @ self.P @ H.T + R
         nis = own @ np.linalg.solve(S, own)
         log_det = np.linalg.slogdet(S)[1]
@@ -144,15 +158,15 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
-        by_stamp = nav[VELOCITY] if correction.H[0, 0] != 0.0 else np.zeros(3)
-        R -= stamp_variance * np.outer(by_stamp, by_stamp)
+        of_stamp = correction.of_stamp
+        R -= stamp_variance * of_stamp
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
         z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
         log_likelihood *= np.exp(-T / MEMORY)
         for h, one in enumerate(readable):
             one.predict(F, C, T)
-            log_likelihood[h] += one.correct(z, H, R / fix_factor, by_stamp, dx, G)
+            log_likelihood[h] += one.correct(z, H, R / fix_factor, of_stamp, dx, G)
         for f in range(FAMILIES):
             log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
         log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)
