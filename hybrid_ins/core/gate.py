@@ -109,7 +109,7 @@ class _Rejections:
     consistent_ns: int  # since when they are consistent with each other
     z: Array  # innovation of the last
     count: int
-    certain: bool  # none had a NIS below `CERTAIN`
+    certain: bool  # none had a NIS below `CERTAIN`, and the innovations before were ordinary
     jump: bool  # the first was one, or one after it
     began_with_jump: bool
 
@@ -246,7 +246,7 @@ class Gate(ShallowCopy):
             scale = 1.0 if of_state else self._scales.get(kind, 1.0)
             jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
             began = jump if last is None else last.began_with_jump
-            certain = nis > CERTAIN and (last is None or last.certain)
+            certain = nis > CERTAIN and (last.certain if last else kind not in self._scales)
             count = 1 if last is None else last.count + 1
             run = _Rejections(first_ns, consistent_ns, z, count, certain, jump, began)
             self._rejections = {**others, kind: run}
@@ -258,7 +258,6 @@ class Gate(ShallowCopy):
                     and last is not None
                     and certain
                     and count == 2
-                    and not self._scales
                     and confirmed_ns >= self._patience_ns
                     and _has_jumped(last.z, z, R, interval)
                 )
