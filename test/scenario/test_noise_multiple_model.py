@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from support.runs import Q, fly, moved
 
+from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
+from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw
 
+DRIVE = Scenario("drive", car_drive, rate=100.0, scored_from=1.0)
 SCENE = Scenario("flight", rate=100.0, duration=50.0)
 
 
@@ -122,6 +125,24 @@ def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
     assert ins.noise.slow_is_probable == (slow_std > 0.0)
     assert (ins.noise.unclaimed_std > 0.4) == (slow_std > 0.0)
     assert (total_std(ins.nav)[0] > 0.5) == (slow_std > 0.0)
+
+
+@pytest.mark.parametrize("std", [0.03, 0.0])
+def test_stamps_that_scatter_are_found_and_leave_what_is_across_the_motion(std: float) -> None:
+    # GIVEN a car with fixes of 2 cm, which are stamped late by a time that varies, or are not
+    run, rng = draw(replace(DRIVE, duration=90.0), 2), np.random.default_rng(3)
+    claimed = 4e-4 * np.eye(3)
+    late = np.round(1e9 * std * rng.standard_normal(len(run.fixes))).astype(int)
+    fixes = []
+    for t_ns, lla, by in zip(run.samples["t_ns"][run.scored], run.lla, late, strict=False):
+        lla = lla + 0.02 * rng.standard_normal(3) / curvature_scale(lla)
+        fixes.append(PositionFix(int(t_ns + by), lla, claimed, np.zeros(3)))
+    # WHEN the filter runs
+    ins, factors = fly(replace(run, fixes=tuple(fixes)))
+    # THEN it knows that, and by how much, and R is not raised for it
+    assert ins.noise.stamps_scatter == (std > 0.0)
+    assert ins.noise.stamp_std == pytest.approx(std, abs=0.02)
+    assert np.median(factors[100:, 2]) < 1.5
 
 
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:

@@ -110,6 +110,31 @@ def test_a_reset_after_a_jump_of_fixes_that_agreed_before_is_the_receivers(gate:
     assert not reset(1.0, 50.0, 0.0).receiver_jumped
 
 
+@pytest.mark.parametrize(
+    ("before", "first", "second", "jumped"),
+    [
+        (0.01, 1.5, 1.55, True),
+        (0.01, 1.5, 3.0, False),  # as an error of an INS grows
+        (0.01, 0.9, 0.9, False),  # as one may be after a second
+        (0.4, 1.5, 1.55, False),  # the innovations were large before
+    ],
+)
+def test_two_large_innovations_that_are_alike_are_a_jump_of_the_receiver(
+    gate: Gate, before: float, first: float, second: float, jumped: bool
+) -> None:
+    def judge_precise(t: float, z: float) -> Verdict:
+        innovation, R = np.full(3, z), 0.01 * np.eye(3)
+        return gate.judge(fix(t), innovation, R, 2.0 * R, 150.0 * z**2, 0.0, 1.0)
+
+    for k in range(10):
+        judge_precise(float(k), 0.05 if k % 2 else before)
+
+    verdicts = [judge_precise(10.0 + k, z) for k, z in enumerate((first, second, second))]
+
+    assert [v.receiver_jumped for v in verdicts] == [False, jumped, False]
+    assert all(v.accepted and not v.inflated for v in verdicts)
+
+
 def test_shift_that_grows_is_agreement(gate: Gate) -> None:
     verdicts = [judge(gate, t, 10.0 + 10.0 * t) for t in np.arange(0.0, 4.0, 1.0)]
 
