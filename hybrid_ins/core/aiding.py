@@ -201,6 +201,7 @@ class VelocitySensor(AidingSensor):
     """
 
     name = "velocity"
+    error_time = 0.2  # what lasts for longer, the innovations show: `LastingErrors`
 
     def __init__(self, scale: float, scale_std: float, place_std: Array) -> None:
         super().__init__()

@@ -7,6 +7,10 @@ whose nose and point without slip are estimated along the way, and that of one w
 What is predicted before each observation counts, so that a nose fitted to one straight leg proves
 nothing.
 
+What of slip is proportional to the motion is no noise: tyres that slip out of turns move the point
+without slip, and the body pitches with the acceleration. Both are estimated; what is left of slip
+lasts for a fraction of a second.
+
 The constraint is proven with the nominal slip, and disproven with that which the motion shows, to a
 limit: a rough road is no ice, and a boat that hardly drifts is no car.
 
@@ -19,7 +23,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +37,10 @@ Array = NDArray[np.float64]
 
 MIN_SPEED = 2.0  # m/s, from which the velocity across the nose says anything
 FREE_ANGLE = 0.1  # rad: of the velocity against the nose, where a vehicle moves freely
-SLIP_TIME = 1.0  # s, correlation time of slip and bumps
+SLIP_TIME = 0.3  # s, correlation time of slip and bumps
+SQUAT_STD = 0.005  # rad per m/s², of the body's pitch by acceleration: cars have some 0.003
 STATE_TIME = 10.0  # s, of the errors of the filter's velocity and heading
-NOSE_TIME = 5.0  # s: an error of the nose is constant, but heading takes up most of it
+NOSE_TIME = 1.0  # s: an error of the nose is constant, but the state made it, and both cancel
 EVIDENCE_TIME = 2.0  # s for which motion shows the same
 MEMORY, RECENT = 120.0, 8.0  # s over which evidence is remembered
 MOST_EVIDENCE = 30.0  # nats
@@ -103,7 +108,9 @@ class ConstraintObserver:
     def __init__(self, settings: ConstraintSettings) -> None:
         self._settings = settings
         self.nose = settings.nose
-        self._P = np.diag([settings.nose_std, settings.nose_std, settings.point_std]) ** 2
+        self._P = (
+            np.diag([settings.nose_std, settings.nose_std, settings.point_std, SQUAT_STD]) ** 2
+        )
         self.evidence = self.recent = self.turned = 0.0
         self.slip = SlipEstimator(settings.std)
         self.holds = settings.assumed
@@ -111,7 +118,7 @@ class ConstraintObserver:
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of yaw [rad], pitch [rad] and place [m] of the nose, (3,)."""
+        """Standard deviations of the nose's yaw, pitch [rad], place [m] and squat, (4,)."""
         return np.asarray(np.sqrt(np.diag(self._P)))
 
     def observe(self, nav: Array, rate_b: Array, interval: float, *, fused: bool) -> None:
@@ -168,29 +175,34 @@ class ConstraintObserver:
         _, J, _, _ = self._innovation(nav, rate_b)
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
         R = R + inflated(slip, SLIP_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose, R)
+        return NonHolonomic(t_ns, rate_b, self.nose.squatting(nav), R)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
-        """Innovation (2,), its derivative by the nose (2, 3), the state's part of S, the speed."""
-        nose = self.nose
+        """Innovation (2,), its derivative by the nose (2, 4), the state's part of S, the speed."""
+        nose = self.nose.squatting(nav)
         velocity_b, by_error = point_velocity(nav, rate_b, nose.point_b)
         axes, forward = nose.axes, nose.forward
         speed = float(forward @ velocity_b)
-        J = np.zeros((2, 3))
+        J = np.zeros((2, 4))
         J[0, 0], J[1, 1] = -speed, speed
         J[:, 2] = axes @ cross(rate_b - nav[BIAS_G], forward)
+        J[1, 3] = -speed * self.nose.acceleration(nav)
         H = axes @ by_error
         return -axes @ velocity_b, J, H @ covariance(nav) @ H.T, speed
 
     def _learn(self, z: Array, J: Array, R: Array) -> None:
         """Correct the nose by an innovation."""
         K = np.linalg.solve(J @ self._P @ J.T + R, J @ self._P).T
-        A = np.eye(3) - K @ J
+        A = np.eye(len(self._P)) - K @ J
         self._P = A @ self._P @ A.T + K @ R @ K.T
-        yaw, pitch, along = K @ z
+        yaw, pitch, along, squat = K @ z
         nose = self.nose
-        point_b = nose.point_b + along * nose.forward
-        self.nose = replace(nose, yaw=nose.yaw + yaw, pitch=nose.pitch + pitch, point_b=point_b)
+        self.nose = Nose(
+            nose.yaw + yaw,
+            nose.pitch + pitch,
+            nose.point_b + along * nose.forward,
+            nose.squat + squat,
+        )
 
     def _decide(self) -> None:
         """Set ``holds``."""

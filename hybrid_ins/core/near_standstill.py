@@ -42,14 +42,15 @@ FEWEST = 16  # samples of it
 MOTION_BAND = (0.5, 5.0)  # Hz
 VIBRATION = 10.0  # Hz, from which on there is none of a vehicle's motion
 LEAKAGE = 0.03  # of vibration into the frequencies of motion
-CRAWL_STD = 0.3  # m/s, of the speed along the nose while the spectrum is that of a stand
+CRAWL = 0.3  # m/s, of the fastest crawl whose spectrum is that of a stand
+CRAWL_STD = CRAWL / math.sqrt(3.0)  # m/s: any speed up to that is as likely as another
 SMOOTHEST_NS = 1_500_000_000  # of the stand's spectrum: a smooth second of a drive is no stand
-MOVING = 2.0 * CRAWL_STD  # m/s, from which on `CRAWL_STD` would not be true
+MOVING = 2.0 * CRAWL  # m/s, from which on `CRAWL_STD` would not be true
 MEMORY = 300.0  # s over which windows of motion are remembered
 FEWEST_MOVING = 100.0  # of them
 MOST_ALIKE = 0.02  # share of them that may look like a stand
 KNOWN_SPEED = 3.0  # m/s, σ: a filter that knows its speed no better finds zero plausible in a drive
-PLAUSIBLE_NIS = 6.6  # chi-square, 1 degree of freedom, 99 %
+PLAUSIBLE_NIS = 10.8  # chi-square, 1 degree of freedom, 99.9 %
 _SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 

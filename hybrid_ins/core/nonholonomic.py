@@ -3,7 +3,8 @@ The non-holonomic constraint: a vehicle on wheels moves along its nose.
 
 The point of the vehicle that does not slip, the centre of a car's rear axle, has no velocity
 across the nose and none up or down. That is a measurement of two components, true to the slip of
-the tyres and the travel of the springs.
+the tyres and the travel of the springs. Springs also let the body pitch up where the vehicle speeds
+up, and down where it brakes (squat and dive): in proportion to the acceleration, [3]_.
 
 References
 ----------
@@ -11,11 +12,12 @@ References
        2nd ed., section 15.4.1.
 .. [2] M. Brossard, A. Barrau, S. Bonnabel, "AI-IMU dead-reckoning", IEEE Transactions on
        Intelligent Vehicles 5, 2020.
+.. [3] T. Gillespie, *Fundamentals of Vehicle Dynamics*, 1992, section 7 (squat and dive).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -24,7 +26,17 @@ from numpy.typing import NDArray
 from hybrid_ins.core.earth import earth_rate_n
 from hybrid_ins.core.measurements import IMU
 from hybrid_ins.core.rotations import cross, matrix_from_quat, skew
-from hybrid_ins.core.state import B_G, BIAS_G, DV, EPS, LLA, N_ERROR, QUAT, VELOCITY
+from hybrid_ins.core.state import (
+    ACCELERATION,
+    B_G,
+    BIAS_G,
+    DV,
+    EPS,
+    LLA,
+    N_ERROR,
+    QUAT,
+    VELOCITY,
+)
 
 Array = NDArray[np.float64]
 
@@ -36,6 +48,7 @@ class Nose:
     yaw: float  # rad, of the nose about the down axis of b
     pitch: float  # rad, up
     point_b: Array  # (3,) m, that does not slip, relative to the IMU
+    squat: float = 0.0  # rad per m/s², by which the body pitches up where it speeds up
 
     @property
     def axes(self) -> Array:
@@ -54,6 +67,14 @@ class Nose:
         """Axis along the nose, (3,), b."""
         level = np.cos(self.pitch)
         return np.array([level * np.cos(self.yaw), level * np.sin(self.yaw), -np.sin(self.pitch)])
+
+    def acceleration(self, nav: Array) -> float:
+        """Acceleration along the nose [m/s²] in a flat state."""
+        return float(matrix_from_quat(nav[QUAT]) @ self.forward @ nav[ACCELERATION])
+
+    def squatting(self, nav: Array) -> Nose:
+        """Return the nose in a body that is pitched by the acceleration of a flat state."""
+        return replace(self, pitch=self.pitch - self.squat * self.acceleration(nav))
 
 
 @dataclass(frozen=True, slots=True)

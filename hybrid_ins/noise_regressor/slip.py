@@ -1,7 +1,7 @@
 """
 The covariance of the non-holonomic constraint, read from the last second of IMU samples.
 
-Vibration shows the road, and the road makes an axle heave; turns make its tyres slip. The reader
+Vibration shows the road, and the road makes an axle heave and wander. The reader
 checks the window, asks the model, bounds the answer and counts its refusals, as
 `hybrid_ins.noise_regressor.reader` does for the noise of the IMU. It is asked only where the
 constraint is fused.
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 CHANNELS = 6
 PARTS = 10  # of a window: a model wants a multiple of them
 LONGEST = 10.0  # s, of a window
-LOWEST, HIGHEST = 0.2, 10.0  # of the nominal standard deviations: bounds of an answer
+LOWEST, HIGHEST = 0.1, 10.0  # of the nominal standard deviations: bounds of an answer
 HOLD_NS = 2_000_000_000  # an answer is in force for, while no other comes
 
 

@@ -63,7 +63,7 @@ VEHICLE = (
         "vehicle.slip_model",
         "slip",
         "Network that reads that standard deviation from the last second of IMU samples in "
-        "outages, within 0.2 to 10 times vehicle.slip_std: slip, or the path of an .onnx file; "
+        "outages, within 0.1 to 10 times vehicle.slip_std: slip, or the path of an .onnx file; "
         "empty: vehicle.slip_std is used",
         longest=4000,
     ),

@@ -196,7 +196,7 @@ class VehicleInput:
             text = "moves along its nose"
         else:
             text = "no motion along the nose shown"
-        yaw_std, pitch_std, along_std = observer.sigma.tolist()
+        yaw_std, pitch_std, along_std, squat_std = observer.sigma.tolist()
         along = float(observer.nose.forward @ observer.nose.point_b)
         left_std, up_std = np.sqrt(np.diag(observer.slip.covariance)).tolist()
         used_left, used_up = np.sqrt(np.diag(self.slip.covariance)).tolist()
@@ -216,6 +216,8 @@ class VehicleInput:
                 "nose_pitch_std_deg": math.degrees(pitch_std),
                 "axle_ahead_of_imu": along,
                 "axle_std": along_std,
+                "squat": observer.nose.squat,
+                "squat_std": squat_std,
                 "slip_std_left": left_std,
                 "slip_std_up": up_std,
                 "slip_source": self.slip.source,

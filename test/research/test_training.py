@@ -187,6 +187,26 @@ def test_the_graph_for_the_slip_is_the_torch_module(tmp_path):
             assert model.estimate(window.numpy()) == pytest.approx(expected, rel=1e-3)
 
 
+def test_slip_that_cancels_within_seconds_counts_for_less_than_slip_that_lasts():
+    """The best constant variance of both is that of the slip but for what its sums say."""
+    torch.manual_seed(0)
+    white = 0.1 * torch.randn(4000, train_slip.TOGETHER, 2)
+    lasts = white[:, :1].expand_as(white)
+
+    def best(slip):
+        variances = 0.01 * 2.0 ** torch.arange(-4.0, 5.0, 0.125)
+        losses = [
+            float(train_slip.lasting(torch.full_like(slip, float(torch.log(v))), slip))
+            for v in variances
+        ]
+        return float(variances[int(np.argmin(losses))])
+
+    alternating = white.abs() * torch.tensor([1.0, -1.0]).repeat(train_slip.TOGETHER // 2)[:, None]
+    assert best(lasts) > 2.0 * best(white)
+    assert best(alternating) < 0.8 * best(white)
+    assert best(white) == pytest.approx(0.01, rel=0.3)
+
+
 def test_training_for_the_slip_is_deterministic(tmp_path):
     for name in ("one", "two"):
         assert train_slip.main(["--quick", "--out", str(tmp_path / name)]) == 0

@@ -123,7 +123,12 @@ def test_velocity_is_used_in_outages_only_and_its_errors_are_not_white() -> None
     used = sensor.check(reading, nav, checked=False, outage=True)
 
     assert used is not None
-    assert used.linearise(nav)[2][0, 0] > 1.5 * 0.05**2
+    white, lasting = (
+        (1.0 + math.exp(-0.4 / time)) / (1.0 - math.exp(-0.4 / time)) for time in (0.2, 5.0)
+    )
+    expected = white * (sensor.scale * 0.05) ** 2 + lasting * sensor.nuisance(reading, nav)[0, 0]
+    assert sensor.factor == 1.0
+    assert used.linearise(nav)[2][0, 0] == pytest.approx(expected, rel=1e-6)
 
 
 def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -> int:

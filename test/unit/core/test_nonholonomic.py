@@ -1,5 +1,7 @@
 """The non-holonomic constraint: its Jacobian, its evidence, and its nose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from support.derivatives import derivative, flat_state, swing, vectors
 from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.core.state import BIAS_G, EPS, LAST_W, QUAT, VELOCITY, Array
+from hybrid_ins.core.state import ACCELERATION, BIAS_G, EPS, LAST_W, QUAT, VELOCITY, Array
 
 POINT_B = np.array([-1.2, 0.3, 0.5])
 INTERVAL = 0.5
@@ -71,6 +73,8 @@ def car(observer: ConstraintObserver, seconds: float, seed: int, **motion: float
         velocity_b = point_velocity_b - np.cross(rate, nose.point_b)
         nav = flat_state(velocity_b, np.zeros(3), rate, std=0.01)
         nav[BIAS_G] = 0.0
+        nav[ACCELERATION] = 2.0 * nose.forward * np.sin(0.2 * t)
+        nav[VELOCITY] += speed * motion.get("squat", 0.0) * 2.0 * np.sin(0.2 * t) * nose.axes[1]
         observer.observe(nav, rate, INTERVAL, fused=False)
 
 
@@ -88,9 +92,57 @@ def test_nose_and_axle_are_found_from_the_motion(seed: int) -> None:
     assert observer.holds
     found = np.array([observer.nose.yaw, observer.nose.pitch, observer.nose.point_b[0]])
     error = found - [0.04, -0.03, -1.2]
-    assert np.all(np.abs(error) < 3.0 * observer.sigma + [0.002, 0.002, 0.02])
-    assert np.all(observer.sigma < [0.006, 0.006, 0.15])
+    assert np.all(np.abs(error) < 3.0 * observer.sigma[:3] + [0.002, 0.002, 0.02])
+    assert np.all(observer.sigma[:3] < [0.006, 0.006, 0.15])
     assert np.all(np.abs(error) < [0.005, 0.005, 0.1])
+
+
+@pytest.mark.parametrize("squat", [-0.002, 0.0, 0.004])
+def test_squat_is_found_and_taken_out_of_the_constraint(squat: float) -> None:
+    """
+    GIVEN a body that pitches up by ``squat`` times its acceleration
+    WHEN it has sped up and braked for three minutes
+    THEN that is found, and the constraint expects the velocity to point that much below the nose.
+    """
+    observer = new_observer()
+
+    car(observer, 180.0, 2, squat=squat)
+
+    assert observer.nose.squat == pytest.approx(squat, abs=3.0 * float(observer.sigma[3]))
+    assert observer.nose.squat == pytest.approx(squat, abs=0.0015)
+    assert observer.sigma[3] < 0.003
+    nav = flat_state(np.array([10.0, 0.0, 30.0 * squat]), np.zeros(3), np.zeros(3))
+    nav[BIAS_G] = 0.0
+    nav[ACCELERATION] = [3.0, 0.0, 0.0]
+    z = [float(observer.measurement(0, nav, np.zeros(3), INTERVAL, np.eye(2)).linearise(nav)[0][1])]
+    nav[ACCELERATION] = 0.0
+    z.append(
+        float(observer.measurement(0, nav, np.zeros(3), INTERVAL, np.eye(2)).linearise(nav)[0][1])
+    )
+    assert z[0] - z[1] == pytest.approx(30.0 * observer.nose.squat, rel=0.02, abs=1e-6)
+
+
+def test_the_derivative_by_the_nose_is_that_of_the_innovation() -> None:
+    """By yaw, pitch, place along the nose and squat, in a turn in which the vehicle speeds up."""
+    nav = flat_state(np.array([9.0, 0.1, -0.4]), np.array([0.02, 0.03, 0.02]), np.zeros(3))
+    nav[ACCELERATION] = [2.5, 1.0, 0.1]
+    rate = np.array([0.02, -0.03, 0.4])
+    nose = Nose(0.03, -0.02, POINT_B, 0.003)
+    settings_ = ConstraintSettings(nose, 0.05, 1.5, np.full(2, 0.1), True)
+    z, J, *_ = ConstraintObserver(settings_)._innovation(nav, rate)
+
+    step = 1e-6
+    for i, moved in enumerate(
+        (
+            replace(nose, yaw=nose.yaw + step),
+            replace(nose, pitch=nose.pitch + step),
+            replace(nose, point_b=POINT_B + step * nose.squatting(nav).forward),
+            replace(nose, squat=nose.squat + step),
+        )
+    ):
+        at = ConstraintObserver(replace(settings_, nose=moved))._innovation(nav, rate)[0]
+        # z = -E v, and what an error of the nose adds to z has to be taken off it.
+        np.testing.assert_allclose((at - z) / step, -J[:, i], atol=5e-2, rtol=1e-2)
 
 
 @pytest.mark.parametrize("seed", [2, 4])
@@ -169,7 +221,7 @@ def test_a_day_of_skids_does_not_put_the_constraint_out_of_reach() -> None:
 
 
 def test_the_covariance_of_the_constraint_is_that_of_slip_and_nose() -> None:
-    """Slip lasts for a second, an error of the nose longer: both count for more than once."""
+    """Slip lasts for 0.3 s, an error of the nose for longer: both count for more than once."""
     observer = new_observer()
     nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.02)
     nav[BIAS_G] = 0.0
@@ -178,9 +230,11 @@ def test_the_covariance_of_the_constraint_is_that_of_slip_and_nose() -> None:
         for slip in (np.diag([0.01, 0.01]), np.diag([0.04, 0.25]))
     )
 
-    white = (1.0 + np.exp(-INTERVAL)) / (1.0 - np.exp(-INTERVAL))
+    white, lasting = (
+        (1.0 + np.exp(-INTERVAL / time)) / (1.0 - np.exp(-INTERVAL / time)) for time in (0.3, 1.0)
+    )
     np.testing.assert_allclose(given - nominal, white * np.diag([0.03, 0.24]), atol=1e-9)
-    nose = (1.0 + np.exp(-0.1)) / (1.0 - np.exp(-0.1)) * (10.0 * 0.05) ** 2
+    nose = lasting * (10.0 * 0.05) ** 2
     np.testing.assert_allclose(np.diag(nominal), white * 0.01 + nose, rtol=1e-3)
 
 
