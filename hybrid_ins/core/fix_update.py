@@ -9,6 +9,7 @@ that is the readable form, and both give the same.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.clock_offset import age_mean_square, observe, share_of_motion
 from hybrid_ins.core.clock_sensitivity import (
@@ -21,7 +22,13 @@ from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.iterated_update import update_and_linearise
 from hybrid_ins.core.kalman import innovation_covariance
 from hybrid_ins.core.linalg import factorise, whiten
-from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.measurements import (
+    PositionFix,
+    VelocityFix,
+    position_model,
+    velocity_model,
+)
+from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
 from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
@@ -35,6 +42,8 @@ from hybrid_ins.core.state import (
     VELOCITY,
 )
 from hybrid_ins.core.strapdown import rotation
+
+Array = NDArray[np.float64]
 
 FULL_WEIGHT = np.array([ORDINARY.get(m, 0.0) for m in range(4)])  # largest NIS, by components
 
@@ -90,7 +99,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     fix_factor : float
         On the covariance of fixes.
     stamp_variance : float
-        Of their stamps [s²]; 0 of a velocity.
+        Of the stamps of positions [s²].
     clock : ndarray, shape (N_CLOCK,)
         `ClockOffsetObserver.values`; overwritten.
     interval : float
@@ -178,3 +187,30 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             S[a, b] += (1.0 / weight - 1.0) * R[a, b] - age * change[a] * change[b]
     observe(clock, interval, z, h, S, noise_information(nav, H, K, S, is_position), True)
     return True
+
+
+def correction_of(
+    fix: PositionFix | VelocityFix, result: Array, interval: float, before: Array, weight: float
+) -> Correction:
+    """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
+    m = len(fix.claimed)
+    return Correction(
+        fix.t_ns,
+        result[INNOVATION][:m],
+        result[S_MATRIX][: m * m].reshape(m, m),
+        result[H_MATRIX][: m * N_ERROR].reshape(m, N_ERROR),
+        result[K_MATRIX][: m * N_ERROR].reshape(N_ERROR, m),
+        result[CORRECTION],
+        result[ATTITUDE].reshape(3, 3),
+        interval,
+        before,
+        True,
+        weight=weight,
+        linear=(
+            result[LINEAR_Z][:m],
+            result[LINEAR_H][: m * N_ERROR].reshape(m, N_ERROR),
+            result[LINEAR_X],
+            result[LINEAR_G].reshape(N_ERROR, N_ERROR),
+        ),
+        of_stamp=result[OF_STAMP][: m * m].reshape(m, m),
+    )

@@ -30,22 +30,7 @@ from hybrid_ins.core.events import (
     ScatterInForce,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.fix_update import (
-    ATTITUDE,
-    CORRECTION,
-    H_MATRIX,
-    INNOVATION,
-    K_MATRIX,
-    LINEAR_G,
-    LINEAR_H,
-    LINEAR_X,
-    LINEAR_Z,
-    N_RESULT,
-    OF_STAMP,
-    S_MATRIX,
-    SIGMA,
-    fuse_ordinary_fix,
-)
+from hybrid_ins.core.fix_update import N_RESULT, SIGMA, correction_of, fuse_ordinary_fix
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
@@ -215,10 +200,8 @@ class MeasurementUpdate:
             assert split is not None
             measured, share = fix.lla, split.share
             slow, slow_interval = split.slow_variance, split.interval
-            stamp_variance = self.noise.stamp_std**2
         elif isinstance(fix, VelocityFix):
             measured, share, slow, slow_interval = fix.velocity_n, 1.0, NO_SLOW_ERROR, 0.0
-            stamp_variance = 0.0
         else:
             return None
         claimed = fix.claimed
@@ -238,7 +221,7 @@ class MeasurementUpdate:
             slow_interval,
             self.scatter.learning,
             noise.fix_factor,
-            stamp_variance,
+            noise.stamp_std**2,
             clock.values,
             clock.interval(fix.t_ns),
             self.gate.ordinary_limit(fix.kind, m, interval),
@@ -253,17 +236,11 @@ class MeasurementUpdate:
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
-            nav, _correction(fix, result, interval, before, weight)
+            nav, correction_of(fix, result, interval, before, weight)
         )
         return verdict, moved, found if self.scatter.learning else None
 
-    def _fuse(
-        self,
-        nav: Array,
-        measurement: Measurement,
-        split: Split | None,
-        age: float,
-    ) -> Fused:
+    def _fuse(self, nav: Array, measurement: Measurement, split: Split | None, age: float) -> Fused:
         """
         Decide on a measurement, fuse it, and let the noise and the clock learn from it.
 
@@ -271,9 +248,8 @@ class MeasurementUpdate:
         """
         model, found, of_stamp = measurement.linearise(nav), None, None
         if split is not None:
-            of_stamp = stamp_covariance(
-                nav[VELOCITY], share_of_motion(self.clock.values), len(model[0])
-            )
+            share, m = share_of_motion(self.clock.values), len(model[0])
+            of_stamp = stamp_covariance(nav[VELOCITY], share, m)
             model, found = _split_position(nav, model, split, self.scatter, self.noise, of_stamp)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
@@ -374,30 +350,3 @@ def _split_position(
     others = noise.stamp_std**2 * of_stamp
     found = residual_variance(nav[COVARIANCE], z, H, white, noise.fix_factor, others)
     return (z, H, white), split.share * found
-
-
-def _correction(
-    fix: PositionFix | VelocityFix, result: Array, interval: float, before: Array, weight: float
-) -> Correction:
-    """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
-    m = len(fix.claimed)
-    return Correction(
-        fix.t_ns,
-        result[INNOVATION][:m],
-        result[S_MATRIX][: m * m].reshape(m, m),
-        result[H_MATRIX][: m * N_ERROR].reshape(m, N_ERROR),
-        result[K_MATRIX][: m * N_ERROR].reshape(N_ERROR, m),
-        result[CORRECTION],
-        result[ATTITUDE].reshape(3, 3),
-        interval,
-        before,
-        True,
-        weight=weight,
-        linear=(
-            result[LINEAR_Z][:m],
-            result[LINEAR_H][: m * N_ERROR].reshape(m, N_ERROR),
-            result[LINEAR_X],
-            result[LINEAR_G].reshape(N_ERROR, N_ERROR),
-        ),
-        of_stamp=result[OF_STAMP][: m * m].reshape(m, m),
-    )
