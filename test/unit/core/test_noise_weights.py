@@ -9,6 +9,7 @@ from hybrid_ins.core.noise_hypotheses import (
     HYPOTHESES,
     LOG_PRIOR,
     SLOW_STD,
+    STAMP_STD,
     smallest_slow_std,
 )
 from hybrid_ins.core.noise_weights import (
@@ -60,7 +61,7 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     rng = np.random.default_rng(4)
     weights = rng.uniform(size=COUNT)
     weights /= weights.sum()
-    factors, lowest = np.ones(5), np.ones(3)
+    factors, lowest = np.ones(7), np.ones(4)
 
     average(weights, factors, lowest)
     assert factors[3] == pytest.approx(np.sqrt(weights @ SLOW**2))
@@ -69,6 +70,21 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     average(weights, factors, lowest)
     assert factors[3] == 0.0
     assert factors[4] == pytest.approx(0.05)
+
+
+def test_scattering_stamps_have_the_second_moment_of_what_is_probable_and_move_the_state() -> None:
+    rng, stamps = np.random.default_rng(4), HYPOTHESES[STAMP_STD]
+    weights = rng.uniform(size=COUNT) * (stamps > 0.0)
+    weights /= weights.sum()
+    factors, lowest = np.ones(7), np.ones(4)
+
+    assert average(weights, factors, lowest)
+    assert factors[5:] == pytest.approx([np.sqrt(weights @ stamps**2), 1.0])
+    assert not average(weights, factors, lowest)
+
+    weights = np.where(stamps > 0.0, 0.05 * weights, 0.95 / np.sum(stamps == 0.0))
+    average(weights, factors, lowest)
+    assert factors[5:] == pytest.approx([0.0, 0.05])
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,11 @@ def navigator(factor: float, turning: float, extra_std: float) -> Any:
     psd = np.zeros(12)
     psd[W_G] = extra_std**2 * factor / (factor - 1.0)
     noise = SimpleNamespace(
-        imu_factors=(500.0, factor), factors=None, unclaimed_std=0.0, psd=lambda: psd
+        imu_factors=(500.0, factor),
+        factors=None,
+        unclaimed_std=0.0,
+        stamps_scatter=False,
+        psd=lambda: psd,
     )
     samples, ring = np.zeros(500, SAMPLE_DTYPE), ImuRing()
     samples["w"][:, 2] = turning
