@@ -56,7 +56,8 @@ MEMORY = 30.0  # s, over which the scatter is averaged
 PRIOR_COUNT = 20.0  # components, that the given share weighs at the start
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.03  # share of the claimed variance
-SMALLEST_STD = 0.1  # m: receivers that claim less have no metres to split
+SMALLEST_STD = 0.01  # m: no receiver scatters by less
+SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
 LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
@@ -113,7 +114,7 @@ class PositionScatter(ShallowCopy):
         share = self.learned if self.in_force else self._given
         horizontal = horizontal_variance(claimed)
         if share >= 1.0:
-            return share if horizontal >= SMALLEST_STD**2 else self._largest_expected
+            return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected
         return max(share, min(1.0, SMALLEST_STD**2 / horizontal))
 
     @property

@@ -111,6 +111,16 @@ def test_the_learned_share_waits_until_it_is_in_force() -> None:
     assert before.share(np.eye(3)) == 1.0 and found.share(np.eye(3)) < 0.1
 
 
+def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
+    """GIVEN positions that scatter by half of what they claim."""
+    found = learned(0.02, 0.04, 0.002)
+
+    split = found.split(0.04**2 * np.eye(3), 1_000_000_000, 0.0)
+    assert 0.2 < split.share < 0.5
+    np.testing.assert_allclose(split.slow_variance, (1.0 - split.share) * 0.04**2)
+    assert found.split(0.01**2 * np.eye(3), 1_000_000_000, 0.0).share == 1.0
+
+
 def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
     found.in_force = True
