@@ -37,7 +37,7 @@ SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
 STAMP_STDS = np.array([0.01, 0.03, 0.1])  # s, of the stamps of fixes
 STAMP_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
-STAMP_COST = 3.5  # nats of evidence that stamps scatter
+STAMP_COST = 7.0  # nats of evidence that stamps scatter: clock and heading look like it at first
 
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
