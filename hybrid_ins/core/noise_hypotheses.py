@@ -51,12 +51,16 @@ _SLOW_AND_WHITE[2] = np.tile(SLOW_WHITE_DECADES, SLOW_WHITE_STDS.size)
 _BESIDE_STAMPS = np.zeros((3, STAMP_STDS.size * STAMP_DECADES.size))
 _BESIDE_STAMPS[0] = np.tile(STAMP_DECADES, STAMP_STDS.size)
 _DECADES = np.hstack((_GRID, _POOREST, _BESIDE_STAMPS, _BESIDE_SLOW, _SLOW_AND_WHITE))
-_STAMP_STD = np.zeros(_DECADES.shape[1])
-_FIRST = _GRID.shape[1] + _POOREST.shape[1]
-_STAMP_STD[_FIRST:][: _BESIDE_STAMPS.shape[1]] = np.repeat(STAMP_STDS, STAMP_DECADES.size)
+_STAMP_STD = np.concatenate(
+    (
+        np.zeros(_GRID.shape[1] + _POOREST.shape[1]),
+        np.repeat(STAMP_STDS, STAMP_DECADES.size),
+        np.zeros(_BESIDE_SLOW.shape[1] + _SLOW_AND_WHITE.shape[1]),
+    )
+)
 _SLOW_STD = np.concatenate(
     (
-        np.zeros(_FIRST + _BESIDE_STAMPS.shape[1]),
+        np.zeros(_GRID.shape[1] + _POOREST.shape[1] + _BESIDE_STAMPS.shape[1]),
         np.repeat(SLOW_STDS, SLOW_DECADES.size),
         np.repeat(SLOW_WHITE_STDS, SLOW_WHITE_DECADES.size),
     )
