@@ -32,6 +32,7 @@ from hybrid_ins.core.imu_axes_faults import (
 from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
 from hybrid_ins.core.imu_axes_motion import WINDOW, MotionWindow, is_long
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
+from hybrid_ins.core.imu_health import LEAST_FORCE
 
 Array = NDArray[np.float64]
 
@@ -246,9 +247,15 @@ class ImuAxesCheck:
         return fit(motion, hypothesis).left < AS_GOOD * as_given.left
 
     def _by_gravity(self) -> AxesFault | bool:
-        """Return how the IMU lies by its mean specific force, if it does not lie as given."""
-        impulse = self._window.impulse()
-        mount = None if impulse is None else mount_upright(self._mount, impulse)
+        """
+        Return how the IMU lies by its mean specific force, if it does not lie as given.
+
+        Without gravity, which a driver may have removed, that says nothing.
+        """
+        mean_force = self._window.mean_force()
+        if mean_force is None or np.linalg.norm(mean_force) < LEAST_FORCE:
+            return False
+        mount = mount_upright(self._mount, mean_force)
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
 
     def _explain(

@@ -72,13 +72,13 @@ class MotionWindow:
             self._fix_ns = np.concatenate((self._fix_ns[1 - MAX_FIXES :], (t_ns,)))
             self._fix_lla = np.concatenate((self._fix_lla[1 - MAX_FIXES :], (lla,)))
 
-    def impulse(self) -> Array | None:
-        """Return the integral (3,) of the specific force over `WINDOW` [m/s]; None: too short."""
+    def mean_force(self) -> Array | None:
+        """Return the mean specific force (3,) over `WINDOW` [m/s²]; None: too short."""
         grid = self._grid
         if len(grid) < SHORTEST / STEP:
             return None
         begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
-        return np.asarray(grid[-1, 4:] - grid[begin, 4:])
+        return np.asarray((grid[-1, 4:] - grid[begin, 4:]) / (STEP * (len(grid) - 1 - begin)))
 
     def long_motions(self) -> list[Motion]:
         """Return the motions of the last minute, once there is more than the shorter window."""

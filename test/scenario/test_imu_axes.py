@@ -133,6 +133,16 @@ def test_exchanged_coordinates_of_the_fixes_are_among_the_causes(
     assert "latitude and longitude of the fixes are exchanged" in describe(found[-1]).text
 
 
+@pytest.mark.parametrize("vehicle", [CAR, QUADROTOR])
+def test_without_gravity_no_mount_is_named(drives: dict[str, Readings], vehicle: str) -> None:
+    """GIVEN a driver that has removed gravity, which the check of the samples names."""
+    t, force, *rest = drives[vehicle]
+
+    found = [fault for _, fault in check((t, force - force[: len(t) // 50].mean(axis=0), *rest))]
+
+    assert all(fault is None or not fault.at_rest for fault in found)
+
+
 def test_a_reversed_rate_is_blamed_on_no_coordinates(drives: dict[str, Readings]) -> None:
     found = [fault for _, fault in check(drives[QUADROTOR], ONE, np.diag([1.0, 1.0, -1.0]))]
     assert "latitude" not in describe(found[-1]).text
