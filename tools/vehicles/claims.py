@@ -1,8 +1,9 @@
 """
-Drives whose receivers err slowly by more than they claim, and the same with right claims.
+Drives whose receivers err by what they do not claim, and the same with right claims.
 
-How long the odometry is silently wrong, whether the slow error is named, and how far the published
-covariance holds. Odd seeds are for tuning, even ones judge.
+Slow errors, multipath waves, and stamps that are those of the fixes' arrival: how long the odometry
+is silently wrong, whether that is named, and how far the published covariance holds. Odd seeds are
+for tuning, even ones judge.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ MOTIONS = (
     "quadrotor",
 )
 SHAPE = np.array([1.0, 1.0, 1.5])  # north, east, down
-NAMED = "drift by"  # in the log
+NAMED = "drift by", "stamps of fixes scatter"  # in the log
+LATEST = 0.3  # s, of a stamp
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class Claim:
     claimed: float
     wave: float = 0.0  # m, amplitude of a multipath wave
     period: float = 60.0  # s, of that
+    late: float = 0.0  # s, mean of the time by which stamps are late, exponentially distributed
 
 
 RECEIVERS = {
@@ -57,6 +60,10 @@ RECEIVERS = {
     "wave of 1.5 m, 90 s, and 0.5 m, 300 s, claims 0.15 m": Claim(
         1.0, 0.1, 0.5, 300.0, 0.15, 1.5, 90.0
     ),
+    "stamps late by 0.02 s, 5 Hz": Claim(5.0, 0.01, 0.0, 100.0, 0.01, late=0.02),
+    "stamps late by 0.02 s, 1 Hz": Claim(1.0, 0.01, 0.0, 100.0, 0.01, late=0.02),
+    "stamps late by 0.05 s, 5 Hz": Claim(5.0, 0.01, 0.0, 100.0, 0.01, late=0.05),
+    "stamps late by 0.05 s, 1 Hz": Claim(1.0, 0.01, 0.0, 100.0, 0.01, late=0.05),
 }
 RIGHT = {
     "right: 0.02 m": Claim(5.0, 0.02, 0.0, 100.0, 0.02),
@@ -79,19 +86,21 @@ def recorded(motion: str, claim: Claim, seed: int) -> Recording:
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     wave = claim.wave * SHAPE * np.sin(2.0 * np.pi / claim.period * made.fix_t[:, None] + phase)
     scale = np.array([earth.curvature_scale(place) for place in made.fix_lla])
-    return replace(made, fix_lla=made.fix_lla + wave / scale)
+    late = np.minimum(rng.exponential(1.0, len(made.fix_t)) * claim.late, LATEST)
+    return replace(made, fix_lla=made.fix_lla + wave / scale, fix_stamp=made.fix_stamp + late)
 
 
 def one(motion: str, name: str, seed: int) -> tuple[str, str, int, Score, int]:
-    """Return a run's motion, receiver, seed, score, and how often its slow error was named."""
+    """Return a run's motion, receiver, seed, score, and how often its error was named."""
     named = 0
 
     def log(level: str, text: str) -> None:
         nonlocal named
-        named += NAMED in text
+        named += any(words in text for words in NAMED)
 
     claim = {**RECEIVERS, **RIGHT}[name]
-    found = score(from_simulation(recorded(motion, claim, seed)), parameters.defaults(), log)
+    drive = from_simulation(recorded(motion, claim, seed), LATEST if claim.late else 0.0)
+    found = score(drive, parameters.defaults(), log)
     return motion, name, seed, found, named
 
 
