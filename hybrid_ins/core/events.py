@@ -69,10 +69,11 @@ class Outage:
 @dataclass(frozen=True, slots=True)
 class ScatterInForce:
     """
-    From its stamp on, positions are fused with the scatter that was learned.
+    From its stamp on, positions are fused with the scatter that was learned; their stamps may, too.
 
-    Hypotheses of a bank fuse them with the given one: their likelihoods are to be those of the same
-    measurements. ``jumps`` are those of the positions that an earlier filter has learned.
+    Hypotheses of a bank fuse them with the given one, at exact stamps: their likelihoods are to be
+    those of the same measurements. ``jumps`` are those of the positions that an earlier filter has
+    learned.
     """
 
     t_ns: int

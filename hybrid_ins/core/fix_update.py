@@ -190,7 +190,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
 
 
 def correction_of(
-    fix: PositionFix | VelocityFix, result: Array, interval: float, before: Array, weight: float
+    fix: PositionFix | VelocityFix,
+    result: Array,
+    interval: float,
+    before: Array,
+    weight: float,
+    scatter_in_force: bool,
 ) -> Correction:
     """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
     m = len(fix.claimed)
@@ -212,5 +217,5 @@ def correction_of(
             result[LINEAR_X],
             result[LINEAR_G].reshape(N_ERROR, N_ERROR),
         ),
-        of_stamp=result[OF_STAMP][: m * m].reshape(m, m),
+        of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
     )

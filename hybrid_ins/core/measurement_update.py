@@ -236,7 +236,7 @@ class MeasurementUpdate:
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
-            nav, correction_of(fix, result, interval, before, weight)
+            nav, correction_of(fix, result, interval, before, weight, self.scatter.in_force)
         )
         return verdict, moved, found if self.scatter.learning else None
 
@@ -295,7 +295,7 @@ class MeasurementUpdate:
             verdict.accepted,
             weight=verdict.weight,
             linear=linear,
-            of_stamp=of_stamp,
+            of_stamp=of_stamp if self.scatter.in_force else None,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

@@ -67,7 +67,7 @@ class Correction:
     linear : tuple of ndarray, optional
         Where the correction was found by iteration, `iterated_update.linearisation`.
     of_stamp : ndarray, shape (m, m), optional
-        `stamp_scatter.stamp_covariance` of a position.
+        `stamp_scatter.stamp_covariance` of a position; None where stamps are not to be doubted.
     """
 
     t_ns: int

@@ -3,7 +3,7 @@ What a position gains in covariance where the stamps of fixes scatter.
 
 Drivers that stamp fixes when they arrive are late by a time that varies. With its standard
 deviation s, a vehicle at the velocity v is off by a covariance s² v v'. `noise_multiple_model`
-finds s.
+finds s, once heading and clock are known: as long as they are not, they look like it.
 
 Where a shaken IMU cruises, fixes that are precise across the motion alone would make the filter
 sure of a heading that nothing shows: by its own equations, vibration is a force that would turn

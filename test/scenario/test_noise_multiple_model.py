@@ -138,11 +138,13 @@ def test_stamps_that_scatter_are_found_and_leave_what_is_across_the_motion(std: 
         lla = lla + 0.02 * rng.standard_normal(3) / curvature_scale(lla)
         fixes.append(PositionFix(int(t_ns + by), lla, claimed, np.zeros(3)))
     # WHEN the filter runs
-    ins, factors = fly(replace(run, fixes=tuple(fixes)))
+    ins, factors = fly(replace(run, fixes=tuple(fixes)), scatter=True)
     # THEN it knows that, and by how much, and R is not raised for it
     assert ins.noise.stamps_scatter == (std > 0.0)
     assert ins.noise.stamp_std == pytest.approx(std, abs=0.02)
     assert np.median(factors[100:, 2]) < 1.5
+    # but one of several hypotheses of a search does not
+    assert not fly(replace(run, fixes=tuple(fixes)))[0].noise.stamps_scatter
 
 
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:

@@ -9,12 +9,14 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.events import ScatterInForce
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.position_jumps import PositionJumps
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -40,13 +42,18 @@ def begin(run: Run, *, q: np.ndarray = Q, **settings: Any) -> InsFilter:
     )
 
 
-def fly(run: Run, *, late: float = 0.0, q: np.ndarray = Q) -> tuple[InsFilter, np.ndarray]:
+def fly(
+    run: Run, *, late: float = 0.0, q: np.ndarray = Q, scatter: bool = False
+) -> tuple[InsFilter, np.ndarray]:
     """
     Run the filter with levels ``q``, and return the factors (M, 3).
 
-    Each fix is given ``late`` [s] after its stamp.
+    Each fix is given ``late`` [s] after its stamp; with ``scatter`` what they scatter by, and their
+    stamps, is in force.
     """
     ins, at, factors = begin(run, q=q), 0, []
+    if scatter:
+        ins.submit(ScatterInForce(ins.t_ns, PositionJumps()))
     stamps = run.samples["t_ns"]
     for fix in run.fixes:
         stop = int(np.searchsorted(stamps, fix.t_ns + round(late * 1e9), side="right"))
