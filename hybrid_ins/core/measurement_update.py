@@ -246,19 +246,21 @@ class MeasurementUpdate:
 
         ``split`` is that of a position's covariance.
         """
-        model, found, of_stamp = measurement.linearise(nav), None, None
+        model, found = measurement.linearise(nav), None
+        of_stamp: Array | None = None
+        by_stamp: Array | float = 0.0
         if split is not None:
             share, m = share_of_motion(self.clock.values), len(model[0])
             of_stamp = stamp_covariance(nav[VELOCITY], share, m)
-            model, found = _split_position(nav, model, split, self.scatter, self.noise, of_stamp)
+            by_stamp = self.noise.stamp_std**2 * of_stamp
+            fix_factor = self.noise.fix_factor
+            model, found = _split_position(nav, model, split, self.scatter, fix_factor, by_stamp)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         of_age = np.zeros_like(R)
         if measurement.sensor == GNSS:
-            R = R * self.noise.fix_factor
-            if of_stamp is not None:
-                R = R + self.noise.stamp_std**2 * of_stamp
+            R = R * self.noise.fix_factor + by_stamp
             h, change = sensitivities(nav, H)
             if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
                 of_age = age_mean_square(self.clock.values) * np.outer(change, change)
@@ -338,8 +340,8 @@ def _split_position(
     model: Model,
     split: Split,
     scatter: PositionScatter,
-    noise: FilterNoise,
-    of_stamp: Array,
+    fix_factor: float,
+    by_stamp: Array,
 ) -> tuple[Model, float | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
@@ -347,6 +349,5 @@ def _split_position(
     white = split.share * claimed
     if not scatter.learning:
         return (z, H, white), None
-    others = noise.stamp_std**2 * of_stamp
-    found = residual_variance(nav[COVARIANCE], z, H, white, noise.fix_factor, others)
+    found = residual_variance(nav[COVARIANCE], z, H, white, fix_factor, by_stamp)
     return (z, H, white), split.share * found

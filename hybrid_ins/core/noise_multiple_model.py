@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.kalman import innovation_covariance
+from hybrid_ins.core.kalman import covariances_at_full_weight
 from hybrid_ins.core.linalg import log_determinant
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_hypotheses import (
@@ -317,10 +317,10 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fix_factor = values[FACTORS][2] if teaches else 1.0
     last_C = values[LAST_C].reshape(3, 3)
     F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
-    R, _ = innovation_covariance(nav[COVARIANCE], H, np.zeros((m, m)))
+    _, R = covariances_at_full_weight(nav[COVARIANCE], H, S, 1.0)
     for a in range(m):
         for b in range(m):
-            R[a, b] = S[a, b] - R[a, b] - values[FACTORS][5] ** 2 * of_stamp[a, b]
+            R[a, b] -= values[FACTORS][5] ** 2 * of_stamp[a, b]
     if H[0, 0] != 0.0:  # a position
         values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
     log_likelihood = np.zeros(before.shape[1])
