@@ -288,6 +288,7 @@ def _compile_calibration() -> None:
         np.empty(0, np.int64),
         empty,
         np.empty((0, 3, 3)),
+        empty,
         np.zeros(3),
         0.0,
         0.0,

@@ -187,6 +187,12 @@ def _levelled(up_b: Array, up_n: Array, yaw: float) -> Array:
     return quat_from_matrix(matrix_from_quat(quat_from_rotvec(axis)) @ C)
 
 
+def slow_variance(claimed: Array, share: float) -> Array:
+    """Return a slow error's variance (M, 3): this share of what positions claim (M, 3, 3)."""
+    variance = np.diagonal(claimed, axis1=1, axis2=2)
+    return np.where(np.isfinite(variance), share * variance, 0.0)
+
+
 def run_filter(
     recording: Recording,
     first: FirstState,
@@ -194,6 +200,7 @@ def run_filter(
     psd: Array,
     noise: Array,
     gnss_scale: float,
+    gnss_slow: float,
     yaw: float,
     yaw_std: float,
     velocity_age: float = 0.0,
@@ -215,6 +222,8 @@ def run_filter(
         Factors on those of accelerometer and gyroscope, at each sample.
     gnss_scale : float
         Factor on the covariances of the measurements.
+    gnss_slow : float
+        Variance of the slow error of positions, as a share of that they claim.
     yaw, yaw_std : float
         Heading at the start, from north, and its standard deviation [rad].
     velocity_age : float
@@ -227,6 +236,7 @@ def run_filter(
     nav[SENSITIVITY] = initial_sensitivity(first.velocity, np.zeros(3))
     times = recording.measured_at(first.offset, velocity_age)
     order = np.argsort(times, kind="stable")
+    claimed = recording.aid_R[order]
     M = len(times)
     kept = M if keep_states else 0
     result = FilterPass(
@@ -244,7 +254,8 @@ def run_filter(
         times[order],
         recording.aid_kind[order],
         recording.aid[order],
-        recording.aid_R[order] * gnss_scale,
+        claimed * gnss_scale,
+        slow_variance(claimed, gnss_slow),
         lever_b,
         INTERVAL,
         TAIL,

@@ -30,6 +30,7 @@ from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
+from hybrid_ins.core.position_scatter import SLOW_TIME
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
 from hybrid_ins.ros.conversions import FLIP
@@ -42,6 +43,7 @@ IDENTIFIED = {  # largest σ
     "lever_y": 0.05,
     "lever_z": 0.05,
 }
+SLOW_IDENTIFIED = 1.5  # largest σ of the logarithm of the variance of the fixes' slow error
 IDENTIFIED_MOUNT = math.radians(1.0)  # largest σ
 NOT_IDENTIFIABLE = {  # smallest σ
     "offset": NO_OFFSET,
@@ -161,7 +163,7 @@ def calibrate(
         search=search,
         largest_std=NOT_IDENTIFIABLE,
         identified_std=IDENTIFIED,
-        held=frozenset({"gnss_scale"} if trust_fixes else ()),
+        held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
         on_stage=on_stage,
     )
     before = filter_passes(fitted, nominal, fitted.nominal_x)
@@ -327,3 +329,18 @@ def add_fix_scatter(found: Findings, fitted: Fit) -> None:
         found.values[SCATTER] = min(max(round(factor, 2), SMALLEST_SCATTER), LARGEST_SCATTER)
     text = f"{factor:.2f} × stated σ"
     found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.2f}", verdict, note, SCATTER)
+    _add_slow_error(found, fitted)
+
+
+def _add_slow_error(found: Findings, fitted: Fit) -> None:
+    """Add the slow error of the fixes relative to their stated standard deviation."""
+    value, sigma = fitted.value("gnss_slow"), fitted.sigma("gnss_slow")
+    verdict = "identified" if sigma < SLOW_IDENTIFIED else "not identifiable"
+    note = f"changes within {SLOW_TIME:g} s; the filter finds it while running"
+    found.add(
+        "fixes' slow error",
+        f"{math.exp(0.5 * value):.2f} × stated σ",
+        f"×/÷ {math.exp(min(0.5 * sigma, 9.0)):.1f}",
+        verdict,
+        note if verdict == "identified" else "smaller than the other errors",
+    )

@@ -19,13 +19,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.ascent import climb, maximise, smooth_offsets
 from hybrid_ins.calibration.drift import Drift, remove_drift
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.innovations import VELOCITY
 from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
     COARSE_PSD_G,
+    COARSE_SLOW,
     VELOCITY_AGE,
+    VELOCITY_AGES,
     YAWS,
     Likelihood,
     Prior,
@@ -139,14 +142,22 @@ def fit(
         x[fine.names.index(offset_name(k, fine.names))] = offset
     x[fine.names.index("psd_a")] = math.log(COARSE_PSD_A)
     x[fine.names.index("psd_g")] = math.log(COARSE_PSD_G)
+    if "gnss_slow" not in held:
+        x[fine.names.index("gnss_slow")] = math.log(COARSE_SLOW)
     fine.choose_yaws(x, math.pi / YAWS)
     if VELOCITY_AGE not in held:
-        x = fine.choose_velocity_age(x)
+        ages = fine.profile(x, VELOCITY_AGE, VELOCITY_AGES)
+        x[fine.names.index(VELOCITY_AGE)] = VELOCITY_AGES[int(np.argmax(ages))]
     fine.frozen = held | {"walk_a", "walk_g"}
-    x, _ = maximise(fine, x)
+    x, _ = climb(fine, x)
     fine.choose_yaws(x, 0.1)
     fine.frozen = held
-    x, converged = maximise(fine, x)
+    x, converged = climb(fine, x)
+    smooth = smooth_offsets(fine, x)
+    if np.any(smooth != x):
+        fine.frozen = held | {name for name in fine.names if name.startswith("offset")}
+        x, converged = maximise(fine, smooth)
+        fine.frozen = held
     std = uncertainty(fine, x)
     limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
@@ -187,37 +198,6 @@ def _by_name(names: Sequence[str], limits: Mapping[str, float]) -> Array:
     return np.array(
         [limits.get("offset" if n.startswith("offset") else n, math.inf) for n in names]
     )
-
-
-def maximise(likelihood: Likelihood, x: Array, iterations: int = 40) -> tuple[Array, bool]:
-    """
-    Return the parameters of the largest posterior, starting from ``x``, and whether it is reached.
-
-    Scoring with the outer product of the scores as information [2]_, damped until it ascends.
-    """
-    free = likelihood.free()
-    reach = np.array([25.0 * likelihood.prior[i].step for i in free])
-    prior = np.diag([likelihood.prior[i].std ** -2.0 for i in free])
-    value, damping = likelihood.value_at(x), 0.01
-    for _ in range(iterations):
-        _, slopes = likelihood.scores(x)
-        gradient = likelihood.gradient(slopes, x)[free]
-        rows = np.vstack(slopes)[:, free]
-        information = rows.T @ rows + prior
-        gain = 0.0
-        while damping < 1e4 and gain <= 0.0:
-            move = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            y = x.copy()
-            y[free] += np.clip(move, -reach, reach)
-            new_value = likelihood.value_at(y)
-            gain = new_value - value if math.isfinite(new_value) else -math.inf
-            damping *= 0.2 if gain > 0.0 else 5.0
-        if gain > 0.0:
-            x, value = y, new_value
-        if gain < 0.05:
-            return x, True
-        damping = max(damping, 1e-4)
-    return x, False
 
 
 def uncertainty(likelihood: Likelihood, x: Array) -> Array:

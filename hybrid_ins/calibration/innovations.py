@@ -30,6 +30,7 @@ from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
+from hybrid_ins.core.position_scatter import change_slow_error
 from hybrid_ins.core.propagation import propagate_covariance, step
 from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
 
@@ -53,6 +54,7 @@ def innovations(  # type: ignore[no-untyped-def]
     aid_kind,
     aid,
     aid_R,
+    slow,
     lever_b,
     interval,
     tail,
@@ -76,6 +78,9 @@ def innovations(  # type: ignore[no-untyped-def]
     aid_t, aid_kind, aid, aid_R : ndarray, shape (M,), (M,), (M, 3), (M, 3, 3)
         Measurements in order of time [s, IMU clock]: positions [rad, rad, m] or velocities
         [m/s, NED]; a component that is NaN is left out.
+    slow : ndarray, shape (M, 3)
+        Variance of a slow error of the positions [m²], NED: it is in the position of the state, and
+        changes from one to the next, see `hybrid_ins.core.position_scatter`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b.
     interval : float
@@ -95,6 +100,7 @@ def innovations(  # type: ignore[no-untyped-def]
     keep, keep_clock = states.shape[0] > 0, clock.shape[0] > 0
     clock[:], nothing = 0.0, np.empty(0)
     count, n, i, k, now = aid_t.shape[0], t.shape[0], 1, 0, t[0]
+    last_fix = now
     nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
     f, w = nav[LAST_F], nav[LAST_W]
     psd = nav[PSD][:6].copy()
@@ -124,11 +130,13 @@ def innovations(  # type: ignore[no-untyped-def]
             i += 1
             continue
         propagate_covariance(nav)
-        if aid_kind[k] == POSITION:
+        is_position = aid_kind[k] == POSITION
+        if is_position:
+            change_slow_error(nav, slow[k], now - last_fix)
+            last_fix = now
             residual, H = position_model(nav, aid[k], lever_b)
         else:
             residual, H = velocity_model(nav, aid[k], lever_b)
-        is_position = aid_kind[k] == POSITION
         said = clock[k] if keep_clock else nothing
         nis[k] = _fuse(nav, residual, H, aid_R[k], is_position, tail, z[k], S[k], said)
         if keep:

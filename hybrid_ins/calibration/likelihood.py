@@ -45,8 +45,11 @@ FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
 YAWS = 12  # headings that the coarse search starts with
 COARSE_YAW_STD = 0.3  # rad, of each
 YAW_STD = 0.15  # rad, of the chosen one
+LITTLE_SLOW, COARSE_SLOW = 0.01, 0.1  # share of the claimed variance of positions
 COARSE_PSD_A, COARSE_PSD_G = 2e-2, 1e-5  # (m/s²)²/Hz, (rad/s)²/Hz: broad peaks over the offset
 LONGEST_COARSE = 90.0  # s of each recording
+OFFSET_STEP = 0.008  # s, of its finite differences at the least: a few samples
+FORWARD, CENTRAL = (1.0,), (-1.0, 1.0)  # steps, at which finite differences are taken
 LN10 = math.log(10.0)
 
 
@@ -94,8 +97,10 @@ class Likelihood:
         self.yaws = [0.0] * len(recordings)
         offsets = [f"offset_{k}" for k in range(len(recordings))] if own_offsets else ["offset"]
         lever = nominal.lever_b
+        self.period = max(recording.period for recording in recordings)
+        step = self.period * math.ceil(OFFSET_STEP / self.period)
         self.prior = (
-            *(Prior(name, nominal.time_offset, 1.0, 0.004) for name in offsets),
+            *(Prior(name, nominal.time_offset, 1.0, step) for name in offsets),
             *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(LEVER)),
             Prior("psd_a", math.log(nominal.psd_a), 2.0 * LN10, 0.1),
             Prior("psd_g", math.log(nominal.psd_g), 2.0 * LN10, 0.1),
@@ -103,10 +108,16 @@ class Likelihood:
             Prior("walk_g", math.log(nominal.walk_g), 0.7 * LN10, 0.2),
             *(Prior(name, 0.0, 1.0, 0.05) for name in FOLLOW),
             Prior("gnss_scale", 0.0, 1.0, 0.05),
+            Prior("gnss_slow", math.log(LITTLE_SLOW), 2.0 * LN10, 0.1),
             Prior(VELOCITY_AGE, 0.0, VELOCITY_AGE_STD, 0.001),
         )
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
+        # Where the IMU is shaken the likelihood of an offset has the period of the samples.
+        self._differences = [
+            CENTRAL if name.startswith("offset") else FORWARD for name in self.names
+        ]
+        self._is_forward = np.array([ends is FORWARD for ends in self._differences])
         self.frozen: frozenset[str] = frozenset()
         self._by_yaw: list[Array] = []  # (G, YAWS) of the coarse search, by recording
         self.on_pass: Callable[[], None] = lambda: None
@@ -157,6 +168,7 @@ class Likelihood:
             psd,
             self._noise(k, *(self.value(x, name) for name in FOLLOW)),
             math.exp(self.value(x, "gnss_scale")),
+            math.exp(self.value(x, "gnss_slow")),
             yaw,
             YAW_STD,
             self.value(x, VELOCITY_AGE),
@@ -190,21 +202,21 @@ class Likelihood:
         def run(start: tuple[FirstState, float]) -> FilterPass:
             first, yaw = start
             return run_filter(
-                recording, first, nominal.lever_b, psd, noise, 1.0, yaw, COARSE_YAW_STD
+                recording, first, nominal.lever_b, psd, noise, 1.0, 0.0, yaw, COARSE_YAW_STD
             )
 
         starts = product((first_state(recording, o, nominal) for o in grid), yaws)
         found = [np.sum(p.log_likelihood) for p in self._in_parallel(run, starts)]
         return np.reshape(found, (len(grid), YAWS))
 
-    def choose_velocity_age(self, x: Array) -> Array:
-        """Return ``x`` with the likeliest of some ages of velocities."""
-        candidates = np.tile(x, (len(VELOCITY_AGES), 1))
-        candidates[:, self._at[VELOCITY_AGE]] = VELOCITY_AGES
-        runs = product(candidates, range(len(self.recordings)))
+    def profile(self, x: Array, name: str, values: Array) -> Array:
+        """Return the log-likelihood of values (G,) of one parameter, the others being ``x``."""
+        candidates = np.tile(x, (len(values), 1))
+        candidates[:, self._at[name]] = values
+        runs = product(candidates, self._affected_recordings(name))
         found = self._in_parallel(lambda run: self._run(run[1], run[0], self.yaws[run[1]]), runs)
         totals = np.reshape([np.sum(p.log_likelihood) for p in found], (len(candidates), -1))
-        return np.asarray(candidates[int(np.argmax(totals.sum(axis=1)))])
+        return np.asarray(totals.sum(axis=1))
 
     def choose_yaws(self, x: Array, width: float) -> None:
         """Set each heading to the most likely one within ``width`` [rad] of it."""
@@ -239,19 +251,25 @@ class Likelihood:
 
     def scores(self, x: Array) -> tuple[list[Array], list[Array]]:
         """Return log-likelihood (M,) and gradient (M, n) of the measurements, by recording."""
-        steps = [(k, i) for i in self.free() for k in self._affected_recordings(self.names[i])]
+        ends = [
+            (k, i, end)
+            for i in self.free()
+            for k in self._affected_recordings(self.names[i])
+            for end in self._differences[i]
+        ]
 
-        def moved(step: tuple[int, int]) -> FilterPass:
-            k, i = step
-            high = x.copy()
-            high[i] += self.prior[i].step
-            return self._run(k, high, self.yaws[k])
+        def moved(step: tuple[int, int, float]) -> FilterPass:
+            k, i, end = step
+            there = x.copy()
+            there[i] += end * self.prior[i].step
+            return self._run(k, there, self.yaws[k])
 
         values = self._values(x)
-        found = [passed.log_likelihood for passed in self._in_parallel(moved, steps)]
+        found = [passed.log_likelihood for passed in self._in_parallel(moved, ends)]
         slopes = [np.zeros((len(v), len(x))) for v in values]
-        for (k, i), high in zip(steps, found, strict=True):
-            slopes[k][:, i] = (high - values[k]) / self.prior[i].step
+        for (k, i, end), there in zip(ends, found, strict=True):
+            weight = 1.0 / (end * self.prior[i].step * len(self._differences[i]))
+            slopes[k][:, i] += weight * (there - values[k])
         return values, slopes
 
     def _values(self, x: Array) -> list[Array]:
@@ -288,6 +306,6 @@ class Likelihood:
         Differences over a step are the slopes at its middle; the information leads back from there.
         """
         rows = np.vstack(slopes)
-        middle = 0.5 * np.array([p.step for p in self.prior])
+        middle = 0.5 * np.array([p.step for p in self.prior]) * self._is_forward
         total = np.sum(rows, axis=0) + middle * np.sum(rows**2, axis=0)
         return np.asarray(total - self._from_prior(x) / [p.std for p in self.prior])

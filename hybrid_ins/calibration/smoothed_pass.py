@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,11 +26,13 @@ from hybrid_ins.calibration.filter_pass import (
     Nominal,
     first_state,
     initial_state,
+    slow_variance,
 )
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
+from hybrid_ins.core.position_scatter import Split
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.smoother import Smoother
 from hybrid_ins.core.smoother_segments import Start, Update
@@ -73,7 +76,9 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     stamps = EPOCH_NS + np.rint(times * 1e9).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
     fused = order[np.isfinite(passed.nis[order])]
-    scale = np.exp(fitted.value("gnss_scale"))
+    scale = math.exp(fitted.value("gnss_scale"))
+    slow = slow_variance(recording.aid_R, math.exp(fitted.value("gnss_slow")))
+    last_ns = start.t_ns
     noise = recording.noise(*map(fitted.value, FOLLOW))
     sample = np.searchsorted(recording.t[:-1], times)
     updates = []
@@ -85,7 +90,11 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
         )
         size = float(np.isfinite(recording.aid[row]).sum())
         outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
-        updates.append(Update(int(stamps[row]), there, measurement, outlying))
+        split = None
+        if recording.aid_kind[row] == POSITION:
+            split = Split(scale, slow[row], (int(stamps[row]) - last_ns) * 1e-9)
+            last_ns = int(stamps[row])
+        updates.append(Update(int(stamps[row]), there, measurement, outlying, split=split))
     gap_ns = round(LONG_STEP * recording.period * 1e9)
     smoother = Smoother(start, samples, updates, INTERVAL, gap_ns, {}, {})
     t_ns, rows = map(np.concatenate, zip(*smoother.smooth(), strict=True))

@@ -156,6 +156,7 @@ def _runs_at_once(run: Run, repetitions: int) -> list[float]:
             kind,
             aid,
             R,
+            np.zeros((count, 3)),
             LEVER,
             0.01 - 1e-6,
             0.0,

@@ -85,6 +85,7 @@ def run_pass(run: Recording, nav: Array, tail: float = 0.0) -> tuple[Array, Arra
         run.aid_kind,
         run.aid,
         run.aid_R,
+        np.zeros((M, 3)),
         LEVER_B,
         0.01 - 1e-6,
         tail,

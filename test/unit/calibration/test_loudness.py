@@ -18,7 +18,7 @@ from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import Recording as Drive
 from hybrid_ins.simulation.vehicles import record
 
-DURATION = 200.0  # s
+DURATION = 300.0  # s
 WALK = 1e-3  # m/s²/√s, that of the simulated accelerometer
 
 
