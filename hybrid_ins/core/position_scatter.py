@@ -97,7 +97,8 @@ class PositionScatter(ShallowCopy):
     learned : float
         Share that the fixes show; the given one until they do.
     in_force : bool
-        Positions are fused with the learned share; otherwise with the given one.
+        Positions are fused with the learned share; otherwise with the given one if that is smaller:
+        while a heading or a clock is searched for, a wrong one looks like scatter.
     """
 
     def __init__(self, given: float = 1.0, learning: bool = False) -> None:
@@ -111,7 +112,7 @@ class PositionScatter(ShallowCopy):
 
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
-        share = self.learned if self.in_force else self._given
+        share = self.learned if self.in_force else min(self.learned, self._given)
         horizontal = horizontal_variance(claimed)
         if share >= 1.0:
             return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected

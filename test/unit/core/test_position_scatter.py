@@ -104,11 +104,15 @@ def test_centimetres_are_not_split() -> None:
     assert found.share(1e-4 * np.eye(3)) == 1.0
 
 
-def test_the_learned_share_waits_until_it_is_in_force() -> None:
-    found = learned(0.2, 1.0, 0.02)
+@pytest.mark.parametrize(("scatter", "waits"), [(0.2, False), (3.0, True)])
+def test_a_larger_share_than_the_given_one_waits_until_it_is_in_force(
+    scatter: float, waits: bool
+) -> None:
+    found = learned(scatter, 1.0, 0.02)
     before = copy.copy(found)
     before.in_force = False
-    assert before.share(np.eye(3)) == 1.0 and found.share(np.eye(3)) < 0.1
+    assert found.share(np.eye(3)) == (found.learned if waits else pytest.approx(0.05, abs=0.03))
+    assert before.share(np.eye(3)) == (1.0 if waits else found.share(np.eye(3)))
 
 
 def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
