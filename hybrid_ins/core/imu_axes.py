@@ -177,7 +177,7 @@ class ImuAxesCheck:
         """
         one = np.eye(3)
         as_given = Fit(1.0, one, lever_arm=self._arm, given_arm=self._arm)
-        fits = _hypotheses(self._arm)
+        fits: list[Fit] = []
         passed: list[tuple[Motion, Fit]] = []
         fitting: list[tuple[Motion, Fit]] = []
         tried = 0
@@ -201,6 +201,8 @@ class ImuAxesCheck:
                 continue
             if not np.any(np.ptp(motion.turn, axis=0)):
                 return AxesFault(AS_GIVEN, self._mount, no_turns=True)
+            if not tried:
+                fits = _hypotheses(self._arm)
             untried, tried = passed[tried:], len(passed)
             fits = yield from _fit_all(fits, untried[:1] + untried[1:][-1:])
             found = self._explain(motion, change, as_given, fits, len(passed) == 1)
