@@ -58,6 +58,7 @@ class FilterNoise:
         self.unclaimed_std, self.excess = 0.0, 1.0
         self.jumps = PositionJumps()
         self._restarted = False
+        self._note_levels()
 
     def __copy__(self) -> FilterNoise:
         factors = None if self.factors is None else self.factors.__copy__()
@@ -104,10 +105,12 @@ class FilterNoise:
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
+        return self._levels
+
+    def _note_levels(self) -> None:
+        """Set the levels in force: they are asked for with every sample, and change with events."""
         levels, (a, g) = self.model.levels(), self.imu_factors
-        if a == 1.0 and g == 1.0:
-            return levels
-        return np.asarray(levels * np.array((a, a, a, g, g, g)))
+        self._levels = levels if a == g == 1.0 else levels * np.array((a, a, a, g, g, g))
 
     def psd(self) -> Array:
         """Return the diagonal of Qc, shape (12,)."""
@@ -123,6 +126,7 @@ class FilterNoise:
         needed = max(self.imu_factors) > 1.0 or self.slow_std > 0.0
         if replaced and needed and self.factors is not None:
             self.factors.restart(keep_weights=False)
+        self._note_levels()
 
     @property
     def uses_corrections(self) -> bool:
@@ -134,14 +138,17 @@ class FilterNoise:
         if self.model.uses_corrections:
             self.model.learn(replace(correction, restarted=self._restarted))
         self._restarted = False
-        if self.factors is None:
-            return None
-        return self.factors.update(correction, self.process.psd(self.model.levels()))
+        moved: StateCorrection | None = None
+        if self.factors is not None:
+            moved = self.factors.update(correction, self.process.psd(self.model.levels()))
+        self._note_levels()
+        return moved
 
     def learn_jump(self, correction: Correction, R: Array) -> None:
         """Learn from a fix that was rejected as a jump, with the covariance R (m, m) in force."""
         if self.factors is not None:
             self.factors.weigh_jump(correction, R)
+            self._note_levels()
 
     def on_imu_fault(self, t_ns: int) -> None:
         """Drop what refers to the state before a fault of the IMU at a stamp [ns]."""
@@ -163,3 +170,4 @@ class FilterNoise:
         self._restarted = True
         if self.factors is not None:
             self.factors.restart(keep_weights=keep_weights)
+            self._note_levels()
