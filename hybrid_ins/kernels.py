@@ -146,6 +146,8 @@ def _compile_filter() -> None:
     propagation.propagate_covariance(nav)
     readings = np.zeros((1, 6))
     propagation.run(nav, np.full(1, 0.01), readings, 0.0, np.empty((1, N_NAV)))
+    numbers, integers = np.zeros((1, 7)), np.ones((1, 7), np.int64)
+    propagation.run_samples(nav, 0, numbers, integers, 1, 0.0, np.empty((1, N_NAV)))
     z, H = measurements.position_model(nav, np.zeros(3), np.zeros(3))
     kalman.innovation(nav, z, H, np.eye(3))
     iterated_update.update(nav, z, H, np.eye(3))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
-from hybrid_ins.core.samples import readings_of, steps_since
+from hybrid_ins.core.samples import as_numbers
 from hybrid_ins.core.state import (
     COVARIANCE,
     DP,
@@ -47,17 +47,21 @@ def run(
     interval, rows
         See `propagation.run`.
     """
-    steps = steps_since(t_ns, samples["t_ns"])
-    dt, readings = steps * 1e-9, readings_of(samples)
-    gaps, start = (steps > long_step_ns).nonzero()[0].tolist(), 0
-    for k in gaps:
-        propagation.run(nav, dt[start:k], readings[start:k], interval, rows[start:k])
-        bridge(nav, readings[k], dt[k], interval)
+    numbers = as_numbers(samples)
+    integers, start = numbers.view(np.int64), 0
+    while True:
+        rest = slice(start, None)
+        k = start + propagation.run_samples(
+            nav, t_ns, numbers[rest], integers[rest], long_step_ns, interval, rows[rest]
+        )
+        if k > start:
+            t_ns = integers.item(k - 1, 0)
+        if k == len(samples):
+            return start > 0
+        bridge(nav, numbers[k, 1:], (integers.item(k, 0) - t_ns) * 1e-9, interval)
         if len(rows):
             rows[k] = nav[:N_NAV]
-        start = k + 1
-    propagation.run(nav, dt[start:], readings[start:], interval, rows[start:])
-    return bool(gaps)
+        t_ns, start = integers.item(k, 0), k + 1
 
 
 def bridge(nav: Array, reading: Array, dt: float, interval: float) -> None:

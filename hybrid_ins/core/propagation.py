@@ -1,7 +1,7 @@
 """
 The prediction: the state at every IMU sample, the covariance with it or over a few samples at once.
 
-`step` is the live call, `run` the same step in a loop for recorded data.
+`step` is the live call, `run` and `run_samples` are the same step in a loop.
 
 References
 ----------
@@ -142,3 +142,41 @@ def run(nav, dt, samples, interval, rows):  # type: ignore[no-untyped-def]
         if keep:
             for i in range(N_NAV):
                 rows[k, i] = nav[i]
+
+
+@kernel(allocates=False)
+def _seconds(duration_ns):  # type: ignore[no-untyped-def]
+    """Return a time [s], rounded: `step` must not fuse the product with its own operations."""
+    return duration_ns * 1e-9
+
+
+@kernel(allocates=False, fastmath=FASTMATH)
+def run_samples(  # type: ignore[no-untyped-def]
+    nav, t_ns, numbers, integers, long_step_ns, interval, rows
+):
+    """
+    Advance ``nav`` as `run`, up to the first gap; return how many samples that were.
+
+    Parameters
+    ----------
+    t_ns : int
+        Stamp of ``nav`` [ns].
+    numbers, integers : ndarray, shape (N, 7)
+        `samples.as_numbers`, and the same bits as integers: the first column are the stamps [ns].
+    long_step_ns : int
+        A longer step [ns] is a gap.
+    interval, rows
+        See `run`.
+    """
+    keep = rows.shape[0] > 0
+    for k in range(numbers.shape[0]):
+        step_ns = integers[k, 0] - t_ns
+        if step_ns > long_step_ns:
+            return k
+        t_ns = integers[k, 0]
+        s = numbers[k]
+        step(nav, _seconds(step_ns), s[1], s[2], s[3], s[4], s[5], s[6], interval)
+        if keep:
+            for i in range(N_NAV):
+                rows[k, i] = nav[i]
+    return numbers.shape[0]

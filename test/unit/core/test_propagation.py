@@ -17,6 +17,7 @@ from hybrid_ins.core import propagation
 from hybrid_ins.core._covariance_step import covariance_step
 from hybrid_ins.core.error_model import process_noise, system_matrix
 from hybrid_ins.core.propagation import MEAN_TIME
+from hybrid_ins.core.samples import SAMPLE_DTYPE, as_numbers, steps_since
 from hybrid_ins.core.state import (
     ACCELERATION,
     COVARIANCE,
@@ -94,6 +95,27 @@ def test_step_and_run_are_the_same() -> None:
         np.testing.assert_array_equal(live[:N_NAV], rows[k])
 
     np.testing.assert_array_equal(live[:N_NAV], batch[:N_NAV])
+
+
+def test_samples_are_run_up_to_the_first_gap() -> None:
+    truth, gap = flight(200.0, 2.0), 250
+    by_steps, by_samples = start(truth), start(truth)
+    samples = np.zeros(len(truth.t), SAMPLE_DTYPE)
+    samples["t_ns"] = np.round(truth.t * 1e9)
+    samples["f"], samples["w"] = truth.readings[:, :3], truth.readings[:, 3:]
+    samples["t_ns"][gap:] += 100_000_000
+    steps = steps_since(0, samples["t_ns"])[1:gap] * 1e-9
+    rows, others = np.empty((gap - 1, N_NAV)), np.zeros((len(samples) - 1, N_NAV))
+
+    propagation.run(by_steps, steps, truth.readings[1:gap], 0.01, rows)
+    numbers = as_numbers(samples[1:])
+    first_ns, integers = int(samples["t_ns"][0]), numbers.view(np.int64)
+    ran = propagation.run_samples(by_samples, first_ns, numbers, integers, 20_000_000, 0.01, others)
+
+    assert ran == gap - 1
+    np.testing.assert_array_equal(by_samples, by_steps)
+    np.testing.assert_array_equal(others[:ran], rows)
+    assert not others[ran:].any()
 
 
 @pytest.mark.parametrize("interval", [0.01, 0.05])
