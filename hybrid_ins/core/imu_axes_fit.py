@@ -204,10 +204,10 @@ def fit(motion: Motion, start: Fit, allowed: tuple[Array, Array] = STRICT) -> Fi
             by_force = _changes(motion, -_twice_integrated(arms), around[1:2])[:, 0]
             columns += [*by_force, *by_turns[3:]]
         by_all = np.stack(columns, axis=-1)
-        step, step_std = _step(C[k], at, by_all, misfit[k], nuisance, std)
-        best = replace(best, arm_std=step_std[3:6])
+        H, z = _equations(C[k], at, by_all, misfit[k], nuisance, std)
+        step = np.linalg.lstsq(H, z, rcond=None)[0][3:]
         nuisance = np.clip(nuisance + step, -largest, largest)
-    return best
+    return replace(best, arm_std=_sigma(H, z, len(std))[3:6])
 
 
 def _turns(turn: Array, nuisance: Array) -> Array:
@@ -227,20 +227,23 @@ def _twice_integrated(axes: Array) -> Array:
     return paths
 
 
-def _step(
+def _equations(
     C: Array, changes: Array, by_nuisance: Array, misfit: Array, nuisance: Array, std: Array
 ) -> tuple[Array, Array]:
-    """Return the change of the nuisance parameters (P,) by least squares, and its σ (P,)."""
+    """Return H and z of the least squares for a rotation (3,) and nuisance parameters (P,)."""
     count = len(std)
     by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
     of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1)
     weight = np.diag(CHANGE_STD / std)
     H = np.vstack((of_changes.reshape(-1, 3 + count), np.hstack((np.zeros((count, 3)), weight))))
-    z = np.concatenate((misfit.ravel(), -weight @ nuisance))
-    step = np.linalg.lstsq(H, z, rcond=None)[0]
+    return H, np.concatenate((misfit.ravel(), -weight @ nuisance))
+
+
+def _sigma(H: Array, z: Array, count: int) -> Array:
+    """Return σ of ``count`` nuisance parameters, of what `_equations` have left over."""
+    misfit = z[:-count].reshape(-1, 3)
     noise = max(CHANGE_STD, float(np.sqrt(np.mean(misfit[:, :2] ** 2))))
-    variance = np.diag(np.linalg.pinv(H.T @ H))
-    return np.asarray(step[3:]), np.asarray(noise * np.sqrt(variance[3:]))
+    return np.asarray(noise * np.sqrt(np.diag(np.linalg.pinv(H.T @ H))[3:]))
 
 
 def attitudes(turn: Array) -> Array:
