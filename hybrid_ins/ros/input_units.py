@@ -7,8 +7,6 @@ from __future__ import annotations
 import itertools
 from collections import deque
 
-import numpy as np
-
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.samples import ImuRing, sample_period
 from hybrid_ins.ros.conversions import Message, Refused, stamp_ns
@@ -54,8 +52,9 @@ class InputUnits:
             self._check_whole_seconds()
 
     def _check_radians(self) -> None:
-        places = np.abs(np.array([place for _, *place in self._stamps]))
-        if np.all(places < RADIANS) and np.max(places) > SIMULATED:
+        if any(abs(lat) >= RADIANS[0] or abs(lon) >= RADIANS[1] for _, lat, lon in self._stamps):
+            return
+        if max(max(abs(lat), abs(lon)) for _, lat, lon in self._stamps) > SIMULATED:
             _, lat, lon = self._stamps[-1]
             self._note(
                 "gnss: radians",
@@ -64,11 +63,13 @@ class InputUnits:
             )
 
     def _check_whole_seconds(self) -> None:
-        stamps = np.array([stamp for stamp, *_ in self._stamps])
-        places = [place for _, *place in self._stamps]
-        moved = [last != now for last, now in itertools.pairwise(places)]
-        shared = int(np.sum((np.diff(stamps) == 0) & moved))
-        if shared >= SHARED and not np.any(stamps % SECOND_NS):
+        if any(stamp % SECOND_NS for stamp, *_ in self._stamps):
+            return
+        shared = sum(
+            last[0] == now[0] and last[1:] != now[1:]
+            for last, now in itertools.pairwise(self._stamps)
+        )
+        if shared >= SHARED:
             self._note(
                 "gnss: whole seconds",
                 f"header.stamp has whole seconds only, and {shared} of the last {KEPT} fixes have "
