@@ -101,6 +101,8 @@ class ConstraintObserver:
     slip : SlipEstimator
         The velocity across the nose that the motion shows; the constraint is not fused with that,
         since the road may change in an outage.
+    ratio : SlipEstimator
+        The same relative to what a model answers, which sees the road: no model knows every car.
     holds : bool
         The constraint is proven, or assumed, and not disproven.
     """
@@ -112,7 +114,7 @@ class ConstraintObserver:
             np.diag([settings.nose_std, settings.nose_std, settings.point_std, SQUAT_STD]) ** 2
         )
         self.evidence = self.recent = self.turned = 0.0
-        self.slip = SlipEstimator(settings.std)
+        self.slip, self.ratio = SlipEstimator(settings.std), SlipEstimator(np.ones(2))
         self.holds = settings.assumed
         self._to_turn = TURNED
 
@@ -121,7 +123,15 @@ class ConstraintObserver:
         """Standard deviations of the nose's yaw, pitch [rad], place [m] and squat, (4,)."""
         return np.asarray(np.sqrt(np.diag(self._P)))
 
-    def observe(self, nav: Array, rate_b: Array, interval: float, *, fused: bool) -> None:
+    def observe(
+        self,
+        nav: Array,
+        rate_b: Array,
+        interval: float,
+        *,
+        fused: bool,
+        answer: Array | None = None,
+    ) -> None:
         """
         Use the motion at an instant.
 
@@ -135,6 +145,8 @@ class ConstraintObserver:
             Time since the last observation [s].
         fused : bool
             The filter fuses the constraint: agreement then proves nothing.
+        answer : ndarray, shape (2, 2), optional
+            A model's, on the covariance of the velocity across the nose [(m/s)²].
         """
         z, J, state, speed = self._innovation(nav, rate_b)
         if abs(speed) < MIN_SPEED:
@@ -148,7 +160,11 @@ class ConstraintObserver:
         if fused:
             gains = np.minimum(gains, 0.0)
         else:
-            self.slip.observe(z, S, share, math.exp(-interval / MEMORY))
+            fading = math.exp(-interval / MEMORY)
+            self.slip.observe(z, S, share, fading)
+            if answer is not None:
+                std = np.sqrt(np.diag(answer))
+                self.ratio.observe(z / std, S / np.outer(std, std), share, fading)
         self.evidence = _faded(self.evidence, float(gains[0]), interval / MEMORY)
         self.recent = _faded(self.recent, float(gains[1]), interval / RECENT)
         if nis < OUTLIER and not fused:
@@ -175,7 +191,7 @@ class ConstraintObserver:
         _, J, _, _ = self._innovation(nav, rate_b)
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
         R = R + inflated(slip, SLIP_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose.squatting(nav), R)
+        return NonHolonomic(t_ns, rate_b, self.nose, R)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
         """Innovation (2,), its derivative by the nose (2, 4), the state's part of S, the speed."""

@@ -90,10 +90,15 @@ class NonHolonomic:
     sensor: ClassVar[str] = IMU
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
-        """See `Measurement.linearise`; [1]_ eq. 15.14."""
+        """
+        See `Measurement.linearise`; [1]_ eq. 15.14.
+
+        A body that squats has its velocity in its axis down, too, but the speed is not read off
+        it: the error of the squat, which lasts, would be one of the speed.
+        """
         velocity_b, by_error = point_velocity(nav, self.rate_b, self.nose.point_b)
-        axes = self.nose.axes
-        return -axes @ velocity_b, axes @ by_error, self.covariance
+        squatting = self.nose.squatting(nav)
+        return -squatting.axes @ velocity_b, self.nose.axes @ by_error, self.covariance
 
 
 def point_velocity(nav: Array, rate_b: Array, point_b: Array) -> tuple[Array, Array]:

@@ -3,8 +3,8 @@ The covariance of the non-holonomic constraint, read from the last second of IMU
 
 Vibration shows the road, and the road makes an axle heave and wander. The reader
 checks the window, asks the model, bounds the answer and counts its refusals, as
-`hybrid_ins.noise_regressor.reader` does for the noise of the IMU. It is asked only where the
-constraint is fused.
+`hybrid_ins.noise_regressor.reader` does for the noise of the IMU. It is asked only
+where the constraint holds.
 
 References
 ----------
@@ -115,9 +115,14 @@ class SlipReader:
         self.covariance = self._nominal
 
     @property
+    def answers(self) -> bool:
+        """The covariance in force is the model's."""
+        return self._answered_ns is not None
+
+    @property
     def source(self) -> str:
         """Where the covariance in force comes from."""
-        if self._regressor is None or self._answered_ns is None:
+        if self._regressor is None or not self.answers:
             return "constant"
         return f"learned ({self._regressor.name})"
 

@@ -148,19 +148,28 @@ class VehicleInput:
         rate_b = samples["w"][samples["t_ns"] > t_ns - RATE_NS].mean(axis=0)
         held = observer.holds
         settled = self._fixes.settled(t_ns)
-        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=not settled)
+        answer = None
+        if held:
+            self.slip.read(self._navigator.ring, observer.nose, t_ns)
+            answer = self.slip.covariance if self.slip.answers else None
+        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=not settled, answer=answer)
         if observer.holds != held:
             self._log_change()
-        self.fused = self._fixes.outage(t_ns) and observer.holds
+        self.fused = self._fixes.outage(t_ns) and held and observer.holds
         if settled:
             self.stands.learn(samples, nav, PERIOD_NS * 1e-9, observer.nose)
         if self.fused:
-            slip = self.slip.read(self._navigator.ring, observer.nose, t_ns)
+            slip = self._slip_covariance(observer)
             self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9, slip))
             stand = self.stands.measurement(samples, nav, rate_b, observer.nose)
             self.near_standstill = stand is not None
             if stand is not None:
                 self._navigator.measure(stand)
+
+    def _slip_covariance(self, observer: ConstraintObserver) -> Array:
+        """Return the model's answer, scaled as the motion has shown; without one the nominal."""
+        scale = observer.ratio.covariance if self.slip.answers else 1.0
+        return np.asarray(self.slip.covariance * scale)
 
     def _log_change(self) -> None:
         observer = self.observer
@@ -199,7 +208,7 @@ class VehicleInput:
         yaw_std, pitch_std, along_std, squat_std = observer.sigma.tolist()
         along = float(observer.nose.forward @ observer.nose.point_b)
         left_std, up_std = np.sqrt(np.diag(observer.slip.covariance)).tolist()
-        used_left, used_up = np.sqrt(np.diag(self.slip.covariance)).tolist()
+        used_left, used_up = np.sqrt(np.diag(self._slip_covariance(observer))).tolist()
         return status(
             "vehicle",
             0,

@@ -11,7 +11,7 @@ from support.derivatives import derivative, flat_state, swing, vectors
 from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.core.state import ACCELERATION, BIAS_G, EPS, LAST_W, QUAT, VELOCITY, Array
+from hybrid_ins.core.state import ACCELERATION, BIAS_G, DV, EPS, LAST_W, QUAT, VELOCITY, Array
 
 POINT_B = np.array([-1.2, 0.3, 0.5])
 INTERVAL = 0.5
@@ -71,11 +71,13 @@ def car(observer: ConstraintObserver, seconds: float, seed: int, **motion: float
             slip += motion["free"] * np.array([np.sin(0.5 * t), np.cos(0.31 * t)])
         point_velocity_b = speed * nose.forward + slip @ nose.axes
         velocity_b = point_velocity_b - np.cross(rate, nose.point_b)
-        nav = flat_state(velocity_b, np.zeros(3), rate, std=0.01)
+        nav = flat_state(velocity_b, np.zeros(3), rate, std=motion.get("std", 0.01))
         nav[BIAS_G] = 0.0
         nav[ACCELERATION] = 2.0 * nose.forward * np.sin(0.2 * t)
         nav[VELOCITY] += speed * motion.get("squat", 0.0) * 2.0 * np.sin(0.2 * t) * nose.axes[1]
-        observer.observe(nav, rate, INTERVAL, fused=False)
+        variance = motion.get("answer", 0.0) ** 2
+        answer = variance * np.eye(2) if variance else None
+        observer.observe(nav, rate, INTERVAL, fused=False, answer=answer)
 
 
 def new_observer(assumed: bool = False) -> ConstraintObserver:
@@ -143,6 +145,33 @@ def test_the_derivative_by_the_nose_is_that_of_the_innovation() -> None:
         at = ConstraintObserver(replace(settings_, nose=moved))._innovation(nav, rate)[0]
         # z = -E v, and what an error of the nose adds to z has to be taken off it.
         np.testing.assert_allclose((at - z) / step, -J[:, i], atol=5e-2, rtol=1e-2)
+
+
+def test_the_speed_is_not_read_off_the_squat() -> None:
+    """An error of the squat lasts: a speed found by it would be wrong by its share, and sure."""
+    nose = Nose(0.03, -0.02, POINT_B, 0.01)
+    nav = flat_state(np.array([9.0, 0.1, -0.4]), np.zeros(3), np.zeros(3))
+    nav[ACCELERATION] = [3.0, 0.0, 0.0]
+
+    z, H, _ = NonHolonomic(0, np.zeros(3), nose, np.eye(2)).linearise(nav)
+    level, same, _ = NonHolonomic(0, np.zeros(3), replace(nose, squat=0.0), np.eye(2)).linearise(
+        nav
+    )
+
+    assert abs(z[1] - level[1]) == pytest.approx(0.03 * 9.0, rel=0.05)
+    np.testing.assert_array_equal(H, same)
+    C_bn = matrix_from_quat(nav[QUAT]).T
+    np.testing.assert_allclose(H[:, DV] @ C_bn.T @ nose.forward, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("answer", [0.02, 0.05, 0.15])
+def test_how_far_a_model_of_slip_is_off_is_found(answer: float) -> None:
+    """GIVEN slip of 0.05 m/s and a model that answers otherwise."""
+    observer = new_observer()
+    car(observer, 240.0, 2, slip=0.05, std=0.001, answer=answer)
+
+    scaled = np.sqrt(np.diag(answer**2 * observer.ratio.covariance))
+    np.testing.assert_allclose(scaled, 0.05, rtol=0.25)
 
 
 @pytest.mark.parametrize("seed", [2, 4])
