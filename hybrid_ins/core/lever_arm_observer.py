@@ -10,9 +10,9 @@ has s = -C_nb in its position, and h is zero until the vehicle turns.
 
 The estimate is a regression of the innovations on h, with the clock offset of the fixes and the age
 of velocities beside it: straight ahead one is like the other. The state is not corrected by it:
-who says where the antenna is decides what the odometry is of. But an error that is certain is
+who says where the antenna is decides what the odometry is of. But an error that is probable is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
-reported. Where the noise factors have risen by what the lever arm does, the estimate is too short,
+reported. It is told once it is certain. Where the noise factors have risen by what the lever arm does, the estimate is too short,
 but no less certain. A lever arm that was not given but found from motion is considered from the
 start on.
 
@@ -62,7 +62,7 @@ PRIOR_STD = 2.0  # m, of each component of the error
 AGE_STD = 0.3  # s, of velocities against positions
 HEADING_STD = math.radians(4.0)  # from which the start is observed
 MAX_HEADING_STD, SETTLED_NS = math.radians(12.0), 30_000_000_000  # later: of the heading; ns
-ELSEWHERE = 6.0  # standard deviations of dl, from which it is certain
+PROBABLE, ELSEWHERE = 4.0, 6.0  # standard deviations of dl, from which it is considered, certain
 LEAST_ERROR = 0.2  # m, of an axis: a smaller one is left to who measures it
 MAX_INTERVAL = 3.0  # s without a measurement: beyond it the mean motion does not represent the IMU
 
@@ -86,7 +86,7 @@ class LeverArmError(NamedTuple):
     error_b: Array  # (3,) m, true minus given, b
     std: Array  # (3,) m
     distance: float  # of the error from none, in standard deviations of three dimensions
-    is_certain: bool
+    is_certain: bool  # worth telling
 
 
 class LeverArmObserver(ShallowCopy):
@@ -118,7 +118,7 @@ class LeverArmObserver(ShallowCopy):
             values[ERROR].copy(),
             np.sqrt(variance),
             values.item(DISTANCE),
-            bool(values[CONSIDERED].any()),
+            bool(values[CONSIDERED].any()) and values.item(DISTANCE) > ELSEWHERE,
         )
 
     @property
@@ -270,7 +270,7 @@ def _variance_factor(values):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _consider(values, C):  # type: ignore[no-untyped-def]
-    """Decide whether the error is certain, and write what is considered of it."""
+    """Decide whether there probably is an error, and write what is considered of it."""
     factor, P = _variance_factor(values), np.empty((3, 3))
     error = values[ERROR]
     for i in range(3):
@@ -281,10 +281,10 @@ def _consider(values, C):  # type: ignore[no-untyped-def]
     values[DISTANCE] = np.sqrt(whiten(root, error.copy()))
     is_large, least = False, max(LEAST_ERROR, 2.0 * values[FIX_STD])
     for i in range(3):
-        is_large |= abs(error[i]) > max(least, 4.0 * np.sqrt(P[i, i]))
+        is_large |= abs(error[i]) > max(least, 3.0 * np.sqrt(P[i, i]))
     for i in range(3):
         values[CONSIDERED][i] = 0.0
-        if is_large and values[DISTANCE] > ELSEWHERE:
+        if is_large and values[DISTANCE] > PROBABLE:
             for j in range(3):
                 for k in range(3):
                     mean_square = error[j] * error[k] + P[j, k]

@@ -13,7 +13,14 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.lever_arm_observer import SENSITIVITIES
 from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.state import CLOCK_VARIANCE, N_ERROR, QUAT, covariance, unpack_total
+from hybrid_ins.core.state import (
+    ANTENNA_VARIANCE,
+    CLOCK_VARIANCE,
+    N_ERROR,
+    QUAT,
+    covariance,
+    unpack_total,
+)
 from hybrid_ins.simulation.motions import car_drive
 from tools.paper.runs import Run, Scenario, draw
 
@@ -85,6 +92,22 @@ def test_an_error_that_is_certain_is_part_of_the_covariance_that_is_reported() -
     np.testing.assert_array_less(of_error, np.diag(added)[:3])
     np.testing.assert_allclose(np.diag(added)[:3], of_error, atol=2.0 * np.max(found.std) ** 2)
     assert not added[3:].any()
+
+
+def test_an_error_is_considered_before_it_is_worth_telling() -> None:
+    """GIVEN a flight that begins, and an antenna elsewhere THEN first the covariance holds it."""
+    run = draw(FLIGHT, 1)
+    considered, told = [], []
+    for seconds in np.arange(8.0, 31.0):
+        stop_ns = int(run.samples["t_ns"][0] + seconds * 1e9)
+        begun = replace(run, fixes=tuple(fix for fix in run.fixes if fix.t_ns < stop_ns))
+        found = filtered(begun, -np.array([0.6, -0.2, 0.3]))
+        if np.any(found.nav[ANTENNA_VARIANCE]):
+            considered.append(seconds)
+        if found.lever_arm.is_certain:
+            told.append(seconds)
+
+    assert considered and told and considered[0] < told[0]
 
 
 def test_what_the_clock_does_is_no_lever_arm() -> None:
