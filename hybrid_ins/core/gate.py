@@ -188,7 +188,18 @@ class Gate(ShallowCopy):
         last = self._rejections.get(measurement.kind)
         rejected_ns = measurement.t_ns - last.first_ns if last else 0  # that is no pause
         is_pause = interval * 1e9 - rejected_ns > self._patience_ns
-        verdict = self._decide(measurement, z, R, S, nis, age, interval, is_pause)
+        plain = Verdict(
+            measurement,
+            True,
+            "",
+            age,
+            nis,
+            self._thresholds[len(R)],
+            np.sqrt(R.diagonal()),
+            log_determinant(S),
+            weight=weight(nis, len(R)) if measurement.sensor == GNSS else 1.0,
+        )
+        verdict = self._decide(plain, z, R, interval, is_pause)
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
             if is_pause:
@@ -206,80 +217,80 @@ class Gate(ShallowCopy):
         self._scales = {**others, kind: scale} if is_remarkable else others
 
     def _decide(
-        self,
-        measurement: Measurement,
-        z: Array,
-        R: Array,
-        S: Array,
-        nis: float,
-        age: float,
-        interval: float,
-        is_pause: bool,
+        self, plain: Verdict, z: Array, R: Array, interval: float, is_pause: bool
     ) -> Verdict:
+        """Return ``plain``, or what the measurements of its kind before it make of it."""
+        measurement = plain.measurement
         kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
-        plain = Verdict(
-            measurement,
-            True,
-            "",
-            age,
-            nis,
-            self._thresholds[len(R)],
-            np.sqrt(R.diagonal()),
-            log_determinant(S),
-            weight=weight(nis, len(R)) if is_gnss else 1.0,
-        )
         last = self._rejections.get(kind)
-        others = {k: run for k, run in self._rejections.items() if k != kind}
         first_ns = last.first_ns if last else t_ns
         consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
-        confirmed_ns = max(first_ns - self._confirmed_since_ns, LEAST_PATIENCE_NS)
-        patience_ns = min(self._patience_ns, confirmed_ns)
-        if nis <= plain.threshold:
-            marginal = nis > MARGINAL * plain.threshold and t_ns - consistent_ns > patience_ns // 3
+        patience_ns = min(self._patience_ns, self._confirmed_ns(first_ns))
+        long_consistent = t_ns - consistent_ns > patience_ns // 3
+        if plain.nis <= plain.threshold:
+            marginal = plain.nis > MARGINAL * plain.threshold and long_consistent
             if not (marginal and is_gnss):
-                self._rejections = others
+                self._end_run(kind)
                 return plain
         elif not is_gnss or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            of_state = last is not None and consistent_ns == last.consistent_ns
-            scale = 1.0 if of_state else self._scales.get(kind, 1.0)
-            jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
-            began = jump if last is None else last.began_with_jump
-            certain = nis > CERTAIN and (last.certain if last else kind not in self._scales)
-            count = 1 if last is None else last.count + 1
-            run = _Rejections(first_ns, consistent_ns, z, count, certain, jump, began)
-            self._rejections = {**others, kind: run}
-            if is_gnss and not jump:
-                if is_pause and not of_state:
-                    return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
-                jumped = (
-                    kind == "position"
-                    and last is not None
-                    and certain
-                    and count == 2
-                    and confirmed_ns >= self._patience_ns
-                    and _has_jumped(last.z, z, R, interval)
-                )
-                return replace(plain, reason="large innovation", receiver_jumped=jumped)
-            return replace(
-                plain,
-                accepted=False,
-                reason="innovation beyond the gate",
-                jump=jump,
-                disagrees=jump and not of_state,
-            )
-        self._rejections = others
+            return self._continue_run(plain, z, R, interval, is_pause, consistent_ns)
+        self._end_run(kind)
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
-        jumped = (
-            kind == "position"
-            and last is not None
-            and last.began_with_jump
-            and t_ns - consistent_ns >= patience_ns // 3
-            and confirmed_ns >= self._patience_ns
-        )
+        jumped = kind == "position" and last is not None and last.began_with_jump
+        jumped = jumped and t_ns - consistent_ns >= patience_ns // 3
+        jumped = jumped and self._confirmed_ns(first_ns) >= self._patience_ns
         return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
+
+    def _continue_run(
+        self,
+        plain: Verdict,
+        z: Array,
+        R: Array,
+        interval: float,
+        is_pause: bool,
+        consistent_ns: int,
+    ) -> Verdict:
+        """Note one more measurement above the threshold; return its weight or its rejection."""
+        measurement, kind = plain.measurement, plain.measurement.kind
+        last = self._rejections.get(kind)
+        of_state = last is not None and consistent_ns == last.consistent_ns
+        scale = 1.0 if of_state else self._scales.get(kind, 1.0)
+        jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
+        run = _Rejections(
+            last.first_ns if last else measurement.t_ns,
+            consistent_ns,
+            z,
+            last.count + 1 if last else 1,
+            plain.nis > CERTAIN and (last.certain if last else kind not in self._scales),
+            jump,
+            last.began_with_jump if last else jump,
+        )
+        self._rejections = {**self._rejections, kind: run}
+        if measurement.sensor != GNSS or jump:
+            reason, disagrees = "innovation beyond the gate", jump and not of_state
+            return replace(plain, accepted=False, reason=reason, jump=jump, disagrees=disagrees)
+        if is_pause and not of_state:
+            return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
+        jumped = False
+        if kind == "position" and last is not None and self._is_second_of_certain(run):
+            jumped = _has_jumped(last.z, z, R, interval)
+        return replace(plain, reason="large innovation", receiver_jumped=jumped)
+
+    def _end_run(self, kind: str) -> None:
+        """Forget the measurements of a kind above the threshold."""
+        self._rejections = {k: run for k, run in self._rejections.items() if k != kind}
+
+    def _confirmed_ns(self, t_ns: int) -> int:
+        """Return for how long [ns] the state at a stamp [ns] had been confirmed."""
+        return max(t_ns - self._confirmed_since_ns, LEAST_PATIENCE_NS)
+
+    def _is_second_of_certain(self, run: _Rejections) -> bool:
+        """Return whether a run has two measurements that a believed state hardly explains."""
+        believed = self._confirmed_ns(run.first_ns) >= self._patience_ns
+        return run.certain and run.count == 2 and believed
 
 
 def weight(nis: float, m: int) -> float:

@@ -9,12 +9,12 @@ h = H s + C_nb, that of a velocity with h = H s + C_nb [w x]. A state that was r
 has s = -C_nb in its position, and h is zero until the vehicle turns.
 
 The estimate is a regression of the innovations on h, with the clock offset of the fixes and the age
-of velocities beside it: straight ahead one is like the other. The state is not corrected by it:
-who says where the antenna is decides what the odometry is of. But an error that is probable is
+of velocities beside it: straight ahead one is like the other. The state is not corrected by it: who
+says where the antenna is decides what the odometry is of. But an error that is probable is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
-reported. It is told once it is certain. Where the noise factors have risen by what the lever arm does, the estimate is too short,
-but no less certain. A lever arm that was not given but found from motion is considered from the
-start on.
+reported. It is told once it is certain. Where the noise factors have risen by what the lever arm
+does, the estimate is too short, but no less certain. A lever arm that was not given but found from
+motion is considered from the start on.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
