@@ -58,6 +58,7 @@ MARGIN = 1.25  # on the share: one that is a little too large costs less than on
 SMALLEST = 0.03  # share of the claimed variance
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
 SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
+LEAST_SEARCHED = 0.1  # of the given share, while a heading or a clock is searched for
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
 LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
@@ -97,8 +98,9 @@ class PositionScatter(ShallowCopy):
     learned : float
         Share that the fixes show; the given one until they do.
     in_force : bool
-        Positions are fused with the learned share; otherwise with the given one if that is smaller:
-        while a heading or a clock is searched for, a wrong one looks like scatter.
+        Positions are fused with the learned share. Otherwise, while heading or clock are searched
+        for, with no more than the given one, since a wrong heading looks like scatter, and with no
+        less than a tenth of it: else the model's other errors are evidence on both.
     """
 
     def __init__(self, given: float = 1.0, learning: bool = False) -> None:
@@ -112,7 +114,9 @@ class PositionScatter(ShallowCopy):
 
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
-        share = self.learned if self.in_force else min(self.learned, self._given)
+        share = self.learned
+        if not self.in_force:
+            share = min(max(share, LEAST_SEARCHED * self._given), self._given)
         horizontal = horizontal_variance(claimed)
         if share >= 1.0:
             return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected
