@@ -66,19 +66,30 @@ def climb(likelihood: Likelihood, x: Array) -> tuple[Array, bool]:
         x, converged = maximise(likelihood, x)
         y = x.copy()
         for i in offsets:
-            values = x[i] + NEARBY
-            y[i] = values[int(np.argmax(likelihood.profile(x, likelihood.names[i], values)))]
+            y[i] = likelihood.likeliest(x, likelihood.names[i], x[i] + NEARBY)
         if np.all(y == x):
             break
         x = y
     return x, converged
 
 
-def smooth_offsets(likelihood: Likelihood, x: Array) -> Array:
+def settle_offsets(likelihood: Likelihood, x: Array, converged: bool) -> tuple[Array, bool]:
+    """Return what `climb` has found, with other offsets where the likelihood is rough in them."""
+    smooth = _smooth_offsets(likelihood, x)
+    if np.all(smooth == x):
+        return x, converged
+    frozen = likelihood.frozen
+    likelihood.frozen = frozen | {likelihood.names[i] for i in likelihood.offsets}
+    x, converged = maximise(likelihood, smooth)
+    likelihood.frozen = frozen
+    return x, converged
+
+
+def _smooth_offsets(likelihood: Likelihood, x: Array) -> Array:
     """
     Return ``x`` with offsets at the vertex of a parabola where the likelihood is rough.
 
-    See `climb`; the parabola is as wide as it takes to stand out from what is chance.
+    The parabola is as wide as it takes to stand out from what is chance.
     """
     x = x.copy()
     for i in _free_offsets(likelihood):
@@ -97,4 +108,4 @@ def smooth_offsets(likelihood: Likelihood, x: Array) -> Array:
 
 def _free_offsets(likelihood: Likelihood) -> list[int]:
     """Return the indices of the clock offsets that are varied."""
-    return [i for i in likelihood.free() if likelihood.names[i].startswith("offset")]
+    return [i for i in likelihood.free() if i in likelihood.offsets]

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.ascent import climb, maximise, smooth_offsets
+from hybrid_ins.calibration.ascent import climb, maximise, settle_offsets
 from hybrid_ins.calibration.drift import Drift, remove_drift
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.innovations import VELOCITY
@@ -146,22 +146,16 @@ def fit(
         x[fine.names.index("gnss_slow")] = math.log(COARSE_SLOW)
     fine.choose_yaws(x, math.pi / YAWS)
     if VELOCITY_AGE not in held:
-        ages = fine.profile(x, VELOCITY_AGE, VELOCITY_AGES)
-        x[fine.names.index(VELOCITY_AGE)] = VELOCITY_AGES[int(np.argmax(ages))]
+        age = fine.likeliest(x, VELOCITY_AGE, VELOCITY_AGES)
+        x[fine.names.index(VELOCITY_AGE)] = age
     fine.frozen = held | {"walk_a", "walk_g"}
     x, _ = climb(fine, x)
     fine.choose_yaws(x, 0.1)
     fine.frozen = held
-    x, converged = climb(fine, x)
-    smooth = smooth_offsets(fine, x)
-    if np.any(smooth != x):
-        fine.frozen = held | {name for name in fine.names if name.startswith("offset")}
-        x, converged = maximise(fine, smooth)
-        fine.frozen = held
+    x, converged = settle_offsets(fine, *climb(fine, x))
     std = uncertainty(fine, x)
     limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
-    is_offset = np.array([name.startswith("offset") for name in fine.names])
     while True:  # holding one parameter may reveal another as weak
         weak = (std > known) & (np.abs(x - nominal_x) < DIFFERENT * std)
         hold = keep | (std > limits) | weak
@@ -172,7 +166,7 @@ def fit(
         x, converged = maximise(fine, np.where(keep, nominal_x, x))
         std = np.where(keep, std, _considered(fine, x, uncertainty(fine, x), std))
     drift = Drift(0.0, math.inf)
-    if np.all(std[is_offset] <= known[is_offset]):
+    if all(std[i] <= known[i] for i in fine.offsets):
         x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
     if drift.value:
         converged = refitted
@@ -227,7 +221,7 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
         variance = np.maximum(variance, np.diag(inverse @ scatter @ inverse))
     std = prior.copy()
     std[free] = np.sqrt(variance)
-    for i in _offsets(likelihood) & set(free):
+    for i in set(likelihood.offsets) & set(free):
         std[i] = max(std[i], _std_by_motion(likelihood, x, likelihood.names[i]))
     return np.minimum(std, prior)
 
@@ -239,7 +233,7 @@ def _considered(likelihood: Likelihood, x: Array, std: Array, given: Array) -> A
     ``given`` (n,) has the standard deviations of these; the parameters of the largest posterior
     move with them.
     """
-    for i in _offsets(likelihood) - set(likelihood.free()):
+    for i in set(likelihood.offsets) - set(likelihood.free()):
         moved = x.copy()
         moved[i] += OFFSET_STEP
         moved, _ = maximise(likelihood, moved)
@@ -247,11 +241,6 @@ def _considered(likelihood: Likelihood, x: Array, std: Array, given: Array) -> A
         slope[i] = 0.0
         std = np.hypot(std, slope * given[i])
     return np.minimum(std, [p.std for p in likelihood.prior])
-
-
-def _offsets(likelihood: Likelihood) -> set[int]:
-    """Return the indices of clock offsets."""
-    return {i for i, name in enumerate(likelihood.names) if name.startswith("offset")}
 
 
 def _std_by_motion(likelihood: Likelihood, x: Array, offset: str) -> float:

@@ -83,6 +83,8 @@ class Likelihood:
     ----------
     yaws : list of float
         Heading [rad] at the start of each recording.
+    offsets : range
+        Indices of the clock offsets.
     frozen : frozenset of str
         Names of parameters that are not varied.
     on_pass : callable
@@ -113,9 +115,10 @@ class Likelihood:
         )
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
+        self.offsets = range(len(offsets))
         # Where the IMU is shaken the likelihood of an offset has the period of the samples.
         self._differences = [
-            CENTRAL if name.startswith("offset") else FORWARD for name in self.names
+            CENTRAL if i in self.offsets else FORWARD for i in range(len(self.names))
         ]
         self._is_forward = np.array([ends is FORWARD for ends in self._differences])
         self.frozen: frozenset[str] = frozenset()
@@ -217,6 +220,10 @@ class Likelihood:
         found = self._in_parallel(lambda run: self._run(run[1], run[0], self.yaws[run[1]]), runs)
         totals = np.reshape([np.sum(p.log_likelihood) for p in found], (len(candidates), -1))
         return np.asarray(totals.sum(axis=1))
+
+    def likeliest(self, x: Array, name: str, values: Array) -> float:
+        """Return the likeliest of some values of one parameter, the others being ``x``."""
+        return float(values[int(np.argmax(self.profile(x, name, values)))])
 
     def choose_yaws(self, x: Array, width: float) -> None:
         """Set each heading to the most likely one within ``width`` [rad] of it."""

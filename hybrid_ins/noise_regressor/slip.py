@@ -1,10 +1,9 @@
 """
 The covariance of the non-holonomic constraint, read from the last second of IMU samples.
 
-Vibration shows the road, and the road makes an axle heave and wander. The reader
-checks the window, asks the model, bounds the answer and counts its refusals, as
-`hybrid_ins.noise_regressor.reader` does for the noise of the IMU. It is asked only
-where the constraint holds.
+Vibration shows the road, and the road makes an axle heave and wander. The reader checks the window,
+asks the model, bounds the answer and counts its refusals, as `hybrid_ins.noise_regressor.reader`
+does for the noise of the IMU. It is asked only where the constraint holds.
 
 References
 ----------

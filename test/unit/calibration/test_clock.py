@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
 from hybrid_ins.calibration.clock import observe_clock
 from hybrid_ins.calibration.drift import Drift
 from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.fit import Fit
-from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
@@ -21,22 +22,7 @@ from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
 
 
 def recorded(vehicle: Vehicle, seed: int) -> Recording:
-    """Return a simulated drive to calibrate with, velocities included."""
-    drive, receiver = record(vehicle, seed), vehicle.receiver
-    kinds = [(POSITION, drive.fix_lla, np.asarray(receiver.claimed_std))]
-    if drive.fix_velocity_n is not None:
-        kinds.append((VELOCITY, drive.fix_velocity_n, np.full(3, receiver.velocity_std)))
-    count = len(drive.fix_stamp)
-    order = np.argsort(np.tile(drive.fix_stamp, len(kinds)), kind="stable")
-    return Recording(
-        vehicle.name,
-        drive.imu.t,
-        np.ascontiguousarray(np.hstack((drive.imu.specific_force, drive.imu.angular_rate))),
-        np.tile(drive.fix_stamp, len(kinds))[order],
-        np.repeat([kind for kind, _, _ in kinds], count)[order],
-        np.vstack([values for _, values, _ in kinds])[order],
-        np.vstack([np.tile(np.diag(std**2), (count, 1, 1)) for *_, std in kinds])[order],
-    )
+    return recording_of(record(vehicle, seed))
 
 
 def verdict(found: Calibration, label: str) -> str:

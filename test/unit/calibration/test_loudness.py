@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
 from hybrid_ins.calibration.findings import Calibration, calibrate
-from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.loudness import Levels, ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
@@ -30,17 +30,7 @@ def drive() -> Drive:
 
 @pytest.fixture(scope="module")
 def run(drive: Drive) -> Recording:
-    count = len(drive.fix_stamp)
-    R = np.diag(np.asarray(drive.vehicle.receiver.claimed_std) ** 2)
-    return Recording(
-        "car",
-        drive.imu.t,
-        np.hstack((drive.imu.specific_force, drive.imu.angular_rate)),
-        drive.fix_stamp,
-        np.full(count, POSITION),
-        drive.fix_lla,
-        np.tile(R, (count, 1, 1)),
-    )
+    return recording_of(drive)
 
 
 @pytest.fixture(scope="module")

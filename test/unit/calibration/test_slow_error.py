@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
 from hybrid_ins.calibration.findings import Calibration, calibrate
-from hybrid_ins.calibration.innovations import POSITION
-from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import Receiver, record
 
@@ -21,18 +19,7 @@ RECEIVER = Receiver(5.0, (WHITE,) * 3, (SLOW,) * 3, 100.0, (CLAIMED,) * 3)
 
 def calibrated(receiver: Receiver) -> Calibration:
     car = replace(ROAD_VEHICLES["road car, smooth"], receiver=receiver, duration=200.0)
-    drive = record(car, 107)
-    count = len(drive.fix_stamp)
-    run = Recording(
-        "car",
-        drive.imu.t,
-        np.hstack((drive.imu.specific_force, drive.imu.angular_rate)),
-        drive.fix_stamp,
-        np.full(count, POSITION),
-        drive.fix_lla,
-        np.tile(np.diag(np.square(receiver.claimed_std)), (count, 1, 1)),
-    )
-    return calibrate([run], parameters.defaults())
+    return calibrate([recording_of(record(car, 107))], parameters.defaults())
 
 
 @pytest.fixture(scope="module")
