@@ -21,6 +21,10 @@ from hybrid_ins.core.position_jumps import PositionJumps
 
 Array = NDArray[np.float64]
 
+JUMP_PROBABILITY = 0.9  # of a slow error of fixes: an innovation that began it was a jump
+SUSPICION_NS = 3_000_000_000  # in which the innovations show that
+
+
 
 class FilterNoise:
     """
@@ -57,6 +61,7 @@ class FilterNoise:
         self.factors = factors
         self.unclaimed_std, self.excess = 0.0, 1.0
         self.jumps = PositionJumps()
+        self._suspected: tuple[Correction, Array] | None = None
         self._restarted = False
         self._note_levels()
 
@@ -142,7 +147,26 @@ class FilterNoise:
         if self.factors is not None:
             moved = self.factors.update(correction, self.process.psd(self.model.levels()))
         self._note_levels()
+        if self._suspected is not None:
+            self._judge_suspected(*self._suspected, correction.t_ns)
         return moved
+
+    def suspect_jump(self, correction: Correction, R: Array) -> None:
+        """
+        Note a position that no ordinary error of the state explains, with its R (m, m).
+
+        If the innovations that follow show a slow error of fixes, which an INS does not make, it
+        was the receiver that jumped.
+        """
+        self._suspected = correction, R
+
+    def _judge_suspected(self, correction: Correction, R: Array, t_ns: int) -> None:
+        """Learn a suspected jump if the innovations up to a stamp [ns] show that it is one."""
+        shown = self.factors is not None and self.factors.slow_probability > JUMP_PROBABILITY
+        if shown:
+            self.jumps = self.jumps.learned(correction.z, correction.S, R, correction.t_ns)
+        if shown or t_ns - correction.t_ns > SUSPICION_NS:
+            self._suspected = None
 
     def learn_jump(self, correction: Correction, R: Array) -> None:
         """Learn from a fix that was rejected as a jump, with the covariance R (m, m) in force."""
@@ -167,7 +191,7 @@ class FilterNoise:
         Without ``keep_weights`` the factors on the IMU's noise are dropped too: they were learned
         from measurements that proved inconsistent with the state.
         """
-        self._restarted = True
+        self._restarted, self._suspected = True, None
         if self.factors is not None:
             self.factors.restart(keep_weights=keep_weights)
             self._note_levels()

@@ -75,6 +75,9 @@ class Verdict:
         INS grows that fast, and they stayed there. Either the covariance was inflated for that, or
         it is the second large innovation, and no larger than the first: an error of an INS that
         made that would have grown by now.
+    surprises : bool
+        It is a position with a NIS that no ordinary error makes of a state that is believed and
+        agreed with the fixes until then: that state is wrong, or the receiver has jumped.
     disagrees : bool
         A jump that does not show the same error as the one before: evidence on the fixes.
     weight : float
@@ -92,6 +95,7 @@ class Verdict:
     inflated: bool = False
     jump: bool = False
     receiver_jumped: bool = False
+    surprises: bool = False
     disagrees: bool = False
     weight: float = 1.0
 
@@ -241,7 +245,7 @@ class Gate(ShallowCopy):
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
         jumped = kind == "position" and last is not None and last.began_with_jump
         jumped = jumped and t_ns - consistent_ns >= patience_ns // 3
-        jumped = jumped and self._confirmed_ns(first_ns) >= self._patience_ns
+        jumped = jumped and self._was_believed(first_ns)
         return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
 
     def _continue_run(
@@ -274,10 +278,13 @@ class Gate(ShallowCopy):
             return replace(plain, accepted=False, reason=reason, jump=jump, disagrees=disagrees)
         if is_pause and not of_state:
             return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
-        jumped = False
-        if kind == "position" and last is not None and self._is_second_of_certain(run):
-            jumped = _has_jumped(last.z, z, R, interval)
-        return replace(plain, reason="large innovation", receiver_jumped=jumped)
+        jumped, surprises = False, False
+        if kind == "position" and run.certain and self._was_believed(run.first_ns):
+            surprises = run.count == 1
+            if last is not None and run.count == 2:
+                jumped = _has_jumped(last.z, z, R, interval)
+        reason = "large innovation"
+        return replace(plain, reason=reason, receiver_jumped=jumped, surprises=surprises)
 
     def _end_run(self, kind: str) -> None:
         """Forget the measurements of a kind above the threshold."""
@@ -287,10 +294,9 @@ class Gate(ShallowCopy):
         """Return for how long [ns] the state at a stamp [ns] had been confirmed."""
         return max(t_ns - self._confirmed_since_ns, LEAST_PATIENCE_NS)
 
-    def _is_second_of_certain(self, run: _Rejections) -> bool:
-        """Return whether a run has two measurements that a believed state hardly explains."""
-        believed = self._confirmed_ns(run.first_ns) >= self._patience_ns
-        return run.certain and run.count == 2 and believed
+    def _was_believed(self, t_ns: int) -> bool:
+        """Return whether the state at a stamp [ns] had been confirmed for long enough."""
+        return self._confirmed_ns(t_ns) >= self._patience_ns
 
 
 def weight(nis: float, m: int) -> float:

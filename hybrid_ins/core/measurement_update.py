@@ -310,6 +310,8 @@ class MeasurementUpdate:
             self.scale_errors.end_outage()
         if verdict.receiver_jumped:
             self.noise.jumps = self.noise.jumps.learned(z, S, R, measurement.t_ns)
+        elif verdict.surprises:
+            self.noise.suspect_jump(correction, R)
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
             self.lever_arm.restart()

@@ -162,6 +162,25 @@ def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not
     assert ins.noise.jumps.size == 0.0 and np.all(ins.nav[JUMP_VARIANCE] == 0.0)
 
 
+@pytest.mark.parametrize(("size", "lasts"), [(0.8, 15), (0.8, 1), (0.0, 0)])
+def test_a_jump_that_an_error_of_the_imu_could_make_is_told_by_what_follows(
+    size: float, lasts: int
+) -> None:
+    # GIVEN a car with fixes of 2 cm once a second, which are off by 0.8 m for a while, or once
+    run, rng = draw(replace(DRIVE, duration=60.0), 2), np.random.default_rng(3)
+    fixes = []
+    for k, (t_ns, lla) in enumerate(zip(run.samples["t_ns"][run.scored], run.lla, strict=True)):
+        if k % 5 == 0:
+            off = size * np.array([0.7, -0.7, 0.1]) * (40 <= k // 5 < 40 + lasts)
+            lla = lla + (off + 0.02 * rng.standard_normal(3)) / curvature_scale(lla)
+            fixes.append(PositionFix(int(t_ns), lla, 4e-4 * np.eye(3), np.zeros(3)))
+    # WHEN the filter runs
+    ins, _ = fly(replace(run, fixes=tuple(fixes)), scatter=True)
+    # THEN only what lasts is a jump
+    assert (ins.noise.jumps.count > 0.0) == (lasts > 1)
+    assert (total_std(ins.nav)[0] > 0.3) == (lasts > 1)
+
+
 def test_a_lone_outlier_changes_nothing() -> None:
     # GIVEN one fix that is off by 30 m
     run = draw(SCENE, 3)
