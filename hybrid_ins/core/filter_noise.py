@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.position_jumps import PositionJumps
@@ -23,7 +24,6 @@ Array = NDArray[np.float64]
 
 JUMP_PROBABILITY = 0.9  # of a slow error of fixes: an innovation that began it was a jump
 SUSPICION_NS = 3_000_000_000  # in which the innovations show that
-
 
 
 class FilterNoise:
@@ -151,28 +151,40 @@ class FilterNoise:
             self._judge_suspected(*self._suspected, correction.t_ns)
         return moved
 
-    def suspect_jump(self, correction: Correction, R: Array) -> None:
-        """
-        Note a position that no ordinary error of the state explains, with its R (m, m).
-
-        If the innovations that follow show a slow error of fixes, which an INS does not make, it
-        was the receiver that jumped.
-        """
-        self._suspected = correction, R
-
     def _judge_suspected(self, correction: Correction, R: Array, t_ns: int) -> None:
         """Learn a suspected jump if the innovations up to a stamp [ns] show that it is one."""
         shown = self.factors is not None and self.factors.slow_probability > JUMP_PROBABILITY
         if shown:
-            self.jumps = self.jumps.learned(correction.z, correction.S, R, correction.t_ns)
+            self._learn_jump(correction, R)
         if shown or t_ns - correction.t_ns > SUSPICION_NS:
             self._suspected = None
 
-    def learn_jump(self, correction: Correction, R: Array) -> None:
-        """Learn from a fix that was rejected as a jump, with the covariance R (m, m) in force."""
-        if self.factors is not None:
+    def learn_verdict(self, verdict: Verdict, correction: Correction, R: Array) -> None:
+        """
+        Learn from the verdict on a fix whether its receiver jumped.
+
+        Where the innovations that follow a surprise show a slow error of fixes, which an INS does
+        not make, it was the receiver.
+
+        Parameters
+        ----------
+        verdict : Verdict
+        correction : Correction
+            By that fix.
+        R : ndarray, shape (m, m)
+            Its covariance in force.
+        """
+        if verdict.receiver_jumped:
+            self._learn_jump(correction, R)
+            self._suspected = None
+        elif verdict.surprises:
+            self._suspected = correction, R
+        if verdict.disagrees and self.factors is not None:
             self.factors.weigh_jump(correction, R)
             self._note_levels()
+
+    def _learn_jump(self, correction: Correction, R: Array) -> None:
+        self.jumps = self.jumps.learned(correction.z, correction.S, R, correction.t_ns)
 
     def on_imu_fault(self, t_ns: int) -> None:
         """Drop what refers to the state before a fault of the IMU at a stamp [ns]."""

@@ -308,16 +308,11 @@ class MeasurementUpdate:
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
             self.scale_errors.end_outage()
-        if verdict.receiver_jumped:
-            self.noise.jumps = self.noise.jumps.learned(z, S, R, measurement.t_ns)
-        elif verdict.surprises:
-            self.noise.suspect_jump(correction, R)
+        self.noise.learn_verdict(verdict, correction, R)
         if verdict.inflated:
             self.noise.restart(keep_weights=False)
             self.lever_arm.restart()
             self.scale_errors.restart()
-        if verdict.disagrees:
-            self.noise.learn_jump(correction, R)
         if verdict.inflated or verdict.jump:
             return verdict, False, found
         S = S + (1.0 / verdict.weight - 1.0) * R - of_age
