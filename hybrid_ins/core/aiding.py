@@ -4,6 +4,10 @@ Life cycle of sensors that aid the filter besides GNSS.
 What such a sensor claims is checked against the filter before it is used. While fixes come,
 the filter knows velocity, heading and height without it: readings that agree for some seconds make
 the sensor aid, readings that disagree for some seconds make it refused, whatever it did before.
+In an outage nothing but the filter itself contradicts a sensor: readings that it rejects for some
+seconds make the sensor refused, and it aids again once it agrees with a state that is known as well
+as then. A state that has become uncertain meanwhile would agree with anything: the sensor waits
+for fixes.
 What a sensor cannot know of itself, the scale and the place of wheels, the offset of a pressure
 height, is estimated at the same time.
 
@@ -43,6 +47,7 @@ AGREES, DISAGREES = 3.0, 7.0  # mean NIS per component, of a sensor to be used, 
 SHOWN = 3.0  # s of readings that show either
 MEMORY = 3.0  # s over which the NIS is averaged
 SMALLEST_SCALE_STD = 1e-4
+STILL_KNOWN = 4.0  # factor on the variance of a state that refused a sensor and may accept it
 LARGEST_NIS = 50.0  # that counts: one outlier does not refuse a sensor
 
 
@@ -82,6 +87,7 @@ class AidingSensor:
         self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
+        self._refused_with = 0.0  # mean variance of the state that refused it in an outage
         self._lasting = LastingErrors()
 
     def state(self, t_ns: int) -> AidingState:
@@ -136,8 +142,10 @@ class AidingSensor:
         z, H, R = corrected.linearise(nav)
         HPH = H @ covariance(nav) @ H.T
         nuisance = self.nuisance(reading, nav)
-        if checked and self.can_check(HPH, R):
-            nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
+        nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
+        if outage and self._agrees is not None:
+            self._check_in_outage(nis, float(np.trace(HPH)) / len(z))
+        elif checked and self.can_check(HPH, R):
             self._check(nis)
             of_sensor = inflated(R, self.error_time, self._interval)
             self._lasting.add(z, HPH + nuisance, of_sensor, self._interval)
@@ -167,11 +175,10 @@ class AidingSensor:
 
     def _check(self, nis: float) -> None:
         """Decide whether the sensor is used, by the NIS per component of its readings."""
-        nis = min(nis, LARGEST_NIS)
         if self._checked is None:
-            self._nis, self._checked = nis, 0.0
+            self._nis, self._checked = min(nis, LARGEST_NIS), 0.0
             return
-        self._nis += (1.0 - math.exp(-self._interval / MEMORY)) * (nis - self._nis)
+        self._average(nis)
         self._checked += self._interval
         if self._checked < SHOWN:
             return
@@ -179,6 +186,22 @@ class AidingSensor:
             self._agrees = True
         elif self._nis > DISAGREES:
             self._agrees = False
+
+    def _check_in_outage(self, nis: float, variance: float) -> None:
+        """Decide that by the filter alone, with the mean variance of what it predicts."""
+        if self._agrees:
+            self._refused_with = variance
+        elif variance > STILL_KNOWN * self._refused_with:
+            return
+        self._average(nis)
+        if self._nis < AGREES:
+            self._agrees = True
+        elif self._nis > DISAGREES:
+            self._agrees = False
+
+    def _average(self, nis: float) -> None:
+        gain = 1.0 - math.exp(-self._interval / MEMORY)
+        self._nis += gain * (min(nis, LARGEST_NIS) - self._nis)
 
 
 class VelocitySensor(AidingSensor):

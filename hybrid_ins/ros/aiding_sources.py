@@ -32,6 +32,7 @@ from hybrid_ins.ros.reports import Status
 Array = NDArray[np.float64]
 
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
+QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
 KEPT = 12  # states, one with each tenth of a second: readings may be a second late
 EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
@@ -80,12 +81,14 @@ class AidingSources:
         )
         self._heading, self._height = HeadingSensor(), HeightSensor()
         self._logged: dict[str, AidingState] = {}
+        self._quiet_until_ns: dict[tuple[str, AidingState], int] = {}
         self._excessive: set[str] = set()  # names of sensors
         self.restart()
 
     def restart(self) -> None:
         """Restart, as the filter did; the sensors are the same."""
         self._states.clear()
+        self._quiet_until_ns.clear()
 
     def handle(self, topic: str, message: Message) -> None:
         """Use a message of one of the ``TOPICS``."""
@@ -147,6 +150,10 @@ class AidingSources:
         if state is before or state is AidingState.ABSENT:
             return
         self._logged[sensor.name] = state
+        change, now_ns = (sensor.name, state), self._navigator.last_ns
+        if now_ns < self._quiet_until_ns.get(change, 0):
+            return
+        self._quiet_until_ns[change] = now_ns + QUIET_NS
         if state is AidingState.REFUSED:
             self._inputs.log(
                 "warn",

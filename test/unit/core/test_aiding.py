@@ -131,6 +131,32 @@ def test_velocity_is_used_in_outages_only_and_its_errors_are_not_white() -> None
     assert used.linearise(nav)[2][0, 0] == pytest.approx(expected, rel=1e-6)
 
 
+def in_outage(sensor: VelocitySensor, start: float, read: float, std: float) -> list[bool]:
+    """Show 6 s of readings to a filter at 10 m/s with that σ; return which are used."""
+    used = []
+    for k in range(30):
+        t_ns = round((start + 0.2 * k) * SECOND)
+        nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=std)
+        reading = BodyVelocity(
+            t_ns, np.array([read, np.nan, np.nan]), 0.05**2 * np.eye(3), np.zeros(3)
+        )
+        assert sensor.admit(t_ns)
+        used.append(sensor.check(reading, nav, checked=False, outage=True) is not None)
+    return used
+
+
+def test_wheels_that_stop_reading_in_an_outage_are_refused_until_a_known_state_agrees() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+
+    assert all(in_outage(sensor, 70.2, 10.0, 0.3))
+    assert not any(in_outage(sensor, 76.2, 0.0, 0.3)[5:])
+    assert sensor.state(82 * SECOND) is AidingState.REFUSED
+    assert not any(in_outage(sensor, 82.2, 0.0, 5.0)), "it agrees with anything"
+    assert not in_outage(sensor, 88.2, 10.0, 0.4)[0]
+    assert in_outage(sensor, 94.2, 10.0, 0.4)[-1], "a state that is known as well as then"
+
+
 def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -> int:
     """Show headings at 10 Hz to a filter that knows its own to 2°; return how many are used."""
     used = 0
