@@ -16,13 +16,16 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.samples import sample_period
+from hybrid_ins.core.velocity_check import VelocityCheck
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import conversions, gps_fix
 from hybrid_ins.ros.aiding_conversions import AidingMessages
 from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
 from hybrid_ins.ros.fix_refusals import describe_clocks
+from hybrid_ins.ros.wording import describe_contradiction
 
 Array = NDArray[np.float64]
 
@@ -171,7 +174,8 @@ def read_recording(
     Raises
     ------
     InputError
-        A topic is missing, there are too few samples or fixes, or they are stamped by two clocks.
+        A topic is missing, there are too few samples or fixes, they are stamped by two clocks, or
+        velocities contradict the positions.
     """
     with BagReader(path) as bag:
         imu = bag.imu(imu_topic)
@@ -235,6 +239,7 @@ def read_recording(
             f"{path}: {len(positions)} usable fixes within {t[-1]:.0f} s of IMU samples: "
             f"calibration needs {FEWEST_FIXES} over {SHORTEST:g} s; do both clocks have one epoch?"
         )
+    _refuse_wrong_velocities(path, velocity_topic, rows)
     reference = None
     if attitude is not None:
         reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
@@ -256,6 +261,22 @@ def read_recording(
         origin_ns=origin,
     )
     return whole.part_in_motion(longest)
+
+
+def _refuse_wrong_velocities(
+    path: Path, topic: str, rows: Sequence[tuple[int, int, Array, Array]]
+) -> None:
+    """Raise InputError where velocities contradict the positions."""
+    check = VelocityCheck()
+    for t_ns, kind, measured, covariance_n in rows:
+        new = PositionFix if kind == POSITION else VelocityFix
+        check.observe(new(t_ns, measured, covariance_n, np.zeros(3)))
+    if check.contradiction is not None:
+        raise InputError(
+            f"{path}: {topic} contradicts the positions: "
+            f"{describe_contradiction(check.contradiction)}, or leave the velocities out: "
+            '--velocity-topic ""'
+        )
 
 
 def antenna_is_base(

@@ -14,6 +14,7 @@ from hybrid_ins.core.alignment import yaw_of
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import ImuFault
 from hybrid_ins.core.state import NavState
+from hybrid_ins.core.velocity_check import Contradiction
 
 
 class RestartCause(Enum):
@@ -26,6 +27,7 @@ class RestartCause(Enum):
     REPEATED_RESETS = "the state did not fit the fixes"
     FIXES_JUMPED = "the fixes jumped before the heading was known"
     FIXES_REPEATED = "the driver repeats fixes"
+    VELOCITIES_WRONG = "the velocities contradict the positions"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,4 +82,12 @@ class HeadingCorrected:
         return cls(yaw_of(before.quat_xyzw), yaw_of(after.quat_xyzw), sigma)
 
 
-Event = Verdict | GapBridged | Restarted | FaultFound | ClockOffsetFound | HeadingCorrected
+Event = (
+    Verdict
+    | GapBridged
+    | Restarted
+    | FaultFound
+    | ClockOffsetFound
+    | HeadingCorrected
+    | Contradiction
+)

@@ -15,6 +15,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.standstill import FixMotion
+from hybrid_ins.core.velocity_check import VelocityCheck
 
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
@@ -87,6 +88,8 @@ class MeasurementCheck:
     """
     Refuses measurements that come twice, from the future, too fast, or from a stuck receiver.
 
+    Velocities are refused while they contradict the positions, too.
+
     Parameters
     ----------
     speed_check : SpeedCheck
@@ -98,6 +101,10 @@ class MeasurementCheck:
         Of the position fixes that were admitted.
     was_misled : bool
         The last measurement has shown that earlier ones, in motion, were no new ones.
+    velocities : VelocityCheck
+        Compares velocities with positions.
+    was_contradicted : bool
+        The last measurement has shown that the velocities so far were wrong.
     """
 
     def __init__(self, speed_check: SpeedCheck) -> None:
@@ -106,13 +113,15 @@ class MeasurementCheck:
             PositionFix.kind: RepetitionCheck(),
             VelocityFix.kind: RepetitionCheck(),
         }
+        self.velocities = VelocityCheck()
         self.reset()
 
     def reset(self) -> None:
         """Forget all measurements, but not that their driver repeats them."""
         self._speed_check.reset()
+        self.velocities.reset()
         self.motion = FixMotion()
-        self.was_misled = False
+        self.was_misled = self.was_contradicted = False
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
 
     def forget_stamps(self) -> None:
@@ -133,7 +142,7 @@ class MeasurementCheck:
         speed : float
             Of the vehicle over ground [m/s]; 0 where it is not known.
         """
-        self.was_misled = False
+        self.was_misled = self.was_contradicted = False
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
             return Verdict.rejected(measurement, "repeated stamp")
@@ -144,7 +153,8 @@ class MeasurementCheck:
         if not self._speed_check.is_reachable(measurement):
             return Verdict.rejected(measurement, "faster than gnss.max_speed")
         if isinstance(measurement, PositionFix | VelocityFix):
-            return self._check_repetition(measurement, speed)
+            refused = self._check_repetition(measurement, speed)
+            return refused or self._check_velocities(measurement)
         return None
 
     def _check_repetition(self, fix: PositionFix | VelocityFix, speed: float) -> Verdict | None:
@@ -159,4 +169,14 @@ class MeasurementCheck:
             if again and speed > MOVING:
                 return Verdict.rejected(fix, "same position while moving")
             self.motion.observe(fix.t_ns, fix.lla)
+        return None
+
+    def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:
+        """Refuse a velocity while those of its driver contradict the positions."""
+        believed = self.velocities.contradiction is None
+        self.velocities.observe(fix)
+        contradicted = self.velocities.contradiction is not None
+        self.was_contradicted = believed and contradicted
+        if contradicted and isinstance(fix, VelocityFix):
+            return Verdict.rejected(fix, "velocity contradicts the positions")
         return None

@@ -24,6 +24,7 @@ from hybrid_ins.core.navigator_events import (
 )
 from hybrid_ins.core.stamp_check import PUBLISHED_AGAIN
 from hybrid_ins.core.state import DV, QUAT, VELOCITY, total_std
+from hybrid_ins.core.velocity_check import Contradiction
 from hybrid_ins.ros import diagnostics, output, wording
 from hybrid_ins.ros.conversions import KNOWN, Refused
 from hybrid_ins.ros.input_log import InputLog, is_logged
@@ -124,6 +125,12 @@ class Reporter:
         elif isinstance(event, HeadingCorrected):
             counts["heading corrected"] += 1
             log("warn", wording.describe_correction(event))
+        elif isinstance(event, Contradiction):
+            text = wording.describe_contradiction(event)
+            log(
+                "warn",
+                f"gnss/velocity contradicts gnss/fix, and is not used until it agrees: {text}",
+            )
         elif isinstance(event, FaultFound):
             name, text = wording.name_of_fault(event.fault), wording.describe_fault(event.fault)
             self._inputs.count_and_warn("imu/data", Refused(name, text))

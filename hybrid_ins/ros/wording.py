@@ -20,6 +20,7 @@ from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import HeadingCorrected, RestartCause, Restarted
 from hybrid_ins.core.phases import Aligning, Searching
 from hybrid_ins.core.stamp_check import StampFault
+from hybrid_ins.core.velocity_check import Contradiction
 from hybrid_ins.ros.conversions import FLIP, Refused
 
 Array = NDArray[np.float64]
@@ -110,7 +111,26 @@ def describe_restart(restarted: Restarted) -> str:
         return "the fixes jumped before the heading was known, and fit none"
     if cause is RestartCause.FIXES_REPEATED:
         return "repeated fixes were taken for new ones before the heading was known"
+    if cause is RestartCause.VELOCITIES_WRONG:
+        return "the state rests on velocities that contradict the positions"
     return "repeated covariance resets: the heading is probably wrong"
+
+
+def describe_contradiction(found: Contradiction) -> str:
+    """Return how velocities contradict the positions, and the remedy."""
+    moved, summed = _in_words(found.moved_n), _in_words(found.summed_n)
+    return (
+        f"in {found.seconds:.0f} s the positions moved by {moved} and the velocities add up to "
+        f"{summed}: let the driver publish m/s along east, north, up (not north first, nor along "
+        "the vehicle)"
+    )
+
+
+def _in_words(way_n: Array) -> str:
+    """Return a way (3,) [m], NED, in words."""
+    north, east, down = way_n.tolist()
+    words = f"{east:+.0f} m east, {north:+.0f} m north"
+    return words if math.isnan(down) else f"{words}, {-down:+.0f} m up"
 
 
 def describe_late(too_old: Verdict, count: int) -> str:
