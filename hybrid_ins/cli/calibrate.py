@@ -16,6 +16,7 @@ from tqdm import tqdm
 from hybrid_ins import kernels, progress
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.placement import with_placement
 from hybrid_ins.calibration.recording import Recording, antenna_is_base, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
 from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
@@ -92,6 +93,10 @@ def _body(args: argparse.Namespace) -> int:
         check_output(args.out, inputs, args.overwrite)
     if args.plot:
         style.check(args.plot, inputs)
+    given = values
+    values = with_placement(args.bags, given, args.imu_topic, args.fix_topic)
+    if values != given:
+        log_message("info", f"/tf_static places IMU and antenna in '{values['base_frame']}'")
     recordings = [
         read_recording(
             path,
@@ -114,7 +119,7 @@ def _body(args: argparse.Namespace) -> int:
             log_message("warn", f"{recording.name}: {describe(fault).text}")
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _replays(args, recordings) as replay:
-        given = () if args.use_truth else replay(values)  # while calibrating, by other processes
+        before = () if args.use_truth else replay(values)  # while calibrating, by other processes
         with _Stages() as stages:
             found = calibrate(
                 recordings,
@@ -129,7 +134,7 @@ def _body(args: argparse.Namespace) -> int:
             )
         comparison = None
         if not args.use_truth:
-            comparison = _compare(chain(given, replay(found.values)), len(args.bags))
+            comparison = _compare(chain(before, replay(found.values)), len(args.bags))
     objection = _objection(found, comparison)
     if args.out and (args.force or not objection):  # before the text: its reader may stop reading
         write_text(args.out, parameter_file(found))

@@ -236,22 +236,16 @@ class Navigator:
         refused = self._measurements.check(measurement, self.stamps, self._speed)
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)
-        if self._measurements.was_contradicted:
-            self._on_wrong_velocities()
+        if self._measurements.contradiction is not None:
+            self._events.append(self._measurements.contradiction)
+            if not isinstance(self.phase, Aligning):
+                self.give_up(RestartCause.VELOCITIES_WRONG)
         if refused is None and not self.phases.measure(measurement):
             if self.alignment is not None:
                 self.alignment.observe(measurement)
             refused = Verdict.rejected(measurement, "aligning")
         if refused is not None:
             self._events.append(refused)
-
-    def _on_wrong_velocities(self) -> None:
-        """Align again without the velocities that have made the state what it is."""
-        contradiction = self._measurements.velocities.contradiction
-        assert contradiction is not None
-        self._events.append(contradiction)
-        if not isinstance(self.phase, Aligning):
-            self.give_up(RestartCause.VELOCITIES_WRONG)
 
     @property
     def _speed(self) -> float:

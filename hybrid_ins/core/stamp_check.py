@@ -15,7 +15,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.standstill import FixMotion
-from hybrid_ins.core.velocity_check import VelocityCheck
+from hybrid_ins.core.velocity_check import Contradiction, VelocityCheck
 
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
@@ -101,10 +101,8 @@ class MeasurementCheck:
         Of the position fixes that were admitted.
     was_misled : bool
         The last measurement has shown that earlier ones, in motion, were no new ones.
-    velocities : VelocityCheck
-        Compares velocities with positions.
-    was_contradicted : bool
-        The last measurement has shown that the velocities so far were wrong.
+    contradiction : Contradiction or None
+        The last measurement has shown that the velocities so far contradict the positions.
     """
 
     def __init__(self, speed_check: SpeedCheck) -> None:
@@ -113,15 +111,16 @@ class MeasurementCheck:
             PositionFix.kind: RepetitionCheck(),
             VelocityFix.kind: RepetitionCheck(),
         }
-        self.velocities = VelocityCheck()
+        self._velocities = VelocityCheck()
         self.reset()
 
     def reset(self) -> None:
         """Forget all measurements, but not that their driver repeats them."""
         self._speed_check.reset()
-        self.velocities.reset()
+        self._velocities.reset()
         self.motion = FixMotion()
-        self.was_misled = self.was_contradicted = False
+        self.was_misled = False
+        self.contradiction: Contradiction | None = None
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
 
     def forget_stamps(self) -> None:
@@ -142,7 +141,7 @@ class MeasurementCheck:
         speed : float
             Of the vehicle over ground [m/s]; 0 where it is not known.
         """
-        self.was_misled = self.was_contradicted = False
+        self.was_misled, self.contradiction = False, None
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
             return Verdict.rejected(measurement, "repeated stamp")
@@ -173,10 +172,10 @@ class MeasurementCheck:
 
     def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:
         """Refuse a velocity while those of its driver contradict the positions."""
-        believed = self.velocities.contradiction is None
-        self.velocities.observe(fix)
-        contradicted = self.velocities.contradiction is not None
-        self.was_contradicted = believed and contradicted
-        if contradicted and isinstance(fix, VelocityFix):
+        before = self._velocities.contradiction
+        self._velocities.observe(fix)
+        now = self._velocities.contradiction
+        self.contradiction = now if before is None else None
+        if now is not None and isinstance(fix, VelocityFix):
             return Verdict.rejected(fix, "velocity contradicts the positions")
         return None

@@ -47,6 +47,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     monkeypatch.chdir(tmp_path)
     short = SimpleNamespace(t=np.zeros(2), begin=0.0, origin_ns=0, end_ns=0)
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: short)
+    monkeypatch.setattr(program, "with_placement", lambda bags, values, *topics: values)
     monkeypatch.setattr(program, "axes_fault", lambda *args: None)
     monkeypatch.setattr(program, "antenna_is_base", lambda *args: False)
     monkeypatch.setattr(program, "calibrate", lambda *args, **options: found())

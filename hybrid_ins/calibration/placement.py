@@ -1,0 +1,80 @@
+"""Where /tf_static of recordings puts the sensors, as parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid_ins.bags import messages
+from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
+from hybrid_ins.errors import InputError
+from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.sensor_placement import PARAMETERS, SensorPlacement
+
+NAMES = ("imu.position", "imu.mount_rpy", "gnss.antenna_position")
+
+
+def with_placement(
+    paths: Sequence[Path],
+    values: Mapping[str, Any],
+    imu_topic: str,
+    fix_topic: str,
+) -> dict[str, Any]:
+    """
+    Return the parameters with the sensors where the node would have them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Bags of one robot.
+    values : mapping
+        Checked parameters; those that place a sensor prevail over /tf_static.
+    imu_topic, fix_topic : str
+        Their messages name the sensors' frames.
+
+    Raises
+    ------
+    InputError
+        A topic is missing, or the bags put the sensors in different places.
+    """
+    found = [_placement(path, values, imu_topic, fix_topic) for path in paths]
+    for path, one in zip(paths, found, strict=True):
+        for name in NAMES:
+            if not np.allclose(one[name], found[0][name], atol=1e-6):
+                raise InputError(
+                    f"{path}: /tf_static gives {name} {one[name]}, that of {paths[0]} "
+                    f"{found[0][name]}: calibrate recordings of one robot, or set {name}"
+                )
+    return {**values, **found[0]}
+
+
+def _placement(
+    path: Path, values: Mapping[str, Any], imu_topic: str, fix_topic: str
+) -> dict[str, list[float]]:
+    """Return the parameters ``NAMES`` by a bag."""
+    placement = SensorPlacement(values, InputLog(lambda level, text: None))
+    with BagReader(path) as bag:
+        if bag.topics.get("/tf_static") == messages.TRANSFORMS:
+            for *_, message in bag.messages("/tf_static"):
+                placement.add_transforms(message)
+        sensors = (
+            ("imu/data", bag.require(imu_topic, messages.IMU, "--imu-topic")),
+            ("gnss/fix", bag.require(fix_topic, messages.FIX, "--fix-topic")),
+        )
+        for sensor, topic in sensors:
+            first = next((message for *_, message in bag.messages(topic)), None)
+            if first is not None:
+                placement.set_frame(sensor, str(first.header.frame_id))
+    position = FLIP @ placement.arm_b
+    rpy = rpy_from_quat(quat_from_matrix(FLIP @ placement.mount))
+    rows = position, np.array(rpy), position + FLIP @ placement.lever_b
+    found = {name: (row + 0.0).tolist() for name, row in zip(NAMES, rows, strict=True)}
+    for names in PARAMETERS.values():
+        if any(any(values[name]) for name in names):
+            found |= {name: values[name] for name in names}
+    return found
