@@ -28,11 +28,10 @@ from hybrid_ins.core.navigator_events import (
     Restarted,
 )
 from hybrid_ins.core.phase_machine import PhaseMachine
-from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching
+from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching, speed
 from hybrid_ins.core.restart import ResetCount, heading_after
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
-from hybrid_ins.core.state import VELOCITY
 
 Array = NDArray[np.float64]
 
@@ -233,7 +232,7 @@ class Navigator:
 
     def measure(self, measurement: Measurement) -> None:
         """Use an aiding measurement; its verdict appears among the events."""
-        refused = self._measurements.check(measurement, self.stamps, self._speed)
+        refused = self._measurements.check(measurement, self.stamps, speed(self.phase))
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)
         if self._measurements.contradiction is not None:
@@ -246,11 +245,6 @@ class Navigator:
             refused = Verdict.rejected(measurement, "aligning")
         if refused is not None:
             self._events.append(refused)
-
-    @property
-    def _speed(self) -> float:
-        """Speed of the filter that runs [m/s]; 0 without one."""
-        return 0.0 if self.filter is None else float(np.linalg.norm(self.filter.nav[VELOCITY]))
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
@@ -288,6 +282,6 @@ class Navigator:
             return
         if isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_JUMPED)
-        elif self.filter is not None and self._resets.add(verdict, self._speed):
+        elif self.filter is not None and self._resets.add(verdict, speed(self.phase)):
             self.monitor.discard_biases()
             self.give_up(RestartCause.REPEATED_RESETS)

@@ -22,7 +22,7 @@ from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, state_at_imu
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.samples import ImuRing, sample_period
-from hybrid_ins.core.state import NavState
+from hybrid_ins.core.state import VELOCITY, NavState
 
 Array = NDArray[np.float64]
 
@@ -112,6 +112,11 @@ class Running:
 
 
 Phase = Aligning | Searching | Running
+
+
+def speed(phase: Phase) -> float:
+    """Return the speed of the filter that runs [m/s]; 0 without one."""
+    return 0.0 if phase.filter is None else float(np.linalg.norm(phase.filter.nav[VELOCITY]))
 
 
 def phase_after_alignment(
