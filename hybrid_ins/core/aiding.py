@@ -38,7 +38,7 @@ from hybrid_ins.core.constraint_observer import STATE_TIME, inflated
 from hybrid_ins.core.lasting_errors import LastingErrors
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.rotations import skew
-from hybrid_ins.core.state import BIAS_G, LAST_W, covariance
+from hybrid_ins.core.state import BIAS_G, JUMP_VARIANCE, LAST_W, SLOW_VARIANCE, covariance
 
 Array = NDArray[np.float64]
 
@@ -142,13 +142,14 @@ class AidingSensor:
         z, H, R = corrected.linearise(nav)
         HPH = H @ covariance(nav) @ H.T
         nuisance = self.nuisance(reading, nav)
-        nis = float(z @ np.linalg.solve(HPH + R + nuisance, z)) / len(z)
+        expected = HPH + nuisance + self.slow_error(nav)
+        nis = float(z @ np.linalg.solve(expected + R, z)) / len(z)
         if outage and self._agrees is not None:
             self._check_in_outage(nis, float(np.trace(HPH)) / len(z))
         elif checked and self.can_check(HPH, R):
             self._check(nis)
             of_sensor = inflated(R, self.error_time, self._interval)
-            self._lasting.add(z, HPH + nuisance, of_sensor, self._interval)
+            self._lasting.add(z, expected, of_sensor, self._interval)
             self.learn(reading, nav, z, HPH, R)
         if not self._agrees or not (outage or self.always):
             return None
@@ -164,6 +165,10 @@ class AidingSensor:
 
     def nuisance(self, reading: Measurement, nav: Array) -> Array:
         """Return the covariance of what is left of those errors, (m, m) or one for all."""
+        return np.zeros((1, 1))
+
+    def slow_error(self, nav: Array) -> Array:
+        """Return the covariance of what slow errors of the fixes do to the state that checks it."""
         return np.zeros((1, 1))
 
     def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
@@ -310,6 +315,7 @@ class HeightSensor(AidingSensor):
     name = "baro"
     period = 0.5
     WANDER = 0.03  # m/√s, of the offset
+    SIGMAS = 2.0  # of the fixes' slow error: more of it would be blamed on the sensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -329,6 +335,11 @@ class HeightSensor(AidingSensor):
     def nuisance(self, reading: Measurement, nav: Array) -> Array:
         """See `AidingSensor`."""
         return np.array([[min(self._variance, 1e8)]])
+
+    def slow_error(self, nav: Array) -> Array:
+        """See `AidingSensor`; the offset follows it, but late."""
+        variance = nav[SLOW_VARIANCE][2] + nav[JUMP_VARIANCE][2]
+        return np.array([[self.SIGMAS**2 * variance]])
 
     def check(
         self, reading: Measurement, nav: Array, *, checked: bool, outage: bool

@@ -11,7 +11,7 @@ from support.derivatives import derivative, flat_state, swing, vectors
 from hybrid_ins.core.aiding import AidingState, HeadingSensor, HeightSensor, VelocitySensor
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.rotations import rpy_from_quat
-from hybrid_ins.core.state import BIAS_G, LLA, QUAT, Array
+from hybrid_ins.core.state import BIAS_G, LLA, QUAT, SLOW_VARIANCE, Array
 
 POINT_B = np.array([-1.2, 0.3, 0.5])
 SECOND = 1_000_000_000
@@ -216,3 +216,21 @@ def test_nothing_is_used_of_a_sensor_that_was_never_checked() -> None:
     assert sensor.admit(SECOND)
 
     assert sensor.check(reading, nav, checked=False, outage=True) is None
+
+
+@pytest.mark.parametrize("considered", [True, False])
+def test_a_pressure_height_is_not_blamed_for_slow_errors_of_the_fixes(considered: bool) -> None:
+    rng = np.random.default_rng(2)
+    sensor, slow, seen = HeightSensor(), 0.0, set()
+    for k in range(800):
+        t_ns = (10 * SECOND) + k * SECOND // 2
+        slow += -0.01 * slow + 2.5 * math.sqrt(0.02) * rng.standard_normal()
+        nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3), std=0.3)
+        nav[SLOW_VARIANCE] = 2.5**2 if considered else 0.0
+        nav[LLA][2] = 100.0 + slow
+        reading = BarometricHeight(t_ns, 135.0 + 0.2 * rng.standard_normal(), 0.04)
+        if sensor.admit(t_ns):
+            sensor.check(reading, nav, checked=True, outage=False)
+        seen.add(sensor.state(t_ns))
+
+    assert (AidingState.REFUSED in seen or sensor.factor > 10.0) == (not considered)
