@@ -163,8 +163,8 @@ def _is_mirrored(accelerometer: Array, gyroscope: Array) -> bool:
 def _describe_mount(fault: AxesFault) -> str:
     if fault.by_course:
         return (
-            "the vehicle moves at one angle to base_frame's x axis, which is not forward: unless it "
-            f"reverses, and if it moves along its nose, {_remount(fault)}"
+            "the vehicle moves at one angle to base_frame's x axis, which is not forward: unless "
+            f"it reverses, and if it moves along its nose, {_remount(fault)}"
         )
     text = f"gravity is not along base_frame's z axis: {_remount(fault)}"
     if np.allclose(fault.mount[2], [0.0, 0.0, 1.0], atol=0.1):  # FRD axes
