@@ -23,7 +23,7 @@ from hybrid_ins.calibration.derived import (
     rotations_to_truth,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
-from hybrid_ins.calibration.fit import KEPT, Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.fit import CONFIRMED, KEPT, Fit, OnStage, filter_passes, fit
 from hybrid_ins.calibration.loudness import ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.noise import noise_findings
@@ -164,6 +164,7 @@ def calibrate(
         largest_std=NOT_IDENTIFIABLE,
         identified_std=IDENTIFIED,
         held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
+        measured=frozenset(f"lever_{axis}" for axis in "xyz" if lever_b.any()),
         on_stage=on_stage,
     )
     before = filter_passes(fitted, nominal, fitted.nominal_x)
@@ -274,8 +275,10 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         if name in fitted.frozen and sigma > NOT_IDENTIFIABLE[name]:
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
-        elif name in fitted.frozen:
+        elif name in fitted.frozen and sigma > IDENTIFIED[name]:
             verdict, note = "weak", KEPT
+        elif name in fitted.frozen:
+            verdict, note = "identified", CONFIRMED
         elif sigma <= IDENTIFIED[name]:
             verdict, note = "identified", ""
         else:

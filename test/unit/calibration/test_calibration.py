@@ -39,7 +39,7 @@ from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.state import N_NAV, PSD, NavState
 from hybrid_ins.parameters import parameter_file
-from hybrid_ins.ros.conversions import first_biases
+from hybrid_ins.ros.conversions import FLIP, first_biases
 from hybrid_ins.simulation import motions, sensors
 
 Array = NDArray[np.float64]
@@ -181,6 +181,21 @@ def test_fixes_that_arrive_late_are_allowed_for() -> None:
     assert observe_delay([a_run(duration=10.0)], [0.0], 1.0) is None  # not known
     far = observe_delay([replace(late, delay=np.full(9, 8.0))], [0.0], 1.0)
     assert far is not None and far[0][3] == "weak" and far[1] == 5.0
+
+
+@pytest.mark.slow
+def test_a_measured_antenna_is_kept_where_the_motion_agrees(found: Calibration) -> None:
+    # GIVEN a place of the antenna that is right but for half a metre along one axis
+    wrong_b = LEVER_B + np.array([0.5, 0.0, 0.0])
+    values = {**parameters.defaults(), "gnss.antenna_position": (FLIP @ wrong_b).tolist()}
+    # WHEN recordings are calibrated
+    fitted = calibrate([a_run(0.23, seed=1), a_run(0.23, seed=2)], values, search=0.5).fitted
+    # THEN that axis is found, and the others stay, whose estimates would have scattered
+    assert abs(fitted.value("lever_x") - LEVER_B[0]) < 4.0 * fitted.sigma("lever_x") + 0.01
+    for axis, measured in zip("yz", LEVER_B[1:], strict=True):
+        name = f"lever_{axis}"
+        assert fitted.value(name) == pytest.approx(measured, abs=1e-9)
+        assert abs(found.fitted.value(name) - measured) > 1e-3
 
 
 @pytest.mark.slow
