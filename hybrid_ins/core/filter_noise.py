@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.gate import Verdict
+from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.position_jumps import PositionJumps
@@ -151,11 +152,11 @@ class FilterNoise:
             self._judge_suspected(*self._suspected, correction.t_ns)
         return moved
 
-    def _judge_suspected(self, correction: Correction, R: Array, t_ns: int) -> None:
+    def _judge_suspected(self, correction: Correction, claimed: Array, t_ns: int) -> None:
         """Learn a suspected jump if the innovations up to a stamp [ns] show that it is one."""
         shown = self.factors is not None and self.factors.slow_probability > JUMP_PROBABILITY
         if shown:
-            self._learn_jump(correction, R)
+            self._learn_jump(correction, claimed)
         if shown or t_ns - correction.t_ns > SUSPICION_NS:
             self._suspected = None
 
@@ -174,17 +175,18 @@ class FilterNoise:
         R : ndarray, shape (m, m)
             Its covariance in force.
         """
-        if verdict.receiver_jumped:
-            self._learn_jump(correction, R)
+        fix = verdict.measurement
+        if isinstance(fix, PositionFix) and verdict.receiver_jumped:
+            self._learn_jump(correction, fix.claimed)
             self._suspected = None
-        elif verdict.surprises:
-            self._suspected = correction, R
+        elif isinstance(fix, PositionFix) and verdict.surprises:
+            self._suspected = correction, fix.claimed
         if verdict.disagrees and self.factors is not None:
             self.factors.weigh_jump(correction, R)
             self._note_levels()
 
-    def _learn_jump(self, correction: Correction, R: Array) -> None:
-        self.jumps = self.jumps.learned(correction.z, correction.S, R, correction.t_ns)
+    def _learn_jump(self, correction: Correction, claimed: Array) -> None:
+        self.jumps = self.jumps.learned(correction.z, correction.S, claimed, correction.t_ns)
 
     def on_imu_fault(self, t_ns: int) -> None:
         """Drop what refers to the state before a fault of the IMU at a stamp [ns]."""
