@@ -38,6 +38,7 @@ from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.missing_height import LevelMotion
 from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
     PositionScatter,
     Split,
@@ -246,7 +247,7 @@ class MeasurementUpdate:
 
         ``split`` is that of a position's covariance.
         """
-        model, found = measurement.linearise(nav), None
+        (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
         if split is not None:
@@ -303,7 +304,7 @@ class MeasurementUpdate:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
-            self.scale_errors.update(correction, is_fix=False)
+            self.scale_errors.update(correction, False, by_scale)
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
@@ -333,6 +334,16 @@ class MeasurementUpdate:
             pack(moved.P, nav[COVARIANCE])
             nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
         return moved is not None
+
+
+def _linearised(
+    nav: Array, measurement: Measurement, scale_errors: ScaleErrorObserver
+) -> tuple[Model, Array | float]:
+    """Return a measurement's model, and its derivative by scale errors beside by the state."""
+    model = measurement.linearise(nav)
+    if isinstance(measurement, NonHolonomic) and scale_errors.in_outage:
+        return scale_errors.decorrelated(nav, model, measurement.by_scale)
+    return model, 0.0
 
 
 def _split_position(
