@@ -38,6 +38,7 @@ from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.missing_height import LevelMotion
 from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.noise_multiple_model import StateCorrection
 from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
     PositionScatter,
@@ -185,6 +186,7 @@ class MeasurementUpdate:
                 self.scatter.learn(found, len(verdict.sigma), event.t_ns)
             if isinstance(event, LevelMotion):
                 nav[SLOW_VARIANCE][2] = event.height_variance
+        self.noise.consider_scale(self.scale_errors.in_outage)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
@@ -325,15 +327,21 @@ class MeasurementUpdate:
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let noise and sensors' errors learn from it; the former may move the state."""
+        without_scale = self.scale_errors.explain(correction)
         if self.noise.uses_corrections:
             self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
-        moved = self.noise.learn_correction(correction)
+        moved = self.noise.learn_correction(correction, without_scale)
         if moved is not None:
-            inject(nav, moved.dx)
-            pack(moved.P, nav[COVARIANCE])
-            nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+            _move(nav, moved)
         return moved is not None
+
+
+def _move(nav: Array, moved: StateCorrection) -> None:
+    """Move a state where it belongs."""
+    inject(nav, moved.dx)
+    pack(moved.P, nav[COVARIANCE])
+    nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
 
 
 def _linearised(

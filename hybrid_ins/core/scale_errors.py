@@ -40,6 +40,7 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -303,6 +304,23 @@ class ScaleErrorObserver(ShallowCopy):
                 self._learn(correction, direct)
         moved = self._U if G is None else G @ self._U
         self._U = moved - correction.K @ h
+
+    def explain(self, correction: Correction) -> Correction | None:
+        """
+        Return a correction by a fix as that of an IMU without the scale errors that are known.
+
+        Its state would be U m from here. None where these are not followed.
+        """
+        if self._t_ns is None or self._root is not None or not self._units.any():
+            return None
+        shift, linear = self._U[:, N_LEVER:] @ self._parameters[SCALE], correction.linear
+        explained = correction.H @ shift
+        if linear is not None:
+            z_x, H_x, x, G = linear
+            explained_x = H_x @ shift
+            linear = (z_x - explained_x, H_x, x - np.linalg.solve(G, correction.K @ explained_x), G)
+        z, dx = correction.z - explained, correction.dx - correction.K @ explained
+        return replace(correction, z=z, dx=dx, linear=linear)
 
     def _learn(self, correction: Correction, of_lever: Array) -> None:
         """Regress an innovation; ``of_lever`` is how it depends on the lever arm itself, (m, 3)."""

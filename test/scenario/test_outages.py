@@ -23,7 +23,7 @@ from tools.robustness.endurance import smooth_drive
 from tools.vehicles.constraint import row
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Judged, run
-from tools.vehicles.outages import End, ends, gusty
+from tools.vehicles.outages import End, ends, gusty, with_scale_errors
 
 
 @cache
@@ -303,6 +303,26 @@ def test_the_height_is_not_in_doubt_for_what_scale_errors_have_done_to_the_nose(
 
     assert abs(errors[0]) < 2.5 * sigmas[0]
     assert sigmas[0] < 0.6 * sigmas[1]
+
+
+def test_scale_errors_do_not_count_twice_in_an_outage() -> None:
+    """
+    GIVEN an IMU with errors of 1.5 %, whose innovations hide that it is less noisy than assumed
+    WHEN fixes are missing, and scale errors are part of the covariance by themselves
+    THEN the noise is that of innovations without them; with fixes, that of what they are.
+    """
+    whole = from_simulation(with_scale_errors(recording("road car", 230.0, 5), 5, 0.015))
+    t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
+    values = calibrated(**{"imu.scale_std": 0.015, "noise.mode": "learned"})
+    for end in (200.0, 240.0):
+        estimator, *_ = run(whole.thinned(t < end), values)
+        running = estimator.navigator.filter
+        assert running is not None and running.noise.factors is not None
+        with_fixes = running.noise.factors.imu_factors
+        if end == 200.0:
+            assert running.noise.imu_factors[1] < 0.6 * with_fixes[1]
+        else:
+            assert running.noise.imu_factors == with_fixes
 
 
 def test_scale_errors_change_covariances_in_outages_alone() -> None:

@@ -22,7 +22,7 @@ from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise import ConstantNoise, Correction, ProcessNoise
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
 from hybrid_ins.core.outage_monitor import OutageMonitor
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -418,6 +418,37 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_a_scale_error(element: i
 
     assert np.linalg.norm(U / sigma) > 1.0
     assert np.linalg.norm((by_difference - U) / sigma) < 0.15 * np.linalg.norm(U / sigma)
+
+
+def test_innovations_without_known_scale_errors_are_those_of_an_exact_imu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """GIVEN a filter that knows the scale errors of its IMU, and one whose IMU has none."""
+    run, m, seen = draw(replace(FLIGHT, fix_rate=5.0), 1), 1e-4 * SHARES, list[list[Correction]]()
+    known = np.zeros(N_SCALE)
+    learn = FilterNoise.learn_correction
+
+    def learning(self: FilterNoise, wrong: Correction, explained: Correction | None = None) -> None:
+        seen[-1].append(explained or wrong)
+        learn(self, wrong, explained)
+
+    def knowing(self: ScaleErrorObserver, *_: Any) -> None:
+        self._parameters = np.concatenate((np.zeros(5), known))
+
+    monkeypatch.setattr(FilterNoise, "learn_correction", learning)
+    monkeypatch.setattr(ScaleErrorObserver, "_learn", knowing)
+    f_0: Array | None = None
+    for share, errors in ((0.0, 0.0 * m), (0.0, m), (0.01, m)):
+        known[:] = share
+        seen.append([])
+        ins = filtered(run, STD, errors, f_0)
+        f_0 = observer(ins)._reference[:3] if f_0 is None else f_0
+
+    for part in ("z", "dx"):
+        exact, wrong, explained = (
+            np.array([getattr(one, part) for one in run[20:140]]) for run in seen
+        )
+        assert np.linalg.norm(explained - exact) < 0.2 * np.linalg.norm(wrong - exact), part
 
 
 def test_scale_errors_are_found_with_an_honest_sigma() -> None:
