@@ -5,10 +5,8 @@ Vibration hides a stand from the variance of the samples, not from their spectru
 nothing below the frequencies of engines. But at a steady crawl an IMU reads what it reads at rest,
 so that this shows no more than a speed near zero. Nor does every vehicle that drives read
 otherwise: the windows of motion with fixes are counted, and where some look like a stand, or too
-few were seen, nothing is concluded. Of the stands that fixes have shown the speed is known: a
-driver who never crawled in them may do so next, with the probability by Laplace's rule. A ferry
-sets off as smoothly as its engine runs: once the mean specific force has changed, the stand has
-ended.
+few were seen, nothing is concluded. A ferry sets off as smoothly as its engine runs: once the mean
+specific force has changed, the stand has ended.
 
 References
 ----------
@@ -47,7 +45,6 @@ LEAKAGE = 0.03  # of vibration into the frequencies of motion
 CRAWL = 0.3  # m/s, of the fastest crawl whose spectrum is that of a stand
 CRAWL_STD = CRAWL / math.sqrt(3.0)  # m/s: any speed up to that is as likely as another
 SMOOTHEST_NS = 1_500_000_000  # of the stand's spectrum: a smooth second of a drive is no stand
-COUNTED_NS = -1  # since when a stand goes on that was counted
 MOVING = 2.0 * CRAWL  # m/s, from which on `CRAWL_STD` would not be true
 MEMORY = 300.0  # s over which windows of motion are remembered
 FEWEST_MOVING = 100.0  # of them
@@ -78,7 +75,7 @@ def only_vibrates(samples: NDArray[np.void]) -> bool:
 @dataclass(frozen=True, slots=True)
 class NearStandstill:
     """
-    No speed along the nose, to a standard deviation.
+    No speed along the nose, to `CRAWL_STD`.
 
     A crawl lasts: its error is the same in each of these measurements. So R leaves of the speed's
     variance what one of them alone leaves at best, however many there are.
@@ -87,7 +84,6 @@ class NearStandstill:
     t_ns: int  # ns
     rate_b: Array  # (3,) rad/s, the gyroscopes' reading
     nose: Nose
-    std: float = CRAWL_STD  # m/s
 
     kind: ClassVar[str] = "near standstill"
     sensor: ClassVar[str] = IMU
@@ -96,8 +92,8 @@ class NearStandstill:
         """See `Measurement.linearise`: H is that of the velocity along the nose."""
         z, H = self.innovation(nav)
         variance = float(H[0] @ covariance(nav) @ H[0])
-        excess = max(variance - self.std**2, 1e-6 * variance)
-        return z, H, np.array([[self.std**2 * variance / excess]])
+        excess = max(variance - CRAWL_STD**2, 1e-6 * variance)
+        return z, H, np.array([[CRAWL_STD**2 * variance / excess]])
 
     def innovation(self, nav: Array) -> tuple[Array, Array]:
         """Return z (1,) and H (1, 15) at a flat state."""
@@ -114,14 +110,10 @@ class NearStandstillDetector:
     ----------
     moving, alike : float
         Windows in which fixes showed motion, and those of them that look like a stand; they fade.
-    stands, crawled : float
-        Stands by their spectrum whose speed fixes have determined, and the sum of the squares of
-        these speeds, in units of `CRAWL_STD`; they fade.
     """
 
     def __init__(self) -> None:
-        self.moving = self.alike = self.stands = self.crawled = 0.0
-        self._seen_ns: int | None = None  # since when, with fixes, the spectrum is that of a stand
+        self.moving = self.alike = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -134,11 +126,6 @@ class NearStandstillDetector:
     def distinguishes(self) -> bool:
         """The spectrum of this vehicle in motion was never, or hardly ever, that of a stand."""
         return self.moving > FEWEST_MOVING and self.alike < MOST_ALIKE * self.moving
-
-    @property
-    def std(self) -> float:
-        """Standard deviation of the speed in a stand [m/s]: before one was seen, of a crawl."""
-        return CRAWL_STD * math.sqrt((1.0 + self.crawled) / (1.0 + self.stands))
 
     def learn(self, samples: NDArray[np.void], nav: Array, interval: float, nose: Nose) -> None:
         """
@@ -156,26 +143,10 @@ class NearStandstillDetector:
         """
         self.restart()
         speed, variance = _speed(NearStandstill(0, samples["w"][-1], nose), nav)
-        self._learn_stand(samples, speed, math.exp(-interval / MEMORY))
         if abs(speed) - 2.0 * math.sqrt(variance) > MOVING:
             fading = math.exp(-interval / MEMORY)
             self.moving = fading * self.moving + 1.0
             self.alike = fading * self.alike + only_vibrates(samples)
-
-    def _learn_stand(self, samples: NDArray[np.void], speed: float, fading: float) -> None:
-        """Count a stand once, by the speed [m/s] at which it would be used in an outage."""
-        self.stands *= fading
-        self.crawled *= fading
-        if not only_vibrates(samples):
-            self._seen_ns = None
-            return
-        t_ns = int(samples["t_ns"][-1])
-        if self._seen_ns is None:
-            self._seen_ns = t_ns
-        elif 0 <= self._seen_ns <= t_ns - SMOOTHEST_NS:
-            self._seen_ns = COUNTED_NS
-            self.stands += 1.0
-            self.crawled += (speed / CRAWL_STD) ** 2
 
     def measurement(
         self, samples: NDArray[np.void], nav: Array, rate_b: Array, nose: Nose
@@ -188,9 +159,9 @@ class NearStandstillDetector:
         if self._still_ns is None:
             self._still_ns = t_ns
         self._set_off = self._force.changes(samples) or self._set_off
-        found = NearStandstill(t_ns, rate_b, nose, self.std)
+        found = NearStandstill(t_ns, rate_b, nose)
         speed, variance = _speed(found, nav)
-        plausible = found.std**2 < variance < KNOWN_SPEED**2
+        plausible = CRAWL_STD**2 < variance < KNOWN_SPEED**2
         plausible = plausible and speed**2 < PLAUSIBLE_NIS * (variance + CRAWL_STD**2)
         lasts = t_ns - self._still_ns >= SMOOTHEST_NS and not self._set_off
         return found if plausible and lasts else None

@@ -144,35 +144,6 @@ def test_stands_with_fixes_say_nothing_of_the_drive() -> None:
     assert detector.moving == detector.alike == 0.0
 
 
-@pytest.mark.parametrize(("speed", "share"), [(0.0, 1 / 4), (0.3, (1 + 3 * 3) / 4)])
-def test_stands_with_fixes_show_how_fast_a_stand_is(speed: float, share: float) -> None:
-    """
-    GIVEN a drive with three stands, in which the car does not move, or crawls
-    WHEN the next one comes in an outage
-    THEN its speed has the variance of Laplace's rule, before of a crawl, and of a long stand as of
-    a short one.
-    """
-    detector = NearStandstillDetector()
-    assert detector.std == CRAWL_STD
-    end = drive(detector, 70.0, road=0.3, speed=10.0)
-    for seconds in (5.0, 15.0, 5.0):
-        drive(detector, seconds, road=0.0, speed=speed)
-        drive(detector, 3.0, road=0.3, speed=10.0)
-
-    assert detector.std**2 == pytest.approx(share * CRAWL_STD**2, rel=0.12)  # some of it has faded
-    nav = flat_state(np.array([0.4, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=1.0)
-    nav[BIAS_G] = 0.0
-    made = [detector.measurement(window(end + t), nav, np.zeros(3), NOSE) for t in (1.0, 3.0)]
-    assert made[1] is not None and made[1].std == detector.std
-
-
-def test_a_second_as_smooth_as_a_stand_is_not_counted_as_one() -> None:
-    detector = NearStandstillDetector()
-    drive(detector, 2.4, road=0.0, speed=1.0)
-    drive(detector, 3.0, road=0.3, speed=10.0)
-    assert detector.stands == 0.0
-
-
 @pytest.mark.parametrize(
     ("what", "speed", "std"),
     [
