@@ -11,6 +11,10 @@ What of slip is proportional to the motion is no noise: tyres that slip out of t
 without slip, and the body pitches with the acceleration. Both are estimated; what is left of slip
 lasts for a fraction of a second.
 
+What the IMU's scale errors have done to the attitude is part of the nose that is found: state and
+nose err together, and the constraint does not see it. In an outage the attitude is corrected by
+what is known of scale errors, so the derivative of the nose by them is kept.
+
 The constraint is proven with the nominal slip, and disproven with that which the motion shows, to a
 limit: a rough road is no ice, and a boat that hardly drifts is no car.
 
@@ -30,6 +34,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
 from hybrid_ins.core.rotations import cross
+from hybrid_ins.core.scale_sensitivity import N_SCALE
 from hybrid_ins.core.slip import SlipEstimator
 from hybrid_ins.core.state import BIAS_G, covariance
 
@@ -113,6 +118,7 @@ class ConstraintObserver:
         self._P = (
             np.diag([settings.nose_std, settings.nose_std, settings.point_std, SQUAT_STD]) ** 2
         )
+        self._by_scale = np.zeros((len(self._P), N_SCALE))
         self.evidence = self.recent = self.turned = 0.0
         self.slip, self.ratio = SlipEstimator(settings.std), SlipEstimator(np.ones(2))
         self.holds = settings.assumed
@@ -131,6 +137,7 @@ class ConstraintObserver:
         *,
         fused: bool,
         answer: Array | None = None,
+        by_scale: Array | None = None,
     ) -> None:
         """
         Use the motion at an instant.
@@ -147,8 +154,11 @@ class ConstraintObserver:
             The filter fuses the constraint: agreement then proves nothing.
         answer : ndarray, shape (2, 2), optional
             A model's, on the covariance of the velocity across the nose [(m/s)²].
+        by_scale : ndarray, shape (15, N_SCALE), optional
+            Sensitivity of the state's error to the IMU's scale errors, see `ScaleErrorObserver`.
         """
-        z, J, state, speed = self._innovation(nav, rate_b)
+        z, J, H, speed = self._innovation(nav, rate_b)
+        state = H @ covariance(nav) @ H.T
         if abs(speed) < MIN_SPEED:
             return
         S, slip = state + J @ self._P @ J.T, self._slip
@@ -170,7 +180,8 @@ class ConstraintObserver:
         if nis < OUTLIER and not fused:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
             R = inflated(state, STATE_TIME, interval)
-            self._learn(z, J, R + inflated(slip, SLIP_TIME, interval))
+            to_scale = np.zeros((2, N_SCALE)) if by_scale is None else H @ by_scale
+            self._learn(z, J, R + inflated(slip, SLIP_TIME, interval), to_scale)
         self._decide()
 
     @property
@@ -191,10 +202,10 @@ class ConstraintObserver:
         _, J, _, _ = self._innovation(nav, rate_b)
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
         R = R + inflated(slip, SLIP_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose, R)
+        return NonHolonomic(t_ns, rate_b, self.nose, R, J @ self._by_scale)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
-        """Innovation (2,), its derivative by the nose (2, 4), the state's part of S, the speed."""
+        """Innovation (2,), its derivatives by the nose (2, 4) and the state (2, 15), the speed."""
         nose = self.nose.squatting(nav)
         velocity_b, by_error = point_velocity(nav, rate_b, nose.point_b)
         axes, forward = nose.axes, nose.forward
@@ -204,13 +215,14 @@ class ConstraintObserver:
         J[:, 2] = axes @ cross(rate_b - nav[BIAS_G], forward)
         J[1, 3] = -speed * self.nose.acceleration(nav)
         H = axes @ by_error
-        return -axes @ velocity_b, J, H @ covariance(nav) @ H.T, speed
+        return -axes @ velocity_b, J, H, speed
 
-    def _learn(self, z: Array, J: Array, R: Array) -> None:
-        """Correct the nose by an innovation."""
+    def _learn(self, z: Array, J: Array, R: Array, by_scale: Array) -> None:
+        """Correct the nose by an innovation, whose derivative by scale errors is ``by_scale``."""
         K = np.linalg.solve(J @ self._P @ J.T + R, J @ self._P).T
         A = np.eye(len(self._P)) - K @ J
         self._P = A @ self._P @ A.T + K @ R @ K.T
+        self._by_scale = A @ self._by_scale - K @ by_scale
         yaw, pitch, along, squat = K @ z
         nose = self.nose
         self.nose = Nose(

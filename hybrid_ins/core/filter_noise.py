@@ -31,6 +31,10 @@ class FilterNoise:
     """
     A noise model, its way to Qc, and the factors that the innovations put on it.
 
+    Scale errors of the IMU make the innovations larger, and the factors with them. Where their
+    effect is part of the covariance by itself, it would count twice: there the factors are those
+    of innovations from which it has been taken out.
+
     A copy is a checkpoint.
 
     Parameters
@@ -49,6 +53,10 @@ class FilterNoise:
         claimed; see `position_scatter.Split`.
     jumps : PositionJumps
         Jumps of fixes that are not claimed.
+    without_scale : NoiseMultipleModelBank or None
+        As ``factors``, by innovations without what scale errors explain of them.
+    considers_scale : bool
+        Factors on the IMU's noise are those of ``without_scale``.
     """
 
     def __init__(
@@ -60,6 +68,8 @@ class FilterNoise:
         self.model = model
         self.process = process
         self.factors = factors
+        self.without_scale = None if factors is None else NoiseMultipleModelBank()
+        self.considers_scale = self._explained = False
         self.unclaimed_std, self.excess = 0.0, 1.0
         self.jumps = PositionJumps()
         self._suspected: tuple[Correction, Array] | None = None
@@ -71,6 +81,7 @@ class FilterNoise:
         twin = object.__new__(FilterNoise)
         twin.__dict__.update(self.__dict__)
         twin.model, twin.factors = copy.copy(self.model), factors
+        twin.without_scale = copy.copy(self.without_scale)
         return twin
 
     def replaced_by(self, other: FilterNoise) -> FilterNoise:
@@ -82,7 +93,8 @@ class FilterNoise:
     @property
     def imu_factors(self) -> tuple[float, float]:
         """Factors on the variances of accelerometer and gyroscope."""
-        return (1.0, 1.0) if self.factors is None else self.factors.imu_factors
+        bank = self.without_scale if self.considers_scale and self._explained else self.factors
+        return (1.0, 1.0) if bank is None else bank.imu_factors
 
     @property
     def fix_factor(self) -> float:
@@ -113,6 +125,16 @@ class FilterNoise:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
         return self._levels
 
+    def consider_scale(self, considers: bool) -> None:
+        """Note whether scale errors are part of the covariance by themselves."""
+        if considers != self.considers_scale:
+            self.considers_scale = considers
+            self._note_levels()
+
+    def _banks(self) -> list[NoiseMultipleModelBank]:
+        """Return the factors' banks."""
+        return [bank for bank in (self.factors, self.without_scale) if bank is not None]
+
     def _note_levels(self) -> None:
         """Set the levels in force: they are asked for with every sample, and change with events."""
         levels, (a, g) = self.model.levels(), self.imu_factors
@@ -130,8 +152,9 @@ class FilterNoise:
         """
         replaced = self.model.learn(estimate)
         needed = max(self.imu_factors) > 1.0 or self.slow_std > 0.0
-        if replaced and needed and self.factors is not None:
-            self.factors.restart(keep_weights=False)
+        if replaced and needed:
+            for bank in self._banks():
+                bank.restart(keep_weights=False)
         self._note_levels()
 
     @property
@@ -139,14 +162,26 @@ class FilterNoise:
         """Whether `learn_correction` does anything."""
         return self.factors is not None or self.model.uses_corrections
 
-    def learn_correction(self, correction: Correction) -> StateCorrection | None:
-        """Learn from a fix, fused or rejected; may return where the state belongs."""
+    def learn_correction(
+        self, correction: Correction, without_scale: Correction | None = None
+    ) -> StateCorrection | None:
+        """
+        Learn from a fix, fused or rejected; may return where the state belongs.
+
+        ``without_scale`` is the same without what scale errors explain of it.
+        """
         if self.model.uses_corrections:
             self.model.learn(replace(correction, restarted=self._restarted))
         self._restarted = False
         moved: StateCorrection | None = None
-        if self.factors is not None:
-            moved = self.factors.update(correction, self.process.psd(self.model.levels()))
+        if self.factors is not None and self.without_scale is not None:
+            psd = self.process.psd(self.model.levels())
+            moved = self.factors.update(correction, psd)
+            if moved is not None:
+                self.without_scale.restart(keep_weights=True)
+            elif without_scale is not None:
+                self.without_scale.update(without_scale, psd)
+                self._explained = True
         self._note_levels()
         if self._suspected is not None:
             self._judge_suspected(*self._suspected, correction.t_ns)
@@ -181,8 +216,9 @@ class FilterNoise:
             self._suspected = None
         elif isinstance(fix, PositionFix) and verdict.surprises:
             self._suspected = correction, fix.claimed
-        if verdict.disagrees and self.factors is not None:
-            self.factors.weigh_jump(correction, R)
+        if verdict.disagrees:
+            for bank in self._banks():
+                bank.weigh_jump(correction, R)
             self._note_levels()
 
     def _learn_jump(self, correction: Correction, claimed: Array) -> None:
@@ -195,8 +231,8 @@ class FilterNoise:
 
     def follow(self, correction: Correction) -> None:
         """Learn what a measurement that is no fix did to the state."""
-        if self.factors is not None:
-            self.factors.follow(correction, self.process.psd(self.model.levels()))
+        for bank in self._banks():
+            bank.follow(correction, self.process.psd(self.model.levels()))
 
     def restart(self, *, keep_weights: bool) -> None:
         """
@@ -206,6 +242,6 @@ class FilterNoise:
         from measurements that proved inconsistent with the state.
         """
         self._restarted, self._suspected = True, None
-        if self.factors is not None:
-            self.factors.restart(keep_weights=keep_weights)
-            self._note_levels()
+        for bank in self._banks():
+            bank.restart(keep_weights=keep_weights)
+        self._note_levels()

@@ -361,6 +361,12 @@ def _age(event: Event, t_ns: int) -> float:
     return (t_ns - event.t_ns) * 1e-9
 
 
+def sensitivity_to_scale(running: InsFilter) -> Array:
+    """Return d(error)/dm, (15, N_SCALE), after the last sample, see `ScaleErrorObserver`."""
+    observer = running._update.scale_errors
+    return observer.sensitivity_at(running.flat_state(), running.ring, running.t_ns)
+
+
 def hand_over(running: InsFilter, winner: InsFilter, by_ns: int) -> list[Measurement]:
     """
     Leave what waits for the IMU to a filter that was given the same, with ``by_ns`` on GNSS stamps.

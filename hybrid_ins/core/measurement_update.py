@@ -38,6 +38,8 @@ from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.missing_height import LevelMotion
 from hybrid_ins.core.noise import Correction, NoiseEstimate
+from hybrid_ins.core.noise_multiple_model import StateCorrection
+from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
     PositionScatter,
     Split,
@@ -184,6 +186,7 @@ class MeasurementUpdate:
                 self.scatter.learn(found, len(verdict.sigma), event.t_ns)
             if isinstance(event, LevelMotion):
                 nav[SLOW_VARIANCE][2] = event.height_variance
+        self.noise.consider_scale(self.scale_errors.in_outage)
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
@@ -246,7 +249,7 @@ class MeasurementUpdate:
 
         ``split`` is that of a position's covariance.
         """
-        model, found = measurement.linearise(nav), None
+        (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
         if split is not None:
@@ -303,7 +306,7 @@ class MeasurementUpdate:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
-            self.scale_errors.update(correction, is_fix=False)
+            self.scale_errors.update(correction, False, by_scale)
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns
@@ -321,15 +324,31 @@ class MeasurementUpdate:
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let noise and sensors' errors learn from it; the former may move the state."""
+        without_scale = self.scale_errors.explain(correction)
         if self.noise.uses_corrections:
             self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
-        moved = self.noise.learn_correction(correction)
+        moved = self.noise.learn_correction(correction, without_scale)
         if moved is not None:
-            inject(nav, moved.dx)
-            pack(moved.P, nav[COVARIANCE])
-            nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+            _move(nav, moved)
         return moved is not None
+
+
+def _move(nav: Array, moved: StateCorrection) -> None:
+    """Move a state where it belongs."""
+    inject(nav, moved.dx)
+    pack(moved.P, nav[COVARIANCE])
+    nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+
+
+def _linearised(
+    nav: Array, measurement: Measurement, scale_errors: ScaleErrorObserver
+) -> tuple[Model, Array | float]:
+    """Return a measurement's model, and its derivative by scale errors beside by the state."""
+    model = measurement.linearise(nav)
+    if isinstance(measurement, NonHolonomic) and scale_errors.in_outage:
+        return scale_errors.decorrelated(nav, model, measurement.by_scale)
+    return model, 0.0
 
 
 def _split_position(

@@ -17,7 +17,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.earth import earth_rate_n
 from hybrid_ins.core.measurements import IMU
 from hybrid_ins.core.rotations import cross, matrix_from_quat, skew
+from hybrid_ins.core.scale_sensitivity import N_SCALE
 from hybrid_ins.core.state import (
     ACCELERATION,
     B_G,
@@ -85,6 +86,8 @@ class NonHolonomic:
     rate_b: Array  # (3,) rad/s, the gyroscopes' reading
     nose: Nose
     covariance: Array  # (2, 2) (m/s)², to the right and down
+    by_scale: Array = field(default_factory=lambda: np.zeros((2, N_SCALE)))
+    # derivative of z by the scale errors that the nose contains, see `ScaleErrorObserver`
 
     kind: ClassVar[str] = "non-holonomic"
     sensor: ClassVar[str] = IMU

@@ -23,6 +23,10 @@ D m; what is not known of m, and a part of it that is not constant, is *consider
 covariance P_m, U P_m U' is added to that of the state, so that a manoeuvre that ends as it began
 takes away most of what it has brought.
 
+A direction in the vehicle that was learned from the state while fixes came, such as that of its
+nose, contains what scale errors have done to the attitude: the two cancel. A measurement that uses
+it depends on m beside by the state.
+
 References
 ----------
 .. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
@@ -36,6 +40,7 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +71,7 @@ from hybrid_ins.core.state import (
 )
 
 Array = NDArray[np.float64]
+Model = tuple[Array, Array, Array]  # z, H, R
 
 MAX_INTERVAL_NS = 10_000_000_000  # between two events, beyond which nothing is followed
 LEVER_STD = 0.3  # m, of the place of the antenna
@@ -142,6 +148,49 @@ class ScaleErrorObserver(ShallowCopy):
         if self._root is None and self._t_ns is not None:
             attitude_mean_square(self._U, self._parameters, self._P, attitude)
         return attitude
+
+    def sensitivity_at(self, nav: Array, ring: ImuRing, t_ns: int) -> Array:
+        """
+        Return d(error)/dm, shape (15, N_SCALE), by m in units of its deviations.
+
+        Parameters as for `follow`; nothing is changed.
+        """
+        ahead = self.__copy__()
+        ahead._root = None
+        ahead.follow(nav, ring, t_ns)
+        return ahead._U[:, N_LEVER:] if ahead._t_ns is not None else np.zeros((N_ERROR, N_SCALE))
+
+    def decorrelated(self, nav: Array, model: Model, by_scale: Array) -> tuple[Model, Array]:
+        """
+        Return a measurement whose error depends on m, in an outage, as one whose error does not.
+
+        What is known of m is taken out of z. What is not is correlated with the error of the
+        state, which contains U m: the part of it which that error tells is one of H, the rest is
+        one of R.
+
+        Parameters
+        ----------
+        nav : ndarray, shape (N_FLAT,)
+            Flat state with nothing pending.
+        model : (z, H, R)
+        by_scale : ndarray, shape (m, N_SCALE)
+            Derivative of z by m, in units of its deviations, beside that through the state.
+
+        Returns
+        -------
+        model : (z, H, R)
+        beside : ndarray, shape (m, N_LEVER + N_SCALE)
+            Derivative of z by the parameters beside H U.
+        """
+        assert self._root is not None
+        (z, H, R), P, own = model, covariance(nav), by_scale @ self._root
+        common, std = self.correlation @ own.T, np.sqrt(np.diag(P))
+        told = np.linalg.solve(P / np.outer(std, std), common / std[:, None]).T / std
+        beside = -told @ self._U
+        beside[:, N_LEVER:] += by_scale
+        rest = own @ own.T - told @ common
+        z = z - by_scale @ self._parameters[SCALE]
+        return (z, H + told, R + 0.5 * (rest + rest.T)), beside
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""
@@ -223,7 +272,7 @@ class ScaleErrorObserver(ShallowCopy):
         self._reference[:3] = -C_nb.T @ [gravity_n[0], 0.0, gravity_n[1]]
         self._t_ns = t_ns
 
-    def update(self, correction: Correction, is_fix: bool) -> None:
+    def update(self, correction: Correction, is_fix: bool, beside: Array | float = 0.0) -> None:
         """
         Follow a correction, and learn from that by a fix.
 
@@ -233,6 +282,8 @@ class ScaleErrorObserver(ShallowCopy):
             With the state before it.
         is_fix : bool
             Otherwise another measurement corrected, which only changes U.
+        beside : ndarray, shape (m, N_LEVER + N_SCALE), optional
+            See `decorrelated`.
         """
         if self._root is None:
             if correction.nav[HEADING_VARIANCE] > HEADING_STD**2 or not self._units.any():
@@ -245,7 +296,7 @@ class ScaleErrorObserver(ShallowCopy):
         H, G = correction.H, None
         if correction.linear is not None:
             _, H, _, G = correction.linear
-        h = H @ self._U
+        h = H @ self._U + beside
         if is_fix:
             direct = dependence_on_lever_arm(correction.nav, correction.H)
             h[:, :N_LEVER] += direct
@@ -253,6 +304,23 @@ class ScaleErrorObserver(ShallowCopy):
                 self._learn(correction, direct)
         moved = self._U if G is None else G @ self._U
         self._U = moved - correction.K @ h
+
+    def explain(self, correction: Correction) -> Correction | None:
+        """
+        Return a correction by a fix as that of an IMU without the scale errors that are known.
+
+        Its state would be U m from here. None where these are not followed.
+        """
+        if self._t_ns is None or self._root is not None or not self._units.any():
+            return None
+        shift, linear = self._U[:, N_LEVER:] @ self._parameters[SCALE], correction.linear
+        explained = correction.H @ shift
+        if linear is not None:
+            z_x, H_x, x, G = linear
+            explained_x = H_x @ shift
+            linear = (z_x - explained_x, H_x, x - np.linalg.solve(G, correction.K @ explained_x), G)
+        z, dx = correction.z - explained, correction.dx - correction.K @ explained
+        return replace(correction, z=z, dx=dx, linear=linear)
 
     def _learn(self, correction: Correction, of_lever: Array) -> None:
         """Regress an innovation; ``of_lever`` is how it depends on the lever arm itself, (m, 3)."""

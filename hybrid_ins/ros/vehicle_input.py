@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
 from hybrid_ins.core.fix_watch import FixWatch
-from hybrid_ins.core.ins_filter import InsFilter
+from hybrid_ins.core.ins_filter import InsFilter, sensitivity_to_scale
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.near_standstill import WINDOW_NS, NearStandstillDetector
 from hybrid_ins.core.nonholonomic import Nose
@@ -152,7 +152,14 @@ class VehicleInput:
         if held:
             self.slip.read(self._navigator.ring, observer.nose, t_ns)
             answer = self.slip.covariance if self.slip.answers else None
-        observer.observe(nav, rate_b, PERIOD_NS * 1e-9, fused=not settled, answer=answer)
+        observer.observe(
+            nav,
+            rate_b,
+            PERIOD_NS * 1e-9,
+            fused=not settled,
+            answer=answer,
+            by_scale=sensitivity_to_scale(running) if settled else None,
+        )
         if observer.holds != held:
             self._log_change()
         self.fused = self._fixes.outage(t_ns) and held and observer.holds

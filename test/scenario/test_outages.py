@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.outage_drives import calibrated, drive
+from support.outage_drives import calibrated, drive, recording
 
 from hybrid_ins import parameters
 from hybrid_ins.core.constraint_observer import ConstraintObserver
+from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.fix_watch import OUTAGE_NS
 from hybrid_ins.core.near_standstill import NearStandstillDetector
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
@@ -22,7 +23,7 @@ from tools.robustness.endurance import smooth_drive
 from tools.vehicles.constraint import row
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Judged, run
-from tools.vehicles.outages import End, ends, gusty
+from tools.vehicles.outages import End, ends, gusty, with_scale_errors
 
 
 @cache
@@ -268,6 +269,60 @@ def test_the_table_says_for_how_long_the_constraint_was_held() -> None:
 
     assert float(rolling.split("|")[2].removesuffix(" % ")) > 50.0
     assert "| 0 % | 0 | - |" in sliding
+
+
+def test_the_height_is_not_in_doubt_for_what_scale_errors_have_done_to_the_nose(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """
+    GIVEN a car whose gyroscope across reads 2 % of the rate of its turns, which tilts the attitude
+    WHEN fixes are missing for a minute
+    THEN the constraint holds the height by a nose that was tilted as well, within its σ: half of
+    that without knowing what has tilted the nose.
+    """
+    made = recording("road car", 230.0, 5)
+    rate = made.imu.angular_rate.copy()
+    rate[:, 1] += 0.02 * rate[:, 2]
+    whole = from_simulation(replace(made, imu=replace(made.imu, angular_rate=rate)))
+    t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
+    kind = {"noise.mode": "learned", "imu.scale_std": 0.02, "vehicle.kind": "ground"}
+    observe = ConstraintObserver.observe
+
+    def unaware(self: ConstraintObserver, *args: Any, **options: Any) -> None:
+        observe(self, *args, **{**options, "by_scale": None})
+
+    errors, sigmas = [], []
+    for observing in (observe, unaware):
+        monkeypatch.setattr(ConstraintObserver, "observe", observing)
+        estimator, t_ns, rows = run(whole.thinned(t < 160.0), calibrated(**kind))
+        assert estimator.odometry.map is not None
+        truth = LocalFrame(estimator.odometry.map.datum_lla).position(whole.truth_lla[2200])
+        at = int(np.searchsorted(t_ns, whole.truth_ns[2200]))
+        errors.append(rows[at, 2] + truth[2])
+        sigmas.append(np.sqrt(rows[at, 7 + 14]))
+
+    assert abs(errors[0]) < 2.5 * sigmas[0]
+    assert sigmas[0] < 0.6 * sigmas[1]
+
+
+def test_scale_errors_do_not_count_twice_in_an_outage() -> None:
+    """
+    GIVEN an IMU with errors of 1.5 %, whose innovations hide that it is less noisy than assumed
+    WHEN fixes are missing, and scale errors are part of the covariance by themselves
+    THEN the noise is that of innovations without them; with fixes, that of what they are.
+    """
+    whole = from_simulation(with_scale_errors(recording("road car", 230.0, 5), 5, 0.015))
+    t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
+    values = calibrated(**{"imu.scale_std": 0.015, "noise.mode": "learned"})
+    for end in (200.0, 240.0):
+        estimator, *_ = run(whole.thinned(t < end), values)
+        running = estimator.navigator.filter
+        assert running is not None and running.noise.factors is not None
+        with_fixes = running.noise.factors.imu_factors
+        if end == 200.0:
+            assert running.noise.imu_factors[1] < 0.6 * with_fixes[1]
+        else:
+            assert running.noise.imu_factors == with_fixes
 
 
 def test_scale_errors_change_covariances_in_outages_alone() -> None:

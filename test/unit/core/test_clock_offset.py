@@ -224,7 +224,7 @@ def test_a_state_that_the_noise_has_moved_is_one_read_off_the_fixes(
 ) -> None:
     run = draw(Scenario("flight", rate=50.0, duration=10.0, scored_from=0.6), 1)
     nowhere = SimpleNamespace(dx=np.zeros(N_ERROR), P=np.eye(N_ERROR))
-    monkeypatch.setattr(FilterNoise, "learn_correction", lambda self, correction: nowhere)
+    monkeypatch.setattr(FilterNoise, "learn_correction", lambda *_: nowhere)
     ins = begin(run)
     ins.ring.extend(run.samples)
     for fix in run.fixes:

@@ -9,9 +9,21 @@ from hypothesis import strategies as st
 from support.derivatives import derivative, flat_state, swing, vectors
 
 from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose, point_velocity
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.core.state import ACCELERATION, BIAS_G, DV, EPS, LAST_W, QUAT, VELOCITY, Array
+from hybrid_ins.core.scale_sensitivity import N_SCALE
+from hybrid_ins.core.state import (
+    ACCELERATION,
+    BIAS_G,
+    DV,
+    EPS,
+    LAST_W,
+    N_ERROR,
+    QUAT,
+    VELOCITY,
+    Array,
+)
 
 POINT_B = np.array([-1.2, 0.3, 0.5])
 INTERVAL = 0.5
@@ -78,6 +90,40 @@ def car(observer: ConstraintObserver, seconds: float, seed: int, **motion: float
         variance = motion.get("answer", 0.0) ** 2
         answer = variance * np.eye(2) if variance else None
         observer.observe(nav, rate, INTERVAL, fused=False, answer=answer)
+
+
+def test_scale_errors_move_state_and_nose_together() -> None:
+    """
+    GIVEN a state whose attitude and velocity two scale errors put off, as much for minutes
+    WHEN the nose has been learned from it
+    THEN what they do to the constraint through the nose cancels what they do through the state.
+    """
+    rng = np.random.default_rng(3)
+    by_scale = np.zeros((N_ERROR, N_SCALE))
+    by_scale[EPS, :2] = 0.005 * rng.standard_normal((3, 2))
+    by_scale[DV, :2] = 0.01 * rng.standard_normal((3, 2))
+    m = np.zeros(N_SCALE)
+    m[:2] = 1.0, -2.0
+    right, wrong = new_observer(), new_observer()
+    for k in range(240):
+        rate = np.array([0.0, 0.0, 0.4 * np.sin(0.2 * k)])
+        velocity = np.array([10.0 + np.sin(0.05 * k), 0.0, 0.0])
+        nav = flat_state(velocity, np.zeros(3), rate, std=0.02)
+        nav[ACCELERATION] = [np.sin(0.1 * k), 0.0, 0.0]
+        off = nav.copy()
+        inject(off, -by_scale @ m)
+        right.observe(nav, rate, INTERVAL, fused=False)
+        wrong.observe(off, rate, INTERVAL, fused=False, by_scale=by_scale)
+
+    exact, found = (
+        observer.measurement(0, at, rate, INTERVAL, np.eye(2))
+        for observer, at in ((right, nav), (wrong, off))
+    )
+    (expected, _, _), (z, H, _) = exact.linearise(nav), found.linearise(off)
+    through_state, through_nose = H @ by_scale @ m, found.by_scale @ m
+    assert np.all(np.abs(through_state) > 0.02)
+    assert np.all(np.abs(through_state + through_nose) < 0.1 * np.abs(through_state))
+    np.testing.assert_allclose(z - expected, through_state + through_nose, atol=1e-3)
 
 
 def new_observer(assumed: bool = False) -> ConstraintObserver:

@@ -22,13 +22,24 @@ from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise import ConstantNoise, Correction, ProcessNoise
+from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
 from hybrid_ins.core.outage_monitor import OutageMonitor
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.scale_errors import N_LEVER, SHARES, VARYING, ScaleErrorObserver
 from hybrid_ins.core.scale_sensitivity import N_SCALE, follow_samples
-from hybrid_ins.core.state import DP, EPS, N_ERROR, N_NAV, QUAT, NavState, covariance, unpack_total
+from hybrid_ins.core.state import (
+    DP,
+    EPS,
+    N_ERROR,
+    N_NAV,
+    QUAT,
+    VELOCITY,
+    NavState,
+    covariance,
+    unpack_total,
+)
 from hybrid_ins.simulation.motions import aircraft_flight, car_drive
 from tools.paper.runs import Run, Scenario, draw
 
@@ -180,6 +191,42 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
     correlation = observer(ins).correlation
     np.testing.assert_allclose(correlation, joint[:15, 15:], rtol=1e-6, atol=1e-12)
     assert covariance(ins.nav)[3, 3] > 1.2 * covariance(plain.nav)[3, 3]
+
+
+def test_a_nose_that_contains_scale_errors_is_fused_as_what_it_is() -> None:
+    """
+    GIVEN an outage, scale errors of which something is known, and a nose that depends on them
+    WHEN the constraint is fused
+    THEN state, covariance and correlation are those of the optimal gain for the state and the 18
+    parameters, which are never estimated.
+    """
+    truth, rng = manoeuvres(1.0), np.random.default_rng(5)
+    samples, nav = with_scale_errors(truth, np.zeros(N_SCALE)), truth.flat(P=np.diag(SIGMA_0**2))
+    ins = start_filter(nav, samples)
+    observer(ins)._parameters = np.concatenate((np.zeros(5), rng.standard_normal(N_SCALE)))
+    fly(ins, samples[1:101])
+    by_scale, rate_b = 0.02 * rng.standard_normal((2, N_SCALE)), samples["w"][100]
+    x, y, z_ahead = matrix_from_quat(ins.nav[QUAT]).T @ ins.nav[VELOCITY]
+    nose = Nose(np.arctan2(y, x) + 0.01, -np.arctan2(z_ahead, np.hypot(x, y)), np.zeros(3))
+    constraint = NonHolonomic(ins.t_ns, rate_b, nose, np.diag([0.04, 0.09]), by_scale)
+    joint = np.eye(N_ERROR + N_SCALE)
+    joint[:N_ERROR, :N_ERROR] = covariance(ins.nav)
+    joint[:N_ERROR, N_ERROR:] = observer(ins).correlation
+    joint[N_ERROR:, :N_ERROR] = observer(ins).correlation.T
+    expected, (z, H, R) = ins.flat_state(), constraint.linearise(ins.nav)
+
+    ins.submit(constraint)
+
+    assert ins.verdicts[-1].accepted and ins.verdicts[-1].weight == 1.0
+    m, H = observer(ins)._parameters[5:], np.hstack((H, by_scale))
+    K = np.linalg.solve(H @ joint @ H.T + R, H @ joint).T
+    K[N_ERROR:] = 0.0
+    by_gain = np.eye(N_ERROR + N_SCALE) - K @ H
+    joint = by_gain @ joint @ by_gain.T + K @ R @ K.T
+    inject(expected, K[:N_ERROR] @ (z - by_scale @ m))
+    np.testing.assert_allclose(ins.nav[:16], expected[:16], rtol=1e-6)
+    np.testing.assert_allclose(covariance(ins.nav), joint[:15, :15], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(observer(ins).correlation, joint[:15, 15:], rtol=1e-5, atol=1e-9)
 
 
 def position_nees(seconds: float, runs: int, std: float) -> Array:
@@ -371,6 +418,37 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_a_scale_error(element: i
 
     assert np.linalg.norm(U / sigma) > 1.0
     assert np.linalg.norm((by_difference - U) / sigma) < 0.15 * np.linalg.norm(U / sigma)
+
+
+def test_innovations_without_known_scale_errors_are_those_of_an_exact_imu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """GIVEN a filter that knows the scale errors of its IMU, and one whose IMU has none."""
+    run, m, seen = draw(replace(FLIGHT, fix_rate=5.0), 1), 1e-4 * SHARES, list[list[Correction]]()
+    known = np.zeros(N_SCALE)
+    learn = FilterNoise.learn_correction
+
+    def learning(self: FilterNoise, wrong: Correction, explained: Correction | None = None) -> None:
+        seen[-1].append(explained or wrong)
+        learn(self, wrong, explained)
+
+    def knowing(self: ScaleErrorObserver, *_: Any) -> None:
+        self._parameters = np.concatenate((np.zeros(5), known))
+
+    monkeypatch.setattr(FilterNoise, "learn_correction", learning)
+    monkeypatch.setattr(ScaleErrorObserver, "_learn", knowing)
+    f_0: Array | None = None
+    for share, errors in ((0.0, 0.0 * m), (0.0, m), (0.01, m)):
+        known[:] = share
+        seen.append([])
+        ins = filtered(run, STD, errors, f_0)
+        f_0 = observer(ins)._reference[:3] if f_0 is None else f_0
+
+    for part in ("z", "dx"):
+        exact, wrong, explained = (
+            np.array([getattr(one, part) for one in run[20:140]]) for run in seen
+        )
+        assert np.linalg.norm(explained - exact) < 0.2 * np.linalg.norm(wrong - exact), part
 
 
 def test_scale_errors_are_found_with_an_honest_sigma() -> None:
