@@ -6,7 +6,8 @@ vehicle; in km/h or knots; or zeros. No filter survives velocities that contradi
 and its innovations do not show which of both is wrong. The sum of velocities over some seconds
 does: it has to be the way between two positions. Velocities are older than positions by up to a
 second, which matters at the ends of the way only; multipath shifts positions, but not by a large
-share of each of several ways.
+share of each of several ways. Velocities that have agreed for long are not the wrong ones: a
+receiver may repeat its last position in a tunnel.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ MAX_INTERVAL_NS = 2_000_000_000  # between velocities that are summed
 AGE = 1.0  # s, that velocities may be older than positions
 CONTRADICTS, AGREES = 0.4, 0.2  # of the longer of both ways, by which they differ
 IN_A_ROW = 3  # ways that show either
+MOST_AGREED = 20  # ways that agreed before and must be outnumbered: it may be the positions
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,7 @@ class _Comparison:
         self.contradiction: Contradiction | None = None
         self._axes = axes
         self._count = 0  # of ways in a row that contradict; negative: that agree
+        self._agreed = 0  # ways, of all
         self.reset()
 
     def reset(self) -> None:
@@ -123,7 +126,8 @@ class _Comparison:
             self._count = max(self._count, 0) + 1
         elif differ < AGREES * way:
             self._count = min(self._count, 0) - 1
-        if self._count >= IN_A_ROW:
+            self._agreed = min(self._agreed + 1, MOST_AGREED)
+        if self._count >= max(IN_A_ROW, self._agreed):
             self.contradiction = Contradiction(moved_n, summed_n, seconds)
         elif self._count <= -IN_A_ROW:
             self.contradiction = None

@@ -95,6 +95,13 @@ def test_velocities_that_become_right_are_believed_again() -> None:
     assert found[len(found) // 2] and not found[-1]
 
 
+def test_positions_that_stay_in_a_tunnel_do_not_discredit_velocities() -> None:
+    def stopping(velocity_n: Array) -> Array:
+        return np.where(np.arange(len(velocity_n))[:, None] < 300, velocity_n, 0.0)
+
+    assert not any(contradicted(stopping)), "28 s against 60 s in which they agreed"
+
+
 def test_positions_that_jump_a_few_times_are_no_evidence() -> None:
     check, found = VelocityCheck(), []
     t = np.arange(1.0, SECONDS - 1.0, 0.2)
