@@ -6,6 +6,7 @@ What a check finds is applied to the filters: inflated covariances, zero-velocit
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -32,6 +33,7 @@ SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
 BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
 SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
 LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
+STILL_KNOWN = 2.0  # factor on the σ of a speed that was not zero: beyond it, zero is no news
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 LONGEST_BRAKING_NS = 10_000_000_000
 STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
@@ -83,6 +85,7 @@ class ImuMonitor:
         self.calm = 0, 0
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._standing_force = StandingForce()
+        self._gliding_std = math.inf  # m/s, of a speed that was not zero while all was calm
         self._lift = LiftWatch()
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
@@ -143,13 +146,7 @@ class ImuMonitor:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
         calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
-        if fixes_move or not calm or self._lift.moves or not _zero_speed_is_plausible(best):
-            self._calm_ns = None
-            self._standing_force.reset()
-        elif self._standing_force.changes(samples):
-            self._calm_ns = t_ns + STEADY_NS
-        elif self._calm_ns is None:
-            self._calm_ns = int(samples["t_ns"][0])
+        self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
@@ -160,6 +157,27 @@ class ImuMonitor:
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples))
         return True
+
+    def _follow_calm(
+        self, best: InsFilter, samples: NDArray[np.void], fixes_move: bool, calm: bool
+    ) -> None:
+        """Note since when the vehicle may stand, by ``samples`` until now."""
+        if not calm:
+            self._calm_ns, self._gliding_std = None, math.inf
+            self._standing_force.reset()
+            return
+        t_ns, speed_std = int(samples["t_ns"][-1]), _speed_std(best)
+        changed = self._standing_force.changes(samples)
+        if changed:
+            self._gliding_std = math.inf
+        if fixes_move or not _zero_speed_is_plausible(best):
+            self._calm_ns, self._gliding_std = None, min(speed_std, self._gliding_std)
+        elif speed_std > STILL_KNOWN * self._gliding_std:
+            self._calm_ns = None
+        elif changed:
+            self._calm_ns = t_ns + STEADY_NS
+        elif self._calm_ns is None:
+            self._calm_ns = int(samples["t_ns"][0])
 
     def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:
         """
@@ -209,8 +227,12 @@ def _longest_braking_ns(running: InsFilter) -> int:
 
     A filter that knows its speed poorly finds zero plausible long before the vehicle stands.
     """
-    speed = LARGEST_SPEED * float(np.sqrt(_speed_covariance(running).diagonal().max()))
+    speed = LARGEST_SPEED * _speed_std(running)
     return min(int(speed / SOFTEST_BRAKING * 1e9), LONGEST_BRAKING_NS)
+
+
+def _speed_std(running: InsFilter) -> float:
+    return float(np.sqrt(_speed_covariance(running).diagonal().max()))
 
 
 def _speed_covariance(running: InsFilter) -> Array:

@@ -248,7 +248,7 @@ class Navigator:
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
-        before, moving = self.monitor.fault, self._measurements.motion.speed > 0.0
+        before, moving = self.monitor.fault, self._measurements.motion.moves(self.last_ns)
         if not self.monitor.check(self.phases, self.ring, self.last_ns, moving):
             return
         fault = self.monitor.fault

@@ -144,6 +144,10 @@ class FixMotion:
         self._lla = np.concatenate((self._lla[first:], (lla,)))
         self.speed = significant_speed(self._t_ns, self._lla)
 
+    def moves(self, t_ns: int) -> bool:
+        """Return whether fixes have shown motion until a stamp [ns], and not long before."""
+        return self.speed > 0.0 and t_ns - int(self._t_ns[-1]) < FIX_SPAN_NS
+
 
 @kernel()
 def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]

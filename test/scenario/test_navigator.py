@@ -271,6 +271,35 @@ def test_a_train_that_sets_off_gently_does_not_stand() -> None:
     assert run.errors(navigator, 60.0)[1] < 5.0
 
 
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_boat_that_drifts_in_a_calm_does_not_stand_once_its_speed_is_uncertain(
+    stops: bool,
+) -> None:
+    """
+    GIVEN a boat that drifts at 0.5 m/s, and touches the quay after 30 s, or does not
+    WHEN fixes end after 20 s
+    THEN it stands at the quay, and nowhere else.
+    """
+    t = time_grid(90.0)
+    speed = smoothed(np.where((t > 30.0) & stops, 0.0, 0.5), 2.0)
+    motion = motion_through(
+        t, np.stack((speed, 0.0 * t, 0.0 * t), axis=-1), np.zeros((len(t), 3)), START_LLA
+    )
+    run = scene(motion, seed=5)
+    navigator = make_navigator("parameter", yaw=0.0)
+    standing = []
+
+    play(
+        run,
+        navigator,
+        fix=lambda t: t < 20.0,
+        after=lambda t: standing.append(navigator.monitor.standing),
+    )
+
+    assert any(standing) == stops
+    assert run.errors(navigator, 90.0)[0] < 3.0 * np.linalg.norm(sigma(navigator)[:3])
+
+
 def test_shaking_sensor_is_not_standing() -> None:
     run = scene(static(10.0), errors=ImuErrors(accelerometer_std=0.6, gyroscope_std=0.03))
     navigator = make_navigator("parameter")
