@@ -164,7 +164,7 @@ def calibrate(
         largest_std=NOT_IDENTIFIABLE,
         identified_std=IDENTIFIED,
         held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
-        measured=frozenset(f"lever_{axis}" for axis in "xyz" if lever_b.any()),
+        probable=frozenset(f"lever_{axis}" for axis in "xyz"),
         on_stage=on_stage,
     )
     before = filter_passes(fitted, nominal, fitted.nominal_x)
