@@ -51,6 +51,7 @@ NOT_IDENTIFIABLE = {  # smallest σ
     "lever_y": 0.4,
     "lever_z": 0.4,
 }
+MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
@@ -164,7 +165,9 @@ def calibrate(
         largest_std=NOT_IDENTIFIABLE,
         identified_std=IDENTIFIED,
         held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
-        probable=frozenset(f"lever_{axis}" for axis in "xyz"),
+        probable=dict.fromkeys(
+            ("lever_x", "lever_y", "lever_z"), MEASURED if lever_b.any() else NOT_GIVEN
+        ),
         on_stage=on_stage,
     )
     before = filter_passes(fitted, nominal, fitted.nominal_x)

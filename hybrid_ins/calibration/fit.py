@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +46,7 @@ OFFSET_STEP = 0.02  # s, of a finite difference
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
 DIFFERENT = 5.0  # standard deviations: σ is of a model that is only nearly right, and a weak
 # antenna's height was 3.9 σ off
-CONSISTENT = 3.0  # standard deviations: less is no evidence against a value that may be exact
-CONFIRMED = f"as given: less than {CONSISTENT:g} σ from what fits best"
+CONFIRMED = "as given: the motion agrees with it"
 KEPT = f"as given: less than {DIFFERENT:g} σ from what fits best"
 
 
@@ -89,7 +89,7 @@ def fit(
     largest_std: Mapping[str, float],
     identified_std: Mapping[str, float],
     held: frozenset[str] = frozenset(),
-    probable: frozenset[str] = frozenset(),
+    probable: Mapping[str, float] = MappingProxyType({}),
     on_stage: OnStage,
 ) -> Fit:
     """
@@ -111,9 +111,9 @@ def fit(
         held there, too: the others are then those that go with the value that is kept.
     held : frozenset of str
         Parameters that are not estimated.
-    probable : frozenset of str
-        Parameters whose nominal value may well be exact: measured, or zero by design. They are
-        held at it where it differs by less than ``CONSISTENT`` standard deviations.
+    probable : mapping
+        Parameters whose nominal value may well be exact: for each by how many standard deviations
+        it has to differ from that not to be held there.
     on_stage : callable
         Given a stage's name, returns what to call after every pass of the filter.
 
@@ -162,10 +162,10 @@ def fit(
     std = uncertainty(fine, x)
     limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
-    is_probable = np.array([name in probable for name in fine.names])
+    apart = np.array([probable.get(name, 0.0) for name in fine.names])
     while True:  # holding one parameter may reveal another as weak
         weak = (std > known) & (np.abs(x - nominal_x) < DIFFERENT * std)
-        weak |= is_probable & (np.abs(x - nominal_x) < CONSISTENT * std)
+        weak |= np.abs(x - nominal_x) < apart * std
         hold = keep | (std > limits) | weak
         if np.all(hold == keep):
             break
