@@ -1,4 +1,4 @@
-"""Where /tf_static of recordings puts the sensors, as parameters."""
+"""Where recordings put the sensors: /tf_static as parameters, and the frames of messages."""
 
 from __future__ import annotations
 
@@ -20,10 +20,7 @@ NAMES = ("imu.position", "imu.mount_rpy", "gnss.antenna_position")
 
 
 def with_placement(
-    paths: Sequence[Path],
-    values: Mapping[str, Any],
-    imu_topic: str,
-    fix_topic: str,
+    paths: Sequence[Path], values: Mapping[str, Any], imu_topic: str, fix_topic: str
 ) -> dict[str, Any]:
     """
     Return the parameters with the sensors where the node would have them.
@@ -62,19 +59,37 @@ def _placement(
         if bag.topics.get("/tf_static") == messages.TRANSFORMS:
             for *_, message in bag.messages("/tf_static"):
                 placement.add_transforms(message)
-        sensors = (
-            ("imu/data", bag.require(imu_topic, messages.IMU, "--imu-topic")),
-            ("gnss/fix", bag.require(fix_topic, messages.FIX, "--fix-topic")),
-        )
-        for sensor, topic in sensors:
-            first = next((message for *_, message in bag.messages(topic)), None)
-            if first is not None:
-                placement.set_frame(sensor, str(first.header.frame_id))
+        for sensor, topic, kind, option in (
+            ("imu/data", imu_topic, messages.IMU, "--imu-topic"),
+            ("gnss/fix", fix_topic, messages.FIX, "--fix-topic"),
+        ):
+            frame = _frame(bag, bag.require(topic, kind, option))
+            if frame is not None:
+                placement.set_frame(sensor, frame)
     position = FLIP @ placement.arm_b
     rpy = rpy_from_quat(quat_from_matrix(FLIP @ placement.mount))
     rows = position, np.array(rpy), position + FLIP @ placement.lever_b
     found = {name: (row + 0.0).tolist() for name, row in zip(NAMES, rows, strict=True)}
-    for names in PARAMETERS.values():
-        if any(any(values[name]) for name in names):
+    for topic, names in PARAMETERS.items():
+        if placement.is_given[topic]:
             found |= {name: values[name] for name in names}
     return found
+
+
+def antenna_is_base(
+    paths: Sequence[Path], values: Mapping[str, Any], fix_topic: str = "/gnss/fix"
+) -> bool:
+    """Return whether the fixes are of base_frame itself: by frame_id, and no antenna is given."""
+
+    def frame(path: Path) -> str:
+        with BagReader(path) as bag:
+            return _frame(bag, bag.require(fix_topic, messages.FIX, "--fix-topic")) or ""
+
+    return not any(values["gnss.antenna_position"]) and all(
+        frame(path).lstrip("/") == values["base_frame"] for path in paths
+    )
+
+
+def _frame(bag: BagReader, topic: str) -> str | None:
+    """Return the frame_id of the first message on a topic; None where there is none."""
+    return next((str(message.header.frame_id) for *_, message in bag.messages(topic)), None)

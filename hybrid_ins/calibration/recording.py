@@ -279,21 +279,6 @@ def _refuse_wrong_velocities(
         )
 
 
-def antenna_is_base(
-    paths: Sequence[Path], values: Mapping[str, Any], fix_topic: str = "/gnss/fix"
-) -> bool:
-    """Return whether the fixes are of base_frame itself: by frame_id, and no antenna is given."""
-
-    def frame(path: Path) -> str:
-        with BagReader(path) as bag:
-            topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
-            return next((str(m.header.frame_id) for *_, m in bag.messages(topic)), "")
-
-    return not any(values["gnss.antenna_position"]) and all(
-        frame(path).lstrip("/") == values["base_frame"] for path in paths
-    )
-
-
 def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
     """Return the velocities of wheels by stamp, in b relative to the IMU."""
     arm_b = FLIP @ np.array(values["imu.position"])

@@ -16,8 +16,8 @@ from tqdm import tqdm
 from hybrid_ins import kernels, progress
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.findings import Calibration, calibrate
-from hybrid_ins.calibration.placement import with_placement
-from hybrid_ins.calibration.recording import Recording, antenna_is_base, read_recording
+from hybrid_ins.calibration.placement import antenna_is_base, with_placement
+from hybrid_ins.calibration.recording import Recording, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table
 from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
 from hybrid_ins.cli import options, program

@@ -185,12 +185,8 @@ class AidingSensor:
             return
         self._average(nis)
         self._checked += self._interval
-        if self._checked < SHOWN:
-            return
-        if self._nis < AGREES:
-            self._agrees = True
-        elif self._nis > DISAGREES:
-            self._agrees = False
+        if self._checked >= SHOWN:
+            self._decide()
 
     def _check_in_outage(self, nis: float, variance: float) -> None:
         """Decide that by the filter alone, with the mean variance of what it predicts."""
@@ -199,14 +195,17 @@ class AidingSensor:
         elif variance > STILL_KNOWN * self._refused_with:
             return
         self._average(nis)
-        if self._nis < AGREES:
-            self._agrees = True
-        elif self._nis > DISAGREES:
-            self._agrees = False
+        self._decide()
 
     def _average(self, nis: float) -> None:
         gain = 1.0 - math.exp(-self._interval / MEMORY)
         self._nis += gain * (min(nis, LARGEST_NIS) - self._nis)
+
+    def _decide(self) -> None:
+        if self._nis < AGREES:
+            self._agrees = True
+        elif self._nis > DISAGREES:
+            self._agrees = False
 
 
 class VelocitySensor(AidingSensor):

@@ -77,10 +77,9 @@ class FilterNoise:
         self._note_levels()
 
     def __copy__(self) -> FilterNoise:
-        factors = None if self.factors is None else self.factors.__copy__()
         twin = object.__new__(FilterNoise)
         twin.__dict__.update(self.__dict__)
-        twin.model, twin.factors = copy.copy(self.model), factors
+        twin.model, twin.factors = copy.copy(self.model), copy.copy(self.factors)
         twin.without_scale = copy.copy(self.without_scale)
         return twin
 

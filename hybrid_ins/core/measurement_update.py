@@ -306,7 +306,7 @@ class MeasurementUpdate:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
-            self.scale_errors.update(correction, False, by_scale)
+            self.scale_errors.update(correction, is_fix=False, beside=by_scale)
             return verdict, False, found
         if verdict.accepted:
             self._corrected_ns = measurement.t_ns

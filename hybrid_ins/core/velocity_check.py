@@ -43,18 +43,16 @@ class Contradiction:
 
 
 class VelocityCheck:
-    """
-    Compares the velocities of a receiver with its positions, horizontally and vertically.
-
-    Attributes
-    ----------
-    contradiction : Contradiction or None
-        Velocities are of no use, as long as it is there.
-    """
+    """Compares the velocities of a receiver with its positions, horizontally and vertically."""
 
     def __init__(self) -> None:
-        self.contradiction: Contradiction | None = None
         self._comparisons = [_Comparison(axes) for axes in (slice(0, 2), slice(2, 3))]
+
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """Why velocities are of no use now; None where they are."""
+        horizontal, vertical = self._comparisons
+        return horizontal.contradiction or vertical.contradiction
 
     def reset(self) -> None:
         """Forget the way so far, but not what earlier ones have shown."""
@@ -65,8 +63,6 @@ class VelocityCheck:
         """Use a position or a velocity, in the order of their arrival."""
         for one in self._comparisons:
             one.observe(fix)
-        found = [one.contradiction for one in self._comparisons if one.contradiction is not None]
-        self.contradiction = found[0] if found else None
 
 
 class _Comparison:

@@ -37,6 +37,8 @@ class SensorPlacement:
 
     Attributes
     ----------
+    is_given : dict of str to bool
+        Whether parameters place the sensor of a topic, which ``/tf_static`` then does not.
     mount : ndarray, shape (3, 3)
         From the IMU message's axes to b.
     arm_b : ndarray, shape (3,)
@@ -54,7 +56,7 @@ class SensorPlacement:
         self._mount_rpy = values["imu.mount_rpy"]
         self._position = values["imu.position"]
         self._antenna = values["gnss.antenna_position"]
-        self._is_given = {
+        self.is_given = {
             topic: any(any(values[name]) for name in names) for topic, names in PARAMETERS.items()
         }
         self._transforms = StaticTransforms()
@@ -88,7 +90,7 @@ class SensorPlacement:
         if (
             not known
             and frame not in ("", self._base)
-            and not self._is_given[topic]
+            and not self.is_given[topic]
             and self._transforms.find(self._base, frame) is None
         ):
             self._inputs.inform(
@@ -129,10 +131,10 @@ class SensorPlacement:
 
     def _place(self) -> None:
         mount, position, antenna = mount_matrix(self._mount_rpy), self._position, self._antenna
-        if not self._is_given["imu/data"]:
+        if not self.is_given["imu/data"]:
             C, place = self._find("imu/data")
             mount, position = FLIP @ C, place.tolist()
-        if not self._is_given["gnss/fix"]:
+        if not self.is_given["gnss/fix"]:
             antenna = self._find("gnss/fix")[1].tolist()
         self.mount = mount
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())

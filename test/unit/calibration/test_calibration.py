@@ -27,7 +27,8 @@ from hybrid_ins.calibration.innovations import (
     log_likelihood,
 )
 from hybrid_ins.calibration.loudness import ordinary_levels, read_levels
-from hybrid_ins.calibration.recording import Recording, antenna_is_base
+from hybrid_ins.calibration.placement import antenna_is_base
+from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.report import table
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.cli.calibrate import main
