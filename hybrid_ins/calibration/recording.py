@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
+MAX_GAP = 0.5  # s without samples, within the stretch that is used
 MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
@@ -227,7 +228,7 @@ def read_recording(
         raise InputError(
             f"{path}: {imu_topic} has {len(stamps)} usable samples: calibration needs 100"
         )
-    part = _longest_without_gap(stamps, int(values["imu.max_gap"] * 1e9))
+    part = _longest_without_gap(stamps)
     stamps, samples = stamps[part], samples[part]
     origin = int(stamps[0])
     t = np.asarray((stamps - origin) * 1e-9, float)
@@ -325,9 +326,9 @@ def _truth(
     return aid, (np.array(stamps, np.int64)[known], attitudes)
 
 
-def _longest_without_gap(stamps: NDArray[np.int64], max_gap_ns: int) -> slice:
+def _longest_without_gap(stamps: NDArray[np.int64]) -> slice:
     """Return the longest range of samples without a gap."""
-    edges = np.flatnonzero(np.diff(stamps) > max_gap_ns) + 1
+    edges = np.flatnonzero(np.diff(stamps) > MAX_GAP * 1e9) + 1
     starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(stamps)]))
     best = int(np.argmax(stops - starts))
     return slice(int(starts[best]), int(stops[best]))

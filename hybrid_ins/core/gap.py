@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core import propagation
+from hybrid_ins.core.imu_health import GRAVITY
+from hybrid_ins.core.rotations import matrix_from_quat, skew
 from hybrid_ins.core.samples import as_numbers
 from hybrid_ins.core.state import (
     COVARIANCE,
@@ -14,14 +16,18 @@ from hybrid_ins.core.state import (
     EPS,
     LAST_F,
     LAST_W,
+    N_ERROR,
     N_NAV,
+    QUAT,
     covariance,
     pack,
 )
 
 Array = NDArray[np.float64]
 
-GAP_FORCE, GAP_RATE = 0.2, 0.02  # m/s², rad/s: unmeasured motion of a calm vehicle
+LONG_GAP = 0.5  # s; a longer one is told, and no measurement within it is used
+GAP_FORCE, GAP_RATE = 0.1, 0.01  # m/s², rad/s: unmeasured motion of a calm vehicle
+SWING_TIME = 1.0  # s, after which a swaying vehicle may read the same, and not have moved so
 MAX_STEP_ROTATION = 0.2  # rad, for which the series of the mechanisation hold
 
 
@@ -104,15 +110,33 @@ def line(last: Array, reading: Array, dt: float) -> Array:
 
 
 def inflate(nav: Array, last: Array, reading: Array, dt: float) -> None:
-    """Add unmeasured motion in a gap to the covariance of ``nav``; parameters as in `line`."""
-    jump, rate = np.abs(reading - last), float(np.linalg.norm(reading[3:]))
-    force_std = GAP_FORCE + 0.5 * jump[:3].max() + rate
-    rate_std = GAP_RATE + 0.5 * jump[3:].max() + 0.2 * rate
+    """
+    Add unmeasured motion in a gap to the covariance of ``nav``; parameters as in `bridge`.
+
+    It is a force and a rate that are constant over the gap: tilt by a rate moves the velocity, too.
+    """
+    force_std, rate_std = _unmeasured(last, reading, dt)
+    f_n = matrix_from_quat(nav[QUAT]) @ (0.5 * (last + reading)[:3])
+    by_force, by_rate = np.zeros((2, N_ERROR, 3))
+    by_force[DP], by_force[DV] = 0.5 * dt**2 * np.eye(3), dt * np.eye(3)
+    by_rate[DP], by_rate[DV] = dt**3 / 6.0 * skew(f_n), 0.5 * dt**2 * skew(f_n)
+    by_rate[EPS] = dt * np.eye(3)
     P = covariance(nav)
-    for block, std in (
-        (DP, 0.25 * force_std * dt**2),
-        (DV, 0.5 * force_std * dt),
-        (EPS, 0.5 * rate_std * dt),
-    ):
-        P[block, block] += std**2 * np.eye(3)
+    P += force_std**2 * by_force @ by_force.T + rate_std**2 * by_rate @ by_rate.T
     pack(P, nav[COVARIANCE])
+
+
+def turn_std(last: Array, reading: Array, dt: float) -> float:
+    """Return the standard deviation [rad] of a turn in a gap; parameters as in `bridge`."""
+    return _unmeasured(last, reading, dt)[1] * dt
+
+
+def _unmeasured(last: Array, reading: Array, dt: float) -> tuple[float, float]:
+    """Return the standard deviations of force [m/s²] and rate [rad/s] about a line over a gap."""
+    jump, rate = np.abs(reading - last), float(np.linalg.norm(reading[3:]))
+    swing = min(dt / SWING_TIME, 1.0) ** 2
+    force = abs(float(np.linalg.norm(reading[:3])) - GRAVITY)
+    return (
+        GAP_FORCE + 0.25 * jump[:3].max() + 0.5 * (rate + swing * force),
+        GAP_RATE + 0.25 * jump[3:].max() + (0.1 + 0.4 * swing) * rate,
+    )

@@ -45,6 +45,8 @@ NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: in a longer step samples are missing
 MIN_GAP = 0.025  # s
 TOO_OLD = "too old"  # the reason of a measurement that comes too late
+NOT_MEASURED = "no IMU samples at its time"  # of one that lies in a long gap of them
+LONG_GAP_NS = int(gap.LONG_GAP * 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,12 +257,15 @@ class InsFilter:
             event = self._pending.pop(0)
             stop = int(stamps.searchsorted(event.t_ns, side="right"))
             self._run(samples[start:stop], rows[start:stop])
+            start = stop
             if event.t_ns > self.t_ns:
+                if int(stamps[stop]) - self.t_ns > LONG_GAP_NS:
+                    self._refuse(event, NOT_MEASURED)
+                    continue
                 self._run(interpolate(self.t_ns, self.sample, samples[stop], event.t_ns), NO_ROWS)
             self._apply(event)
             if len(rows) and stop and stamps[stop - 1] == event.t_ns:
                 rows[stop - 1] = self.nav[:N_NAV]
-            start = stop
         self._run(samples[start:], rows[start:])
         if self.t_ns >= self._history.due_ns:
             self._checkpoint()
@@ -280,15 +285,14 @@ class InsFilter:
             self._apply(event)
         elif self.t_ns - event.t_ns <= self._history.horizon_ns and self._rewind(event):
             pass
-        elif isinstance(event, Change):
-            self._apply(replace(event, t_ns=self.t_ns))
         else:
-            verdict = Verdict.rejected(event, TOO_OLD, _age(event, self.t_ns))
-            self.verdicts.append(verdict)
-            if self.record is not None:
-                threshold = self._update.gate.threshold(len(event.linearise(self.nav)[0]))
-                verdict = replace(verdict, threshold=threshold)
-                self.record.add_too_old(verdict, self.noise, self.clock)
+            late = self._refuse(event, TOO_OLD)
+            if late is not None and self.record is not None:
+                threshold = self._update.gate.threshold(
+                    len(late.measurement.linearise(self.nav)[0])
+                )
+                late = replace(late, threshold=threshold)
+                self.record.add_too_old(late, self.noise, self.clock)
 
     def withdraw(self) -> list[Measurement]:
         """Remove and return the measurements that are ahead of the IMU."""
@@ -328,6 +332,15 @@ class InsFilter:
         if self.record is not None:
             self.record.add(event, outcome, self.noise, self.clock)
         self._checkpoint()
+
+    def _refuse(self, event: Event, reason: str) -> Verdict | None:
+        """Reject a measurement; apply a change to the present state."""
+        if isinstance(event, Change):
+            self._apply(replace(event, t_ns=self.t_ns))
+            return None
+        verdict = Verdict.rejected(event, reason, max(0.0, _age(event, self.t_ns)))
+        self.verdicts.append(verdict)
+        return verdict
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""

@@ -29,7 +29,7 @@ from hybrid_ins.core.navigator_events import (
 )
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching, speed
-from hybrid_ins.core.restart import ResetCount, heading_after
+from hybrid_ins.core.restart import ResetCount, heading_after, outlasts
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 
@@ -156,7 +156,7 @@ class Navigator:
             fault = stamps.check(t_ns)
             if fault is not None:
                 return fault
-            self._on_odd_step(t_ns)
+            self._on_odd_step(t_ns, np.array((fx, fy, fz, wx, wy, wz)))
         stamps.last_ns = t_ns
         self.ring.push(t_ns, fx, fy, fz, wx, wy, wz)
         if self._record is not None:
@@ -183,13 +183,14 @@ class Navigator:
         self.stamps.last_ns = int(samples["t_ns"][-1])
         self.phases.predict_block(samples, rows)
 
-    def _on_odd_step(self, t_ns: int) -> None:
+    def _on_odd_step(self, t_ns: int, reading: Array) -> None:
         """Bridge a gap before a sample, or restart with a new time base."""
         if self.stamps.last_ns == 0:
             return
         step_ns = t_ns - self.stamps.last_ns
         seconds = abs(step_ns) * 1e-9
-        if 0 < step_ns <= self.stamps.max_gap_ns:
+        bridged = 0 < step_ns <= self.stamps.max_gap_ns
+        if bridged and outlasts(self.filter, reading, seconds):
             self._events.append(GapBridged(seconds))
         elif step_ns < 0:
             self._events.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))

@@ -107,11 +107,11 @@ class PhaseMachine:
             phase.filter.submit(ScatterInForce(phase.filter.t_ns, self._jumps))
         self.phase = phase
         self.filter = phase.filter  # beside the phase: read at every sample
-        self._stamps.steady_ns = self._stamps.max_gap_ns
+        self._stamps.steady_ns = self._stamps.short_ns
         if phase.filter is not None:
             if self._record is not None:
                 self._record.follow(phase.filter)
-            self._stamps.steady_ns = min(phase.filter.long_step_ns, self._stamps.max_gap_ns)
+            self._stamps.steady_ns = min(phase.filter.long_step_ns, self._stamps.short_ns)
 
     @property
     def filters(self) -> list[InsFilter]:

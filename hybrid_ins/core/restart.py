@@ -7,9 +7,15 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hybrid_ins.core.alignment import yaw_of
+from hybrid_ins.core.gap import turn_std
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import InsFilter
+
+Array = NDArray[np.float64]
 
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
 HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not kept over a gap
@@ -34,6 +40,22 @@ class ResetCount:
         self._resets.append((t_ns, 0.5 if verdict.receiver_jumped else 1.0))
         recent = sum(weight for stamp, weight in self._resets if t_ns - stamp < RESETS_NS)
         return recent >= RESETS and speed > MOVING
+
+
+def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
+    """
+    Return whether the heading is still known after a gap.
+
+    Parameters
+    ----------
+    running : InsFilter or None
+        The filter before it; None: there was no heading yet.
+    reading : ndarray, shape (6,)
+        Sample behind the gap: specific force [m/s²] and angular rate [rad/s], b.
+    gap : float
+        Time without IMU samples [s].
+    """
+    return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
 
 
 def heading_after(

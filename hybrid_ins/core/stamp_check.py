@@ -11,6 +11,7 @@ from collections import deque
 from enum import Enum
 
 from hybrid_ins.core.fix_speed import SpeedCheck
+from hybrid_ins.core.gap import LONG_GAP
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import Measurement, PositionFix, VelocityFix
 from hybrid_ins.core.repeated_fixes import RepetitionCheck
@@ -18,7 +19,7 @@ from hybrid_ins.core.standstill import FixMotion
 from hybrid_ins.core.velocity_check import Contradiction, VelocityCheck
 
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
-JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a new time base
+JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
 PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
@@ -48,13 +49,14 @@ class ImuStampCheck:
     ----------
     last_ns : int
         Stamp of the last sample that was used [ns]; 0 before the first.
-    steady_ns, max_gap_ns : int
-        Steps of up to ``steady_ns`` [ns] lack no sample; steps of up to ``max_gap_ns`` are bridged.
+    steady_ns, short_ns, max_gap_ns : int
+        Steps of up to ``steady_ns`` [ns] lack no sample; steps of up to ``max_gap_ns`` are bridged,
+        of more than ``short_ns`` once several samples have confirmed them.
     """
 
     def __init__(self, max_gap: float) -> None:
         self.max_gap_ns = int(max_gap * 1e9)
-        self.steady_ns = self.max_gap_ns
+        self.steady_ns = self.short_ns = int(min(max_gap, LONG_GAP) * 1e9)
         self.reset()
 
     def reset(self) -> None:
@@ -66,19 +68,19 @@ class ImuStampCheck:
         """
         Check a stamp [ns] that does not follow the last one within ``steady_ns``.
 
-        None: the sample is to be used. Its step from ``last_ns`` is then a gap of up to
-        ``max_gap_ns``, or leads to a new time base.
+        None: the sample is to be used. Its step from ``last_ns`` is then a gap, or leads to a new
+        time base.
         """
         if self.last_ns == 0:
             return None
         step = t_ns - self.last_ns
-        if 0 < step <= self.max_gap_ns:
+        if 0 < step <= self.short_ns:
             self._jumps = 0
             return None
-        if -self.max_gap_ns < step <= 0:
+        if -self.short_ns < step <= 0:
             return StampFault.REPEATED if step == 0 else StampFault.OUT_OF_ORDER
         # One stray stamp is the driver's fault; several in a row are a gap, a loop, a new clock.
-        follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.max_gap_ns
+        follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.short_ns
         self._jumps = self._jumps + 1 if follows else 1
         self._jumped_ns = t_ns
         return StampFault.JUMP if self._jumps < JUMP_CONFIRMED else None

@@ -111,7 +111,7 @@ IMU = (
     ),
     Parameter(
         "imu.max_gap",
-        0.5,
+        2.0,
         "After a longer gap between IMU samples the filter aligns again",
         unit="s",
         low=0.01,

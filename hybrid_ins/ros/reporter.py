@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.gap import LONG_GAP
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import TOO_OLD
 from hybrid_ins.core.measurements import GNSS
@@ -117,6 +118,9 @@ class Reporter:
             self._on_verdict(event)
         elif isinstance(event, GapBridged):
             counts["imu: gaps bridged"] += 1
+            if event.seconds > LONG_GAP:
+                text = wording.describe_gap(event)
+                self._inputs.count_and_warn("imu/data", Refused("imu: long gaps bridged", text))
         elif isinstance(event, Restarted):
             name = f"restart: {event.cause.value}"
             counts[name] += 1

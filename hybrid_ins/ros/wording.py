@@ -17,7 +17,12 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import HeadingCorrected, RestartCause, Restarted
+from hybrid_ins.core.navigator_events import (
+    GapBridged,
+    HeadingCorrected,
+    RestartCause,
+    Restarted,
+)
 from hybrid_ins.core.phases import Aligning, Searching
 from hybrid_ins.core.stamp_check import StampFault
 from hybrid_ins.core.velocity_check import Contradiction
@@ -39,7 +44,7 @@ STAMP_FAULTS = {
     ),
     StampFault.JUMP: Refused(
         "imu: stamp jumps",
-        "header.stamp jumps; the filter restarts if the stamps stay there",
+        "header.stamp jumps; the samples are used once the stamps stay there",
     ),
 }
 DIRECTIONS = ("forward", "backward"), ("left", "right"), ("up", "down")
@@ -94,6 +99,11 @@ def describe_fault(fault: ImuFault) -> str:
         f"single readings of {name} jump by {value:.1f} {unit} and back: check plugs, cables, "
         "shielding"
     )
+
+
+def describe_gap(bridged: GapBridged) -> str:
+    """Return for how long nothing was measured, and what became of that."""
+    return f"no samples for {bridged.seconds:.1f} s: the filter went on, less certain"
 
 
 def describe_restart(restarted: Restarted) -> str:

@@ -55,7 +55,7 @@ def make_navigator(
     *,
     yaw: float = 0.0,
     yaw_std: float = 0.05,
-    max_gap: float = 0.5,
+    max_gap: float = 2.0,
     bias_a: ArrayLike = (0.0, 0.0, 0.0),
     bias_g: ArrayLike = (0.0, 0.0, 0.0),
     lever_b: ArrayLike = (0.0, 0.0, 0.0),

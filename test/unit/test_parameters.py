@@ -112,7 +112,7 @@ class TestNames:
         assert parameters.check_all(given) == DEFAULTS
 
     def test_a_start_only_parameter_may_be_set_to_what_it_is(self) -> None:
-        assert parameters.check_change(DEFAULTS, {"imu.max_gap": "0.5"}) == {"imu.max_gap": 0.5}
+        assert parameters.check_change(DEFAULTS, {"imu.max_gap": "2.0"}) == {"imu.max_gap": 2.0}
         with pytest.raises(InputError, match="takes effect only at the start"):
             parameters.check_change(DEFAULTS, {"imu.max_gap": 1.0})
 
