@@ -3,39 +3,58 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.drift import SIGNIFICANT
 from hybrid_ins.calibration.fit import KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
+from hybrid_ins.core.clock_prior import ClockDrift
 from hybrid_ins.parameters import PARAMETERS
+from hybrid_ins.ros.conversions import clock_drift
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str, str, str]  # label, value, sigma, verdict, note
 
 IDENTIFIED_OFFSET, NO_OFFSET = 0.015, 0.08  # s: largest σ, and σ from which nothing is known
 SEARCHED_ANYWAY = 0.05  # s: a wider spread between recordings says no more than the search's cell
+BETWEEN = 1e-5  # s/s, of the drift from one recording to the next: temperatures differ
+DRIFT = "clock drift"
 MOST_FIXES, DELAY_MARGIN = 0.995, 1.25  # arrive within a time; its multiple is allowed for
 
 
 def observe_clock(
-    fitted: Fit, own: bool, nominal: float, search: float
-) -> tuple[list[Row], float, float, str]:
+    fitted: Fit, own: bool, values: Mapping[str, Any], search: float
+) -> tuple[list[Row], dict[str, float], str]:
     """
-    Return rows for the user, offset [s], its σ [s; 0: not known], and a comment on it.
+    Return rows for the user, the parameters that follow, and a comment on the offset.
+
+    Where the clock drifts, the offset is that of the first fix. It need not be the same in another
+    recording, and has no σ that a filter could trust: it searches for it.
 
     Parameters
     ----------
     fitted : Fit
     own : bool
         Every recording has an offset of its own.
-    nominal, search : float
-        The given offset, and how far from it was searched [s].
+    values : mapping
+        The given parameters.
+    search : float
+        How far from the given offset was searched [s].
     """
     rows: list[Row] = []
+    nominal, drift = values["gnss.time_offset.value"], _drift(fitted, clock_drift(values))
+    first = [float(one.aid_t[0] - np.mean(one.aid_t)) for one in fitted.recordings]
+    found = {
+        "gnss.time_offset.value": nominal,
+        "gnss.time_offset.std": 0.0,
+        "gnss.time_offset.drift": round(1e6 * drift.mean, 1),
+        "gnss.time_offset.drift_std": round(1e6 * drift.std, 1),
+    }
     count, ambiguous = len(fitted.recordings), False
     for k in range(count) if own else [0]:
         name = offset_name(k, fitted.names)
@@ -56,26 +75,33 @@ def observe_clock(
             verdict, note = "identified", ""
         else:
             verdict, note = "weak", "little change of speed and direction"
+        if fitted.drift.value:
+            value, sigma = value + drift.mean * first[k], math.hypot(sigma, drift.std * first[k])
+            note = "of the first fix; the filter searches for that of another recording"
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
         rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
     if fitted.drift.value:
-        drift, sigma_of_drift = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
-        note = "gnss.time_offset.estimate follows it; the file has the offset of the first fix"
-        rows.append(("clock drift", drift, sigma_of_drift, "identified", note))
-    offsets = [
-        fitted.offset(k) - fitted.drift.value * float(np.mean(recording.aid_t) - recording.aid_t[0])
-        for k, recording in enumerate(fitted.recordings)
-    ]
+        ppm = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
+        rows.append((DRIFT, *ppm, "identified", ""))
+    known = not any(name.startswith("offset") for name in fitted.frozen)
+    offsets = [fitted.offset(k) + known * drift.mean * first[k] for k in range(count)]
     text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
     if ambiguous:
-        return rows, nominal, 0.0, f"{text}; as given"
-    std = _std(fitted, offsets, [row[3] for row in rows])
-    known = not any(name.startswith("offset") for name in fitted.frozen)
+        return rows, found, f"{text}; as given"
+    if not drift.mean and all(row[3] == "identified" for row in rows):
+        found["gnss.time_offset.std"] = _std(fitted, offsets)
     if known and VELOCITY_AGE not in fitted.frozen:
         rows.append(_velocity_age(fitted))
-    mean = round(float(np.mean(offsets)), 4)
-    note = f"{text}; their mean" if own and count > 1 else text
-    return rows, mean, std, note
+    found["gnss.time_offset.value"] = round(float(np.mean(offsets)), 4)
+    return rows, found, f"{text}; their mean" if own and count > 1 else text
+
+
+def _drift(fitted: Fit, given: ClockDrift) -> ClockDrift:
+    """Return the drift to expect of another recording: as given where nothing contradicts it."""
+    found = fitted.drift
+    if found.value:
+        return ClockDrift(found.value, math.hypot(found.std, BETWEEN))
+    return given if abs(given.mean) < SIGNIFICANT * found.std else ClockDrift()
 
 
 def _velocity_age(fitted: Fit) -> Row:
@@ -86,10 +112,8 @@ def _velocity_age(fitted: Fit) -> Row:
     return ("age of velocities", f"{older:+.3f} s", f"{sigma:.3f} s", verdict, note)
 
 
-def _std(fitted: Fit, offsets: list[float], verdicts: list[str]) -> float:
+def _std(fitted: Fit, offsets: list[float]) -> float:
     """Return the σ [s] of the offset of another recording of the same robot; 0: not known."""
-    if fitted.drift.value or any(verdict != "identified" for verdict in verdicts):
-        return 0.0
     sigmas = [fitted.sigma(offset_name(k, fitted.names)) for k in range(len(offsets))]
     spread = float(np.ptp(offsets)) if len(offsets) > 1 else 0.0
     length = max(float(np.ptp(recording.aid_t)) for recording in fitted.recordings)

@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET, NO_OFFSET, observe_clock, observe_delay
+from hybrid_ins.calibration.clock import (
+    DRIFT,
+    IDENTIFIED_OFFSET,
+    NO_OFFSET,
+    observe_clock,
+    observe_delay,
+)
 from hybrid_ins.calibration.derived import (
     courses,
     mean_rotation,
@@ -173,13 +179,12 @@ def calibrate(
     before = filter_passes(fitted, nominal, fitted.nominal_x)
     after = filter_passes(fitted, nominal, fitted.x)
     found = Findings(dict(values))
-    rows, found.values["gnss.time_offset.value"], std, note = observe_clock(
-        fitted, own_offsets, nominal.time_offset, search
+    rows, changed, found.notes["gnss.time_offset.value"] = observe_clock(
+        fitted, own_offsets, values, search
     )
+    found.values.update(changed)
     for row in rows:
-        found.add(*row)
-    found.values["gnss.time_offset.std"] = std
-    found.notes["gnss.time_offset.value"] = note
+        found.add(*row, *["gnss.time_offset.drift"] * (row[0] == DRIFT))
     if fitted.drift.value:
         found.values["gnss.time_offset.estimate"] = True
     offsets = [fitted.offset(k) for k in range(len(recordings))]

@@ -35,7 +35,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.noise import Correction
@@ -44,7 +44,7 @@ from hybrid_ins.core.state import SENSITIVITY
 Array = NDArray[np.float64]
 
 RANDOM_WALK = 1e-4  # s per sqrt(s), of one clock against the other
-DRIFT_STD, DRIFT_WALK = 1e-4, 1e-6  # s/s, and s/s per sqrt(s), likewise
+DRIFT_WALK = 1e-6  # s/s per sqrt(s), likewise
 MIN_STD = 1e-3  # s: stamps are no better than that
 MAX_STD = 0.5  # s, of a clock of which nothing is known: fixes that come later are not fused
 VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
@@ -64,7 +64,8 @@ P_PARAMETERS = slice(3, 12)  # their covariance, row by row
 P_RESIDUAL, P_DRIFT, P_AGE = 3, 7, 11  # its diagonal
 NIS_SCALE = 12
 INFORMATION, OF_NOISE = 13, 14  # of late, and the part of it that is noise of the IMU
-N_CLOCK = 15
+DRIFT_VARIANCE = 15  # of the prior: walks lead no further from it
+N_CLOCK = 16
 
 
 class ClockOffsetObserver:
@@ -79,6 +80,8 @@ class ClockOffsetObserver:
         Standard deviation at the start [s].
     prior : ClockPrior, optional
         Of the offset; without one, all within ``std`` are equally likely.
+    drift : ClockDrift, optional
+        Of the offset.
 
     Attributes
     ----------
@@ -89,19 +92,26 @@ class ClockOffsetObserver:
         mean normalised NIS.
     """
 
-    __slots__ = ("_start_ns", "_t_ns", "prior", "values")
+    __slots__ = ("_drift", "_start_ns", "_t_ns", "prior", "values")
 
-    def __init__(self, std: float, prior: ClockPrior | None = None) -> None:
+    def __init__(
+        self,
+        std: float,
+        prior: ClockPrior | None = None,
+        drift: ClockDrift = ClockDrift(),  # noqa: B008
+    ) -> None:
         self.prior = prior
+        self._drift = drift
         self.values = np.zeros(N_CLOCK)
-        self.values[P_RESIDUAL], self.values[P_DRIFT] = std**2, DRIFT_STD**2
+        self.values[DRIFT], self.values[DRIFT_VARIANCE] = drift.mean, drift.std**2
+        self.values[P_RESIDUAL], self.values[P_DRIFT] = std**2, drift.std**2
         self.values[P_AGE] = VELOCITY_AGE_STD**2
         self.values[NIS_SCALE] = 1.0
         self._start_ns = self._t_ns = 0  # of the first and the last correction
 
     def __copy__(self) -> ClockOffsetObserver:
         twin = object.__new__(ClockOffsetObserver)
-        twin.values, twin.prior = self.values.copy(), self.prior
+        twin.values, twin.prior, twin._drift = self.values.copy(), self.prior, self._drift
         twin._start_ns, twin._t_ns = self._start_ns, self._t_ns
         return twin
 
@@ -114,6 +124,11 @@ class ClockOffsetObserver:
     def drift(self) -> float:
         """Rate of change of `residual` [s/s]."""
         return float(self.values[DRIFT])
+
+    @property
+    def drift_sigma(self) -> float:
+        """Standard deviation of `drift` [s/s]."""
+        return math.sqrt(self.values.item(P_DRIFT) * variance_factor(self.values))
 
     @property
     def sigma(self) -> float:
@@ -132,12 +147,12 @@ class ClockOffsetObserver:
         variance = self.sigma**2
         if self.prior is None:
             return self.residual, variance
-        # The prior is that of the start, a line back from now but for the walks since.
-        values, age = self.values, (self._t_ns - self._start_ns) * 1e-9
+        # The prior is that of a start, a line back from now but for the walks since.
+        values, age = self.values, (self._t_ns - (self.prior.t_ns or self._start_ns)) * 1e-9
         factor = variance_factor(values)
         with_drift = factor * values.item(P_RESIDUAL + DRIFT)
         of_drift = factor * values.item(P_DRIFT)
-        walked = age * (RANDOM_WALK**2 + (age * DRIFT_WALK) ** 2 / 3.0)
+        walked = abs(age) * (RANDOM_WALK**2 + (age * DRIFT_WALK) ** 2 / 3.0)
         mean, variance = self.prior.posterior(
             self.residual,
             variance,
@@ -190,11 +205,11 @@ class ClockOffsetObserver:
     def set_estimate(self, residual: float, sigma: float) -> None:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
         values = self.values
-        values[RESIDUAL], values[DRIFT] = residual, 0.0
+        values[RESIDUAL], values[DRIFT] = residual, self._drift.mean
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         P[:AGE], P[:, :AGE] = 0.0, 0.0
         values[P_RESIDUAL] = max(sigma**2 / variance_factor(values), MIN_STD**2)
-        values[P_DRIFT] = DRIFT_STD**2
+        values[P_DRIFT] = self._drift.std**2
 
     def inflate(self, std: float) -> None:
         """Allow for a change of the clock by ``std`` [s]."""
@@ -242,7 +257,7 @@ def predict(clock, interval):  # type: ignore[no-untyped-def]
     for i in range(N_PARAMETERS):
         P[i, RESIDUAL] += interval * P[i, DRIFT]
     P[RESIDUAL, RESIDUAL] += RANDOM_WALK**2 * interval
-    P[DRIFT, DRIFT] = min(P[DRIFT, DRIFT] + DRIFT_WALK**2 * interval, DRIFT_STD**2)
+    P[DRIFT, DRIFT] = min(P[DRIFT, DRIFT] + DRIFT_WALK**2 * interval, clock[DRIFT_VARIANCE])
     left = np.exp(-interval / SHARE_TIME)
     clock[INFORMATION] *= left
     clock[OF_NOISE] *= left

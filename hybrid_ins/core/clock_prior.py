@@ -24,6 +24,20 @@ SHARES = (0.1, 0.1, 0.1, 0.1, 0.1, 0.5)  # their probabilities
 NARROWEST, WIDEST = 1e-3, 0.3  # s
 
 
+class ClockDrift(NamedTuple):
+    """
+    Drift that is expected: the rate of change of the offset.
+
+    Attributes
+    ----------
+    mean, std : float
+        And its standard deviation [s/s].
+    """
+
+    mean: float = 0.0
+    std: float = 1e-4
+
+
 class ClockPrior(NamedTuple):
     """
     Offsets that are expected.
@@ -34,10 +48,19 @@ class ClockPrior(NamedTuple):
         The given offset, relative to the one in force [s].
     scale : float
         Standard deviation of the narrowest part [s].
+    t_ns : int
+        When the offset was that [ns]; 0: at the start of a filter.
     """
 
     mean: float
     scale: float
+    t_ns: int = 0
+
+    def at(self, t_ns: int, drift: ClockDrift) -> ClockPrior:
+        """Return the prior of the offset at a stamp [ns], of a clock with a drift."""
+        age = (t_ns - self.t_ns) * 1e-9 if self.t_ns else 0.0
+        scale = math.hypot(self.scale, age * drift.std)
+        return ClockPrior(self.mean + age * drift.mean, scale)
 
     def posterior(
         self, estimate: float, variance: float, at_start: float, spread: float, shared: float
@@ -45,7 +68,7 @@ class ClockPrior(NamedTuple):
         """
         Return mean [s] and variance [s²] of the offset now.
 
-        The prior is of the offset at the start: a clock that drifts leaves it behind.
+        The prior is of the offset at a start: a clock that drifts leaves it behind.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import gap, propagation
 from hybrid_ins.core.clock_offset import MAX_STD, ClockOffsetObserver
-from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.events import Change, Event, order
 from hybrid_ins.core.filter_noise import FilterNoise
@@ -63,6 +63,7 @@ class FilterSettings:
     clock_std : float
         Standard deviation of the clock offset of fixes at the start [s].
     clock_prior : ClockPrior, optional
+    clock_drift : ClockDrift
         See `ClockOffsetObserver`.
     consider_clock : bool
         The covariances that are reported and that fixes are judged by contain the uncertainty of
@@ -85,6 +86,7 @@ class FilterSettings:
     max_delay: float = 1.0
     clock_std: float = MAX_STD
     clock_prior: ClockPrior | None = None
+    clock_drift: ClockDrift = ClockDrift()  # noqa: RUF009
     consider_clock: bool = False
     keep_record: bool = False
     position_scatter: float = 1.0
@@ -93,12 +95,17 @@ class FilterSettings:
     lever_std: Array = field(default_factory=lambda: np.zeros(3))
     scale_std: float = 0.0
 
+    def clock_prior_at(self, t_ns: int) -> ClockPrior | None:
+        """Return the prior of the clock offset at a stamp [ns]."""
+        prior = self.clock_prior
+        return None if prior is None else prior.at(t_ns, self.clock_drift)
+
     def update(self, noise: FilterNoise, gate: Gate, t_ns: int) -> MeasurementUpdate:
         """Return what a filter that begins at a stamp [ns] applies events with."""
         return MeasurementUpdate(
             noise,
             gate,
-            ClockOffsetObserver(self.clock_std, self.clock_prior),
+            ClockOffsetObserver(self.clock_std, self.clock_prior, self.clock_drift),
             PositionScatter(self.position_scatter**2, self.learn_scatter),
             t_ns,
             LeverArmObserver(self.lever_std),

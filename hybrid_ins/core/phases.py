@@ -162,7 +162,7 @@ def search_heading_and_clock(
     first = filters[0]
     noise = partial(parts.noise, first.noise.process.period)
     begin = _factory(parts, ring, first.t_ns, first.sample, noise)
-    offsets = probabilities(parts.settings.clock_prior)
+    offsets = probabilities(parts.settings.clock_prior_at(first.t_ns))
     states = [known.state for known in filters]
     is_calm = calm[0] < first.t_ns - MAX_OFFSET_NS and first.t_ns + MAX_OFFSET_NS < calm[1]
     return ClockSearch(states, begin, parts.settings, headings, offsets, is_calm)
@@ -183,7 +183,8 @@ def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> Clock
 
     begin = _factory(parts, ring, running.t_ns, running.sample, noise)
     clock = running.clock
-    offsets = probabilities(parts.settings.clock_prior, clock.residual, clock.sigma)
+    prior = parts.settings.clock_prior_at(running.t_ns)
+    offsets = probabilities(prior, clock.residual, clock.sigma)
     return ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets, False)
 
 

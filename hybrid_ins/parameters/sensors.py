@@ -148,6 +148,23 @@ GNSS = (
         runtime=True,
     ),
     Parameter(
+        "gnss.time_offset.drift",
+        0.0,
+        "Rate at which the clock offset changes, as ins_calibrate writes it. Where it is not 0, "
+        "gnss.time_offset.value is the offset of the first fix",
+        unit="ppm",
+        low=-10000.0,
+        high=10000.0,
+    ),
+    Parameter(
+        "gnss.time_offset.drift_std",
+        100.0,
+        "Standard deviation of gnss.time_offset.drift",
+        unit="ppm",
+        low=1.0,
+        high=10000.0,
+    ),
+    Parameter(
         "gnss.time_offset.estimate",
         True,
         "Estimate the clock offset and its drift while running and correct them; published "

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.gate import Verdict
@@ -19,7 +19,7 @@ from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import ClockOffsetFound
-from hybrid_ins.ros.conversions import Refused
+from hybrid_ins.ros.conversions import Refused, clock_drift
 from hybrid_ins.ros.diagnostics import imu_disagrees, status
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.reports import Status
@@ -28,6 +28,7 @@ CORRECTION_NS = 1_000_000_000  # between two corrections of the offset
 USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
 SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
 WRONG = 0.03  # s, of an offset that the user should know of
+LEAST = 1e-3  # s: a smaller correction changes nothing
 LARGEST = 1.0  # s: innovations that show a larger change are of something else
 SEARCH_AGAIN_NS = 30_000_000_000  # after a search, before another one on a suspicion
 LONGEST_PAUSE_NS = 600_000_000_000  # likewise, after several that have found nothing
@@ -51,7 +52,10 @@ class ClockCorrection:
     offset : float
         Added to the stamps of fixes [s].
     prior : ClockPrior
-        Of the offset at the start of the filters: as given, or as found before a restart.
+        Of the offset at the start of the filters: as given, or as found before a restart. One
+        that is given with a drift is that of the first fix.
+    drift : ClockDrift
+        Of the offset, likewise.
     """
 
     def __init__(self, values: Mapping[str, Any], navigator: Navigator, inputs: InputLog) -> None:
@@ -60,10 +64,11 @@ class ClockCorrection:
         self._given = values["gnss.time_offset.value"]
         self._estimate = values["gnss.time_offset.estimate"]
         self._moved = 0.0  # s, by estimation
-        self._settled: float | None = None  # s, offset once it was known well
+        self._settled: ClockPrior | None = None  # offset once it was known well
         self._axes_are_plausible = True
         self._std = values["gnss.time_offset.std"]
-        self._found: ClockPrior | None = None
+        self._given_drift = clock_drift(values)
+        self._found: tuple[ClockPrior, ClockDrift] | None = None
         self.restart(keep=False)
         navigator.open_clock(self._estimate and not self._is_calibrated)
 
@@ -82,6 +87,7 @@ class ClockCorrection:
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
             self._moved, self._settled, self._found = 0.0, None, None
+            self.drift = self._given_drift
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.std"}:
             self.prior = ClockPrior(self._given, self._std)
         self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
@@ -91,10 +97,11 @@ class ClockCorrection:
     def restart(self, keep: bool) -> None:
         """Restart, as the filter did; ``keep`` what it has found: the clocks are the same."""
         if keep and self._found is not None:
-            self.prior = self._found
+            self.prior, self.drift = self._found
             self._navigator.open_clock(False)
         else:
-            self.prior, self._found = ClockPrior(self._given, self._std), None
+            self.prior, self.drift = ClockPrior(self._given, self._std), self._given_drift
+            self._found = None
         self._next_ns = self._searched_ns = 0
         self._pause_ns = SEARCH_AGAIN_NS
         self._contradicted = False
@@ -128,6 +135,8 @@ class ClockCorrection:
         is left alone.
         """
         self._axes_are_plausible = axes_are_plausible
+        if self._given_drift.mean and not self.prior.t_ns:
+            self.prior = self.prior._replace(t_ns=self._navigator.last_ns)
         running = self._navigator.filter
         if running is None or running.t_ns < self._next_ns:
             return
@@ -139,6 +148,8 @@ class ClockCorrection:
         jumped = abs(running.clock.residual) > max(WRONG, 5.0 * running.clock.sigma)
         if correcting:
             self._correct(running)
+        elif not self._estimate and self._given_drift.mean:
+            self._shift(running, self.prior.at(running.t_ns, self.drift).mean - self.offset)
         self._note(running)
         fault = self._fault()
         if fault:
@@ -154,24 +165,32 @@ class ClockCorrection:
         Add to the fixes' stamps what a running filter has found missing.
 
         The given offset is left only where the innovations contradict it, or a search, which puts
-        one of its steps in force; from then on the prior alone holds what chance may do.
+        one of its steps in force, or a drift is given; from then on the prior alone holds what
+        chance may do.
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
-        worth = abs(missing) > max(0.3 * sigma, 1e-3)
         is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT
-        if sigma < USABLE and worth and is_left and abs(missing) < LARGEST:
-            self._moved += missing
-            running.submit(ClockShift(running.t_ns, missing))
+        is_left |= self._given_drift.mean != 0.0
+        if sigma < USABLE and abs(missing) > 0.3 * sigma and is_left:
+            self._shift(running, missing)
         if sigma < SETTLED and self._settled is None:
-            self._settled = self.offset
+            self._settled = ClockPrior(self.offset, 0.0, running.t_ns)
+
+    def _shift(self, running: InsFilter, by: float) -> None:
+        """Add some more [s] to the stamps of fixes."""
+        if LEAST < abs(by) < LARGEST:
+            self._moved += by
+            running.submit(ClockShift(running.t_ns, by))
 
     def _note(self, running: InsFilter) -> None:
         """Note what a filter has found, for the next one."""
         missing, variance = running.clock.missing
         is_usable = self._estimate and variance < USABLE**2
         if is_usable and not self._navigator.phase.is_provisional:
-            self._found = ClockPrior(self.offset + missing, math.sqrt(variance))
+            clock = running.clock
+            prior = ClockPrior(self.offset + missing, math.sqrt(variance), running.t_ns)
+            self._found = prior, ClockDrift(clock.drift, clock.drift_sigma)
 
     def found(self) -> tuple[float, float] | None:
         """Return what is missing from the offset in force, and its uncertainty [s]."""
@@ -193,9 +212,11 @@ class ClockCorrection:
         total, limit = self.offset + missing, max(WRONG, 5.0 * sigma)
         if self._estimate:
             settled = self._settled
-            if settled is not None and abs(total - settled) > limit:
+            if settled is None:
+                return ""
+            if abs(total - settled.at(running.t_ns, self._given_drift).mean) > limit:
                 return (
-                    f"the clock offset moved from {settled:+.3f} s to {total:+.3f} s: do IMU "
+                    f"the clock offset moved from {settled.mean:+.3f} s to {total:+.3f} s: do IMU "
                     "and receiver stamp by one clock?"
                 )
         elif abs(missing) > limit:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hybrid_ins.core.clock_prior import ClockDrift
 from hybrid_ins.core.earth import LocalFrame, ecef_to_lla, lla_to_ecef
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.rotations import (
@@ -77,6 +78,12 @@ def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]
         np.broadcast_to(values[f"imu.{s}_bias_std"], 3) for s in ("accelerometer", "gyroscope")
     )
     return bias_a, std_a, bias_g, std_g
+
+
+def clock_drift(values: Mapping[str, Any]) -> ClockDrift:
+    """Drift of the fixes' clock that is to be expected [s/s]."""
+    name = "gnss.time_offset.drift"
+    return ClockDrift(1e-6 * values[name], 1e-6 * values[f"{name}_std"])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import chi_square
 from hybrid_ins.core.alignment import AlignmentSettings
-from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.fix_speed import SpeedCheck
@@ -30,7 +30,7 @@ from hybrid_ins.core.noise import (
 )
 from hybrid_ins.core.noise_innovation import InnovationNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
-from hybrid_ins.ros.conversions import first_biases, yaw_ned_from_enu
+from hybrid_ins.ros.conversions import clock_drift, first_biases, yaw_ned_from_enu
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,8 @@ class FilterFactory:
             scale_std=values["imu.scale_std"],
         )
         given = values["gnss.time_offset.value"]
-        self.set_clock_offset(given, ClockPrior(given, values["gnss.time_offset.std"]))
+        prior = ClockPrior(given, values["gnss.time_offset.std"])
+        self.set_clock_offset(given, prior, clock_drift(values))
         self.speed_check = SpeedCheck(values["gnss.max_speed"], values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
@@ -78,15 +79,17 @@ class FilterFactory:
         """
         self.settings = replace(self.settings, lever_b=lever_b, lever_std=lever_std)
 
-    def set_clock_offset(self, offset: float, prior: ClockPrior) -> None:
+    def set_clock_offset(self, offset: float, prior: ClockPrior, drift: ClockDrift) -> None:
         """
-        Note that ``offset`` [s] is added to the stamps of fixes, and the prior of what should be.
+        Note that ``offset`` [s] is added to the stamps of fixes, and the priors of what should be.
 
         They may be as late after their own stamps as before.
         """
         max_delay = self._values["gnss.max_delay"] + max(0.0, -offset)
         missing = prior._replace(mean=prior.mean - offset)
-        self.settings = replace(self.settings, max_delay=max_delay, clock_prior=missing)
+        self.settings = replace(
+            self.settings, max_delay=max_delay, clock_prior=missing, clock_drift=drift
+        )
 
     def navigator(self, record: RunRecord | None) -> Navigator:
         """Return a navigator whose filters are made of these parts; it fills the record."""

@@ -53,7 +53,9 @@ class FixInput:
     def configure(self) -> None:
         """Use the present parameters, placement and clock offset."""
         self._parts.set_antenna(self._placement.lever_b, self._placement.antenna_std)
-        self._parts.set_clock_offset(self._clock.offset, self._clock.prior)
+        clock = self._clock
+        self._parts.set_clock_offset(clock.offset, clock.prior, clock.drift)
+        self._prior = clock.prior
         for running in self._navigator.phases.filters:
             running.change_settings(self._parts.settings)
         self._gnss = replace(
@@ -63,8 +65,8 @@ class FixInput:
         )
 
     def follow_clock(self) -> None:
-        """Use the present clock offset, where it has changed."""
-        if self._clock.offset != self._gnss.time_offset:
+        """Use the present clock offset and its prior, where they have changed."""
+        if self._clock.offset != self._gnss.time_offset or self._clock.prior != self._prior:
             self.configure()
 
     def position(self, message: Message, received_ns: int | None) -> PositionFix | Refused:
