@@ -40,6 +40,7 @@ class Decided:
     levels: Array  # (6,) per-sample variances in force after it
     clock_residual: float  # s, to be added to the stamps of fixes
     clock_variance: float  # s²
+    clock_drift: float  # s/s
 
 
 class FilterRecord:
@@ -77,9 +78,7 @@ class FilterRecord:
         clock: ClockOffsetObserver,
     ) -> None:
         """Append an event that was applied, with noise and clock after it."""
-        self.decided.append(
-            Decided(event, *outcome, noise.levels(), clock.residual, clock.sigma**2)
-        )
+        self.decided.append(Decided(event, *outcome, noise.levels(), *_of(clock)))
 
     def add_too_old(self, verdict: Verdict, noise: FilterNoise, clock: ClockOffsetObserver) -> None:
         """Append a measurement that was not fused for its age; its verdict holds a threshold."""
@@ -91,11 +90,15 @@ class FilterRecord:
                 False,
                 None,
                 noise.levels(),
-                clock.residual,
-                clock.sigma**2,
+                *_of(clock),
             )
         )
 
     def rewind(self, count: int) -> None:
         """Forget all but the first ``count`` events: the others are applied again."""
         del self.decided[count:]
+
+
+def _of(clock: ClockOffsetObserver) -> tuple[float, float, float]:
+    """Return what a `Decided` keeps of a clock."""
+    return clock.residual, clock.sigma**2, clock.drift

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 LOOSE = 5.0  # times its deviation: how far off a heading may be that is found once more
 LEAST_HEADING_STD = 0.05  # rad
 HEAD_NS = 20_000_000_000  # after the filter ran: what is smoothed to find the first heading
-CLOCK_WALK = 1e-3  # s per sqrt(s), of one clock against the other: drift is smoothed as a walk
+CLOCK_WALK = 3e-4  # s per sqrt(s), of one clock against the other beside its drift
 CLOCK_JUMP = 5.0  # standard deviations
 MEMORY_NS = int(MEMORY * 1e9)
 
@@ -201,20 +201,25 @@ def _clock(steps: Sequence[_Step]) -> Array:
     """
     Return how much more [s] belongs to each step's stamp, by the smoothed clock offset.
 
-    The offset is a random walk, estimated forward by `ClockOffset` and smoothed by [1]_; where it
-    jumps (a receiver that was set anew), later estimates say nothing of earlier ones.
+    The offset is a random walk with the drift that was found in the end, estimated forward by
+    `ClockOffsetObserver` and smoothed by [1]_; where it jumps (a receiver that was set anew), later
+    estimates say nothing of earlier ones.
     """
     moved = np.zeros(len(steps))
     later: tuple[int, float, float] | None = None  # stamp [ns], smoothed offset, variance before it
+    drift = 0.0
     for k in range(len(steps) - 1, -1, -1):
         step = steps[k]
         if not _is_gnss(step):
             continue
         missing, variance = step.decided.clock_residual, step.decided.clock_variance
         offset, t_ns = step.applied + missing, step.decided.event.t_ns
-        if later is not None:
-            grown = variance + CLOCK_WALK**2 * max(later[0] - t_ns, 0) * 1e-9
-            change = later[1] - offset
+        if later is None:
+            drift = step.decided.clock_drift
+        else:
+            dt = max(later[0] - t_ns, 0) * 1e-9
+            grown = variance + CLOCK_WALK**2 * dt
+            change = later[1] - drift * dt - offset
             if abs(change) < CLOCK_JUMP * math.sqrt(grown + later[2]):
                 offset += variance / grown * change
         later = t_ns, offset, variance

@@ -148,6 +148,15 @@ GNSS = (
         runtime=True,
     ),
     Parameter(
+        "gnss.time_offset.estimate",
+        True,
+        "Estimate the clock offset and its drift while running and correct them; published "
+        "covariances include what is not known of them. Until motion has shown the offset, up to "
+        "156 filters run beside: on a slow computer give gnss.time_offset.value with its std, "
+        "which ins_calibrate writes. If false, a wrong offset is only reported",
+        runtime=True,
+    ),
+    Parameter(
         "gnss.time_offset.drift",
         0.0,
         "Rate at which the clock offset changes, as ins_calibrate writes it. Where it is not 0, "
@@ -163,15 +172,6 @@ GNSS = (
         unit="ppm",
         low=1.0,
         high=10000.0,
-    ),
-    Parameter(
-        "gnss.time_offset.estimate",
-        True,
-        "Estimate the clock offset and its drift while running and correct them; published "
-        "covariances include what is not known of them. Until motion has shown the offset, up to "
-        "156 filters run beside: on a slow computer give gnss.time_offset.value with its std, "
-        "which ins_calibrate writes. If false, a wrong offset is only reported",
-        runtime=True,
     ),
     Parameter(
         "gnss.position_std_min",

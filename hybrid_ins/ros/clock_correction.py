@@ -190,7 +190,8 @@ class ClockCorrection:
         if is_usable and not self._navigator.phase.is_provisional:
             clock = running.clock
             prior = ClockPrior(self.offset + missing, math.sqrt(variance), running.t_ns)
-            self._found = prior, ClockDrift(clock.drift, clock.drift_sigma)
+            std = min(clock.drift_sigma, self._given_drift.std)
+            self._found = prior, ClockDrift(clock.drift, std)
 
     def found(self) -> tuple[float, float] | None:
         """Return what is missing from the offset in force, and its uncertainty [s]."""

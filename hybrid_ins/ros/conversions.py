@@ -83,7 +83,7 @@ def first_biases(values: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]
 def clock_drift(values: Mapping[str, Any]) -> ClockDrift:
     """Drift of the fixes' clock that is to be expected [s/s]."""
     name = "gnss.time_offset.drift"
-    return ClockDrift(1e-6 * values[name], 1e-6 * values[f"{name}_std"])
+    return ClockDrift(values[name] / 1e6, values[f"{name}_std"] / 1e6)
 
 
 @dataclass(frozen=True, slots=True)

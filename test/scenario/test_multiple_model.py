@@ -350,6 +350,29 @@ def test_the_filter_of_the_likeliest_offset_goes_on_once_that_is_known(
     assert offset(estimator) == pytest.approx(-0.35, abs=0.1)
 
 
+def test_a_search_expects_the_given_offset_where_the_given_drift_has_taken_it() -> None:
+    """
+    GIVEN an offset of 0.1 s at the first fix, and a clock that gains 10 ms a second
+    THEN all hypotheses expect that drift, and the likeliest offset is the one it leads to.
+    """
+    given = {"gnss.time_offset.value": 0.1, "gnss.time_offset.drift": 1e4}
+    estimator = estimating(until(draw(SCENE, 4), 5.0), **given)
+    running = estimator.navigator.filter
+    assert running is not None
+    since = (running.t_ns - estimator.clock.prior.t_ns) * 1e-9
+    assert 3.0 < since < 6.0 and running.clock.drift == pytest.approx(0.01, abs=5e-4)
+
+    # Its own estimate, which is the same, says nothing here.
+    running.clock.set_estimate(0.0, 10.0)
+    search = search_clock(running, estimator._parts, estimator.navigator.ring)
+
+    assert {hypothesis.clock.drift for hypothesis in search.filters} == {0.01}
+    expected = 0.1 + 0.01 * since - estimator.clock.offset
+    assert max(search._log_prior, key=search._log_prior.__getitem__) * 1e-9 == pytest.approx(
+        expected, abs=0.05
+    )
+
+
 def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() -> None:
     """With an IMU much noisier than was assumed, chance favoured a clock 0.6 s away."""
     estimator = estimating(until(draw(SCENE, 4), 4.0))

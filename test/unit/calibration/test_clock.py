@@ -115,15 +115,56 @@ def test_of_a_long_recording_the_part_in_motion_is_used() -> None:
     np.testing.assert_array_equal(part.aid, whole.aid[near])
 
 
+def observed(fitted: Fit, **given: float) -> dict[str, float]:
+    """Return the last parts of the names of the clock's parameters that are written, and these."""
+    values = {**parameters.defaults(), **{f"gnss.time_offset.{k}": v for k, v in given.items()}}
+    written = observe_clock(fitted, own=False, values=values, search=0.5)[1]
+    return {name.rpartition(".")[2]: value for name, value in written.items()}
+
+
 def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -> None:
-    drifting = replace(found_fit, drift=Drift(1e-3, 1e-5))
-    first, middle = (f(found_fit.recordings[0].aid_t) for f in (np.min, np.mean))
+    drifting = replace(found_fit, drift=Drift(1e-3, 4e-5))
+    since = float(np.mean(found_fit.recordings[0].aid_t) - found_fit.recordings[0].aid_t[0])
 
-    value = observe_clock(found_fit, own=False, nominal=0.0, search=0.5)[1]
-    _, at_start, std, _ = observe_clock(drifting, own=False, nominal=0.0, search=0.5)
+    steady, at_start = observed(found_fit), observed(drifting)
 
-    assert at_start == pytest.approx(value - 1e-3 * (middle - first), abs=2e-4)
-    assert std == 0.0  # another day it is another one
+    assert steady["std"] > 0.0 and (steady["drift"], steady["drift_std"]) == (0.0, 100.0)
+    assert at_start["value"] == pytest.approx(steady["value"] - 1e-3 * since, abs=2e-4)
+    assert at_start["std"] == 0.0  # another day it is another one
+    # AND the drift is that of another day, too, but for the crystals' temperature
+    assert at_start["drift"] == pytest.approx(1000.0)
+    assert at_start["drift_std"] == pytest.approx(math.hypot(40.0, 10.0), abs=0.1)
+    # AND the user is told the same offset, with what is not known of the drift in its σ
+    (_, value, sigma, *_), (label, drift, std, *_) = observe_clock(
+        drifting, own=False, values=parameters.defaults(), search=0.5
+    )[0][:2]
+    assert float(value.split()[0]) == pytest.approx(at_start["value"], abs=2e-4)
+    expected = math.hypot(found_fit.sigma("offset"), 1e-6 * at_start["drift_std"] * since)
+    assert float(sigma.split()[0]) == pytest.approx(expected, abs=2e-4)
+    assert (label, drift, std) == ("clock drift", "1000 ppm", "40 ppm")
+
+
+def test_a_given_drift_is_kept_unless_the_recording_contradicts_it(found_fit: Fit) -> None:
+    given = {"drift": 300.0, "drift_std": 20.0}
+    fits = {std: replace(found_fit, drift=Drift(0.0, std)) for std in (5e-5, 2e-4, math.inf)}
+
+    contradicted, weak, not_sought = (observed(fitted, **given) for fitted in fits.values())
+
+    assert (contradicted["drift"], contradicted["drift_std"]) == (0.0, 100.0)
+    assert contradicted["std"] > 0.0
+    for kept in (weak, not_sought):
+        assert (kept["drift"], kept["drift_std"], kept["std"]) == (300.0, 20.0, 0.0)
+
+
+def test_a_drift_that_is_found_is_in_the_file() -> None:
+    car = replace(VEHICLES["car"], receiver=Receiver(5.0, offset=0.03, drift=2e-3), duration=80.0)
+    found = calibrate([recorded(car, 3)], parameters.defaults(), search=0.3)
+
+    assert verdict(found, "clock drift") == "identified"
+    std = found.values["gnss.time_offset.drift_std"]
+    assert abs(found.values["gnss.time_offset.drift"] - 2000.0) < 4.0 * std < 1500.0
+    assert found.values["gnss.time_offset.value"] == pytest.approx(0.03, abs=0.02)
+    assert found.notes["gnss.time_offset.drift"].startswith("identified: clock drift")
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,10 @@ from hybrid_ins.core.clock_offset import (
     P_PARAMETERS,
     VELOCITY_AGE_STD,
     ClockOffsetObserver,
+    predict,
     share_of_motion,
 )
+from hybrid_ins.core.clock_prior import ClockDrift
 from hybrid_ins.core.clock_sensitivity import initial_sensitivity, sensitivities
 from hybrid_ins.core.earth import curvature_scale, normal_gravity
 from hybrid_ins.core.events import NoiseChange
@@ -286,6 +288,23 @@ def test_a_clock_that_drifts_is_followed() -> None:
     assert observer.sigma < 0.01
     assert abs(observer.residual - 0.1) < 3.0 * observer.sigma
     assert observer.drift == pytest.approx(2e-4, abs=5e-5)
+
+
+def test_a_given_drift_is_followed_without_information() -> None:
+    """
+    GIVEN a drift of 300 ppm known to 20 ppm, and an hour in which nothing shows the clock
+    THEN the offset moves by that, and the drift is as well known as it was.
+    """
+    observer = ClockOffsetObserver(MAX_STD, drift=ClockDrift(3e-4, 2e-5))
+    observer.set_estimate(0.02, 0.005)
+    std = observer.drift_sigma
+    for t in range(0, 3600, 10):
+        predict(observer.values, 10.0)
+        if t == 590:
+            assert observer.residual == pytest.approx(0.02 + 600.0 * 3e-4)
+            assert observer.sigma < 0.03
+    assert observer.drift == 3e-4
+    assert observer.drift_sigma == pytest.approx(std, rel=1e-6)
 
 
 def test_rejected_fixes_do_not_inform() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.clock_offset import ClockOffsetObserver, observe
-from hybrid_ins.core.clock_prior import RATIOS, SHARES, ClockPrior
+from hybrid_ins.core.clock_prior import RATIOS, SHARES, ClockDrift, ClockPrior
 from hybrid_ins.core.clock_search import OFFSET_BOUNDED, OFFSETS_NS, probabilities
 
 
@@ -68,6 +68,33 @@ def test_a_drifting_clock_leaves_its_given_offset() -> None:
         errors.append((missing - true) / np.sqrt(variance))
     assert np.mean(np.square(errors)) < 1.5
     assert np.sqrt(variance) < 0.01
+
+
+def test_a_given_drift_moves_a_prior_and_what_is_not_known_of_it_widens_it() -> None:
+    prior, drift = ClockPrior(0.02, 0.003, t_ns=5_000_000_000), ClockDrift(3e-4, 4e-5)
+
+    assert prior.at(105_000_000_000, drift) == pytest.approx((0.05, 0.005, 0))
+    assert prior._replace(t_ns=0).at(105_000_000_000, drift) == (0.02, 0.003, 0)
+
+
+def test_an_offset_given_for_a_time_long_ago_is_expected_where_the_drift_took_it() -> None:
+    """
+    GIVEN an offset of 0.02 s a quarter of an hour before the first correction, and 300 ppm
+    THEN 0.29 s is what is expected of an observer that knows next to nothing itself.
+    """
+    seconds = 1_000_000_000
+    observer = ClockOffsetObserver(3.0, ClockPrior(0.02, 0.005, seconds), ClockDrift(3e-4, 1e-5))
+    observer.on_corrected(901 * seconds)
+
+    missing, variance = observer.missing
+
+    assert missing == pytest.approx(0.29, abs=0.01)
+    assert observer.drift == 3e-4
+    assert np.sqrt(variance) > 0.1  # half of the clocks are anything
+
+    observer.set_estimate(0.3, 0.02)
+    assert observer.missing[0] == pytest.approx(0.29, abs=0.01)
+    assert observer.drift == 3e-4
 
 
 def test_chance_is_shrunk_and_evidence_is_not() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.inflation import inflate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
 from hybrid_ins.core.iterated_update import update as correct
-from hybrid_ins.core.measurements import Measurement, PositionFix
+from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
 from hybrid_ins.core.rotations import matrix_from_quat, rpy_from_quat
@@ -160,6 +162,35 @@ def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
     assert moved.P[8, 8] == pytest.approx(hindsight.LEAST_HEADING_STD**2)
     assert np.linalg.eigvalsh(moved.P / np.outer(STD, STD)).min() > 0.0
     assert moved.P[3, 8] / np.sqrt(moved.P[8, 8]) == pytest.approx(P[3, 8])
+
+
+@pytest.mark.parametrize("drift", [0.0, 3e-4])
+def test_the_offset_of_a_clock_that_drifts_is_smoothed_along_its_drift(drift: float) -> None:
+    """
+    GIVEN a filter that has found a drift, and offsets within its σ of 5 ms
+    THEN the smoothed ones lie on that line: as a walk, they were 7 ms late.
+    """
+    rng, gnss = np.random.default_rng(4), SimpleNamespace(measurement=SimpleNamespace(sensor=GNSS))
+    true = 0.02 + drift * np.arange(200.0)
+    residuals = true + np.append(0.005 * rng.standard_normal(199), 0.0)  # the last one is best
+    steps: list[Any] = [
+        SimpleNamespace(
+            decided=SimpleNamespace(
+                verdict=gnss,
+                event=SimpleNamespace(t_ns=k * 1_000_000_000),
+                clock_residual=residual,
+                clock_variance=0.005**2,
+                clock_drift=drift,
+            ),
+            applied=0.0,
+        )
+        for k, residual in enumerate(residuals.tolist())
+    ]
+
+    moved = hindsight._clock(steps)
+
+    assert abs(np.mean(moved[:150] - true[:150])) < 0.001
+    assert np.std(moved[:150] - true[:150]) < 0.002
 
 
 def test_gaps_and_interpolated_stamps_are_those_of_the_filter() -> None:

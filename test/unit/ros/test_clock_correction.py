@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
-from hybrid_ins.core.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.clock_prior import ClockPrior
+from hybrid_ins.core.clock_offset import DRIFT, P_DRIFT, ClockOffsetObserver
+from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.events import ClockShift
 from hybrid_ins.core.navigator_events import ClockOffsetFound
 from hybrid_ins.core.state import N_FLAT
@@ -146,6 +146,84 @@ def test_what_is_not_known_or_of_other_clocks_is_forgotten(sigma: float, keep: b
 
     assert navigator.phases.clock_open
     assert clock.prior == ClockPrior(0.0, 0.0)
+
+
+GIVEN_DRIFT = {"gnss.time_offset.drift": 300.0, "gnss.time_offset.drift_std": 50.0}
+
+
+def test_an_offset_given_with_a_drift_is_that_of_the_first_fix() -> None:
+    clock, navigator = correction(Running())
+    steady = clock.prior
+    clock.run_periodic()
+    assert clock.prior == steady and clock.drift == ClockDrift(0.0, 1e-4)
+
+    clock, navigator = correction(Running(), **GIVEN_DRIFT)
+    assert clock.drift == pytest.approx((3e-4, 5e-5))
+    navigator.filter = None  # it does not run yet
+    for seconds in (7, 9):
+        navigator.last_ns = seconds * 1_000_000_000
+        clock.run_periodic()
+    assert clock.prior == ClockPrior(0.0, 0.0, 7_000_000_000)
+
+
+def test_a_given_drift_is_corrected_before_the_innovations_contradict_the_given_offset() -> None:
+    for given, expected in (({}, GIVEN), (GIVEN_DRIFT, GIVEN + 0.006)):
+        running = Running()
+        offset = {"gnss.time_offset.value": GIVEN, "gnss.time_offset.std": STD}
+        clock, navigator = correction(running, **offset, **given)
+        navigator.phases.clock_open = False
+        running.clock.prior = ClockPrior(0.006, STD)  # the filter's: it has moved with the drift
+
+        running.show(GIVEN + 0.006, clock.offset)
+        clock.run_periodic()
+
+        assert clock.offset == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_drift_is_followed_as_given_where_nothing_is_to_be_estimated() -> None:
+    running = Running()
+    clock, navigator = correction(running, **GIVEN_DRIFT, **{"gnss.time_offset.estimate": False})
+    navigator.last_ns = 1_000_000_000
+    for _ in range(50):
+        running.show(0.0, clock.offset)
+        clock.run_periodic()
+    assert running.t_ns == 100_000_000_000
+    assert clock.offset == pytest.approx(99.0 * 3e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize(("given", "is_told"), [({}, True), (GIVEN_DRIFT, False)])
+def test_a_clock_that_moves_as_the_given_drift_says_is_no_fault(
+    given: dict[str, float], is_told: bool
+) -> None:
+    running = Running(0.0)
+    clock, navigator = correction(running, **given)
+    lines: list[str] = []
+    clock._inputs = InputLog(lambda level, text: lines.append(text))
+    navigator.phases.clock_open = False
+    running.t_ns = 1_000_000_000
+    for seconds in (1, 151):
+        running.t_ns = seconds * 1_000_000_000
+        running.show(3e-4 * seconds, clock.offset, 0.003)
+        clock.run_periodic()
+    assert any("the clock offset moved" in line for line in lines) == is_told
+
+
+def test_the_drift_that_was_found_outlasts_a_restart() -> None:
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    navigator.phases.clock_open = False
+    for variance, std in ((5e-5**2, 6e-5), (1e-4**2, 1e-4)):  # no wider than of unknown clocks
+        running.show(0.05, clock.offset, 0.01)
+        running.clock.values[[DRIFT, P_DRIFT]] = 2e-4, variance
+        clock.run_periodic()
+
+        clock.restart(keep=True)
+
+        assert clock.drift == pytest.approx((2e-4, std))
+        assert clock.prior.t_ns == running.t_ns
+
+    clock.change({"gnss.time_offset.value": 0.1})
+    assert clock.drift == ClockDrift(0.0, 1e-4)
 
 
 def test_another_uncertainty_of_the_given_offset_changes_its_prior(clock: ClockCorrection) -> None:
