@@ -81,8 +81,8 @@ def observe_clock(
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
         rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
     if fitted.drift.value:
-        ppm = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
-        rows.append((DRIFT, *ppm, "identified", ""))
+        ppm, std = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
+        rows.append((DRIFT, ppm, std, "identified", ""))
     known = not any(name.startswith("offset") for name in fitted.frozen)
     offsets = [fitted.offset(k) + known * drift.mean * first[k] for k in range(count)]
     text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)

@@ -123,6 +123,14 @@ def test_fixes_behind_by_more_than_the_longest_delay_are_fused(estimate: bool) -
     assert estimator.reporter.fixes_fused > 40
 
 
+def test_filters_are_told_when_an_offset_with_a_drift_was_given() -> None:
+    run = until(draw(SCENE, 5), 1.5)
+    estimator = through_estimator(run, **{"gnss.time_offset.drift": 300.0})
+    prior = estimator._parts.settings.clock_prior
+    assert prior is not None
+    assert abs(prior.t_ns - run.fixes[0].t_ns) < 100_000_000
+
+
 def without_imu(run: Run, start: float, stop: float) -> Run:
     """Lose the samples between two times [s] after the first."""
     t = (run.samples["t_ns"] - run.samples["t_ns"][0]) * 1e-9

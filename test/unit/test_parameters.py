@@ -95,7 +95,7 @@ class TestNames:
         [
             ("gnss.patiense", "did you mean gnss.patience?"),
             ("max_gap", "did you mean imu.max_gap?"),
-            ("gnss.time_offset", "did you mean gnss.time_offset.value, gnss.time_offset.std, gnss."),
+            ("gnss.time_offset", "did you mean gnss.time_offset.value, gnss.time_offset.std,"),
             ("imu_topic", "remap the topic imu/data"),
             ("fix_topic", "remap the topic gnss/fix"),
             ("frequency", "odometry_rate"),
