@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core import hindsight
 from hybrid_ins.core.aiding_measurements import BarometricHeight, BodyVelocity, Heading
+from hybrid_ins.core.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.clock_prior import ClockDrift
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_record import FilterRecord
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.inflation import inflate
 from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
@@ -162,6 +165,18 @@ def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
     assert moved.P[8, 8] == pytest.approx(hindsight.LEAST_HEADING_STD**2)
     assert np.linalg.eigvalsh(moved.P / np.outer(STD, STD)).min() > 0.0
     assert moved.P[3, 8] / np.sqrt(moved.P[8, 8]) == pytest.approx(P[3, 8])
+
+
+def test_a_record_keeps_the_drift_of_the_clock() -> None:
+    nothing: Any = SimpleNamespace(measurement=None, levels=lambda: np.ones(6), fix_factor=1.0)
+    record, clock = FilterRecord(nothing), ClockOffsetObserver(0.1, drift=ClockDrift(3e-4))
+
+    record.add(nothing, (None, 1.0, False, None), nothing, clock)
+    record.add_too_old(nothing, nothing, clock)
+
+    for decided in (record.decided[0], record.too_old[0]):
+        assert decided.clock_drift == 3e-4
+        assert decided.clock_variance == pytest.approx(clock.sigma**2)
 
 
 @pytest.mark.parametrize("drift", [0.0, 3e-4])

@@ -153,7 +153,7 @@ GIVEN_DRIFT = {"gnss.time_offset.drift": 300.0, "gnss.time_offset.drift_std": 50
 
 def test_an_offset_given_with_a_drift_is_that_of_the_first_fix() -> None:
     clock, navigator = correction(Running())
-    steady = clock.prior
+    steady, navigator.last_ns = clock.prior, 1_000_000_000
     clock.run_periodic()
     assert clock.prior == steady and clock.drift == ClockDrift(0.0, 1e-4)
 
