@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from hybrid_ins.core.clock_offset import share_of_motion
 from hybrid_ins.core.clock_prior import ClockPrior
 from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate
-from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.multiple_model import Decision, FilterFactory, MultipleModelBank, mixture_of
 from hybrid_ins.core.position_scatter import horizontal_variance

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from hybrid_ins.core import propagation
 from hybrid_ins.core.earth import displacement
 from hybrid_ins.core.events import Change, CovarianceInflation
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.inflation import inflate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import GNSS, Measurement
 from hybrid_ins.core.motion_evidence import MotionEvidence
 from hybrid_ins.core.rotations import (

@@ -17,9 +17,10 @@ from hybrid_ins.core import heading_check
 from hybrid_ins.core.alignment import Alignment, Start
 from hybrid_ins.core.clock_search import MAX_OFFSET_NS, ClockSearch, probabilities
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, state_at_imu
+from hybrid_ins.core.ins_filter import InsFilter, state_at_imu
 from hybrid_ins.core.multiple_model import FilterFactory, MultipleModelBank
 from hybrid_ins.core.samples import ImuRing, sample_period
 from hybrid_ins.core.state import VELOCITY, NavState

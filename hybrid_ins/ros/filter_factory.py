@@ -16,10 +16,11 @@ from hybrid_ins.core.alignment import AlignmentSettings
 from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,

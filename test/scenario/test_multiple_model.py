@@ -31,7 +31,7 @@ from hybrid_ins.core.clock_search import (
     state_at_offset,
 )
 from hybrid_ins.core.earth import LocalFrame, curvature_scale
-from hybrid_ins.core.ins_filter import FilterSettings
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.phases import Searching, search_clock

@@ -12,9 +12,9 @@ from hybrid_ins.core.alignment import AlignmentSettings, yaw_of
 from hybrid_ins.core.chi_square import quantile
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.fix_speed import SpeedCheck
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import Event

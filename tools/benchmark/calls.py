@@ -14,8 +14,9 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import N_SAID, POSITION, empty_states, innovations
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank

@@ -28,8 +28,9 @@ from hybrid_ins import parameters
 from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.noise import (
     PAPER_CONSTANTS,
     ConstantNoise,

@@ -33,8 +33,9 @@ from hybrid_ins.calibration.report import table
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.cli.calibrate import main
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing

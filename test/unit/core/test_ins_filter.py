@@ -14,8 +14,9 @@ from support.analytic_motion import Series, Truth, Wave, difference, travel
 from hybrid_ins.core import earth
 from hybrid_ins.core.events import Event, NoiseChange
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter, Measurement
+from hybrid_ins.core.ins_filter import InsFilter, Measurement
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.noise import ConstantNoise, NoiseEstimate, ProcessNoise

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.ins_filter import FilterSettings
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.state import N_ERROR, NavState

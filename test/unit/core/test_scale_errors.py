@@ -17,9 +17,10 @@ from hybrid_ins.core.chi_square import quantile
 from hybrid_ins.core.earth import curvature_scale, normal_gravity
 from hybrid_ins.core.events import Outage
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.kalman import inject
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import ConstantNoise, Correction, ProcessNoise

@@ -19,9 +19,10 @@ from hybrid_ins.core.earth import curvature_scale
 from hybrid_ins.core.events import CovarianceInflation
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.filter_record import FilterRecord
+from hybrid_ins.core.filter_settings import FilterSettings
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.inflation import inflate
-from hybrid_ins.core.ins_filter import FilterSettings, InsFilter
+from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.iterated_update import update as correct
 from hybrid_ins.core.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
