@@ -78,6 +78,8 @@ class InsFilter:
         A longer step [ns] is a gap in the samples.
     verdicts : deque of Verdict
         One per measurement submitted, in order of decision; the owner empties it.
+    update : MeasurementUpdate
+        What decides on measurements and fuses them.
     record : FilterRecord or None
         What became of every event; None unless the settings ask for it.
     """
@@ -96,7 +98,7 @@ class InsFilter:
         self.nav[LAST_SAMPLE], self.nav[PSD] = sample, noise.psd()
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
-        self._update = settings.update(noise, gate, t_ns)
+        self.update = settings.update(noise, gate, t_ns)
         self._consider_clock = settings.consider_clock
         self.nav[CLOCK_VARIANCE] = self.clock.missing_variance if self._consider_clock else 0.0
         self.ring = ring
@@ -114,7 +116,7 @@ class InsFilter:
         twin = object.__new__(InsFilter)
         twin.__dict__.update(self.__dict__)
         twin.nav, twin.verdicts, twin._pending = self.nav.copy(), deque(), [*self._pending]
-        twin._update, twin._history = copy.copy(self._update), copy.copy(self._history)
+        twin.update, twin._history = copy.copy(self.update), copy.copy(self._history)
         twin.record = copy.copy(self.record)
         return twin
 
@@ -132,31 +134,22 @@ class InsFilter:
     @property
     def noise(self) -> FilterNoise:
         """The noise in force."""
-        return self._update.noise
-
-    @property
-    def gate(self) -> Gate:
-        """What decides on measurements."""
-        return self._update.gate
-
-    @gate.setter
-    def gate(self, gate: Gate) -> None:
-        self._update.gate = gate
+        return self.update.noise
 
     @property
     def clock(self) -> ClockOffsetObserver:
         """Clock offset of fixes, estimated beside the state; does not change it by itself."""
-        return self._update.clock
+        return self.update.clock
 
     @property
     def lever_arm(self) -> LeverArmError:
         """What the innovations show of the antenna's place; nothing is corrected by it."""
-        return self._update.lever_arm.estimate
+        return self.update.lever_arm.estimate
 
     @property
     def scale_errors(self) -> ScaleErrors:
         """What the innovations show of the IMU's scale factors and axes; used in outages."""
-        return self._update.scale_errors.estimate
+        return self.update.scale_errors.estimate
 
     @property
     def sample(self) -> Array:
@@ -227,13 +220,7 @@ class InsFilter:
         elif self.t_ns - event.t_ns <= self._history.horizon_ns and self._rewind(event):
             pass
         else:
-            late = self._refuse(event, TOO_OLD)
-            if late is not None and self.record is not None:
-                threshold = self._update.gate.threshold(
-                    len(late.measurement.linearise(self.nav)[0])
-                )
-                late = replace(late, threshold=threshold)
-                self.record.add_too_old(late, self.noise, self.clock)
+            self._refuse(event, TOO_OLD)
 
     def withdraw(self) -> list[Measurement]:
         """Remove and return the measurements that are ahead of the IMU."""
@@ -255,37 +242,38 @@ class InsFilter:
 
     def _run(self, samples: NDArray[np.void], rows: Array) -> None:
         """Run samples with no event between them."""
-        if len(samples) == 0:
-            return
-        long_step_ns, interval = self.long_step_ns, self.covariance_interval
-        if gap.run(self.nav, self.t_ns, samples, long_step_ns, interval, rows):
-            self.noise.restart(keep_weights=True)
-        self.t_ns = int(samples["t_ns"][-1])
+        if len(samples):
+            long_step_ns, interval = self.long_step_ns, self.covariance_interval
+            if gap.run(self.nav, self.t_ns, samples, long_step_ns, interval, rows):
+                self.noise.restart(keep_weights=True)
+            self.t_ns = int(samples["t_ns"][-1])
 
     def _apply(self, event: Event) -> None:
         """Apply an event to the state at its own stamp, which is the present one."""
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
         age = _age(event, self.t_ns)
-        outcome = self._update.apply(self.nav, event, age, self._consider_clock, self.ring)
+        outcome = self.update.apply(self.nav, event, age, self._consider_clock, self.ring)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:
             self.record.add(event, outcome, self.noise, self.clock)
         self._checkpoint()
 
-    def _refuse(self, event: Event, reason: str) -> Verdict | None:
+    def _refuse(self, event: Event, reason: str) -> None:
         """Reject a measurement; apply a change to the present state."""
         if isinstance(event, Change):
             self._apply(replace(event, t_ns=self.t_ns))
-            return None
+            return
         verdict = Verdict.rejected(event, reason, max(0.0, _age(event, self.t_ns)))
         self.verdicts.append(verdict)
-        return verdict
+        if self.record is not None and reason == TOO_OLD:  # with hindsight it can be used
+            threshold = self.update.gate.threshold(len(event.linearise(self.nav)[0]))
+            self.record.add_too_old(replace(verdict, threshold=threshold), self.noise, self.clock)
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""
-        point = Checkpoint(self.t_ns, self.nav[:N_NAV].copy(), copy.copy(self._update))
+        point = Checkpoint(self.t_ns, self.nav[:N_NAV].copy(), copy.copy(self.update))
         self._history.add_checkpoint(point)
 
     def _rewind(self, late: Event) -> bool:
@@ -297,7 +285,7 @@ class InsFilter:
         again = self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)
-        self.nav[:N_NAV], self.t_ns, self._update = point.nav, point.t_ns, point.update
+        self.nav[:N_NAV], self.t_ns, self.update = point.nav, point.t_ns, point.update
         self._checkpoint()
         decided, self.verdicts = self.verdicts, deque()
         self._pending = sorted([*again, late], key=order)
@@ -317,7 +305,7 @@ def _age(event: Event, t_ns: int) -> float:
 
 def sensitivity_to_scale(running: InsFilter) -> Array:
     """Return d(error)/dm, (15, N_SCALE), after the last sample, see `ScaleErrorObserver`."""
-    observer = running._update.scale_errors
+    observer = running.update.scale_errors
     return observer.sensitivity_at(running.flat_state(), running.ring, running.t_ns)
 
 

@@ -206,9 +206,9 @@ class PhaseMachine:
             if self.filter is not None and self.phase.bank is not None:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
-        if self.clock_open and not self.phase.filter.gate.rejects:  # fixes: the state may be wrong
-            bank = search_clock(self.phase.filter, self._parts, self._ring)
-            self._enter(Running(self.phase.filter, bank))
+        running = self.phase.filter
+        if self.clock_open and not running.update.gate.rejects:  # fixes: the state may be wrong
+            self._enter(Running(running, search_clock(running, self._parts, self._ring)))
         return False
 
     def _give_up_wrong_heading(self) -> None:

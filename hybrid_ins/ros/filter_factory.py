@@ -101,7 +101,7 @@ class FilterFactory:
 
     def change_running(self, running: InsFilter, changes: Mapping[str, Any]) -> None:
         """Change the gate of a filter that runs, and its noise where that changes."""
-        running.gate = self.gate()
+        running.update.gate = self.gate()
         if any(name.startswith("noise.") or name.endswith("_bias_walk") for name in changes):
             noise = self.noise(running.noise.process.period)
             running.submit(NoiseChange(running.t_ns, noise))

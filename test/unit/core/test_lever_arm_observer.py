@@ -53,7 +53,7 @@ def test_sensitivity_is_the_derivative_of_the_filter_by_the_lever_arm(
     error = 1e-3 * np.eye(3)[axis]
     right = filtered(run, np.zeros(3), velocities=velocities)
     wrong = filtered(run, -error, velocities=velocities)
-    s = right._update.lever_arm._values[SENSITIVITIES].reshape(N_ERROR, 3)[:, axis]
+    s = right.update.lever_arm._values[SENSITIVITIES].reshape(N_ERROR, 3)[:, axis]
     sigma = np.sqrt(np.diag(right.state.P))
 
     by_difference = difference(right.nav, wrong.nav) / 1e-3

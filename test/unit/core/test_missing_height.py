@@ -91,7 +91,7 @@ def test_the_unknown_height_is_in_the_covariance_until_the_first_one() -> None:
     """GIVEN 2-D fixes WHEN the first height is 500 m off THEN it is taken, and its σ published."""
     run = draw(Scenario("flight", rate=100.0, duration=20.0), 1)
     ins, off = begin(run), run.fixes[0].lla[2]
-    ins.gate = Gate({1: 20.0, 3: 25.0}, 3.0)
+    ins.update.gate = Gate({1: 20.0, 3: 25.0}, 3.0)
     ins.submit(LevelMotion(ins.t_ns, UNKNOWN_HEIGHT_STD**2))
     assert total_std(ins.nav)[2] > UNKNOWN_HEIGHT_STD
 

@@ -119,7 +119,7 @@ def fly(ins: InsFilter, samples: Samples) -> list[Outage]:
 
 def observer(ins: InsFilter) -> ScaleErrorObserver:
     """Return a filter's."""
-    return ins._update.scale_errors
+    return ins.update.scale_errors
 
 
 def smallest_eigenvalue(P: Array) -> float:
