@@ -105,7 +105,7 @@ AIDING = (
         "aiding.velocity_std_min",
         0.05,
         "Lower bound of the standard deviations of these readings, and their value where the "
-        "covariance is unknown",
+        "covariance is unknown or the driver leaves that of x at 0",
         unit="m/s",
         low=1e-3,
         high=100.0,

@@ -77,19 +77,13 @@ class AidingMessages:
                 f"the twist is in frame '{shortened(frame)}', not '{self.base_frame}': publish it "
                 "there",
             )
-        linear = message.twist.twist.linear
-        velocity = np.array([linear.x, linear.y, linear.z], float)
-        covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
-        variance = np.diag(covariance)
-        if not np.any(variance):  # unknown: wheels measure along the nose
+        velocity, covariance = _twist(message)
+        if claims_no_variance(message):  # wheels measure along the nose
             covariance = np.diag([self.velocity_std_min**2, np.inf, np.inf])
-            variance = np.diag(covariance)
-        given = np.isfinite(velocity) & (variance > 0.0) & (variance < LARGEST_VARIANCE)
+        variance = np.diag(covariance)
+        given = _usable(velocity, variance)
         if not np.any(given):
-            return Refused(
-                "aiding: no velocity",
-                f"velocity {velocity} m/s with variances {variance}: no axis is usable",
-            )
+            return Refused("aiding: no velocity", _why_unusable(velocity, variance))
         if np.max(np.abs(velocity[given])) > FASTEST:
             return Refused(
                 "aiding: absurd velocity",
@@ -133,3 +127,51 @@ class AidingMessages:
         variance = float(message.variance)
         variance = slope**2 * variance if math.isfinite(variance) and variance > 0.0 else 0.0
         return BarometricHeight(t_ns, height, max(variance, self.height_std_min**2))
+
+
+def claims_no_variance(message: Message) -> bool:
+    """
+    Return whether a twist gives no axis that is usable, and the x axis a variance of 0.
+
+    Drivers of wheels do that: all are 0, or those of the other axes say that they are not measured.
+    """
+    velocity, covariance = _twist(message)
+    variance = np.diag(covariance)
+    return bool(variance[0] == 0.0 and not np.any(_usable(velocity, variance)))
+
+
+def substituted(message: Message, std: float) -> str:
+    """
+    Return that ``std`` [m/s] stands for a variance of 0, for the log; empty if it does not.
+
+    Where all are 0 they are unknown, as ROS says: nothing is wrong.
+    """
+    variance = np.diag(_twist(message)[1])
+    if not (claims_no_variance(message) and np.any(variance)):
+        return ""
+    return (
+        "the variance of the velocity along x is 0, and those of the other axes say that they are "
+        f"not measured: aiding.velocity_std_min, {std:g} m/s, is used instead; let the driver set "
+        "twist.covariance"
+    )
+
+
+def _twist(message: Message) -> tuple[Array, Array]:
+    """Return the linear velocity (3,) [m/s] of a twist, and its covariance (3, 3)."""
+    linear = message.twist.twist.linear
+    covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
+    return np.array([linear.x, linear.y, linear.z], float), covariance
+
+
+def _usable(velocity: Array, variance: Array) -> NDArray[np.bool_]:
+    """Return which axes (3,) have a velocity, by its variance."""
+    return np.isfinite(velocity) & (variance > 0.0) & (variance < LARGEST_VARIANCE)
+
+
+def _why_unusable(velocity: Array, variance: Array) -> str:
+    """Return why no axis is usable, and the remedy."""
+    x, y, z = (f"{v:g} m/s with variance {s:g}" for v, s in zip(velocity, variance, strict=True))
+    return (
+        f"no axis of the twist is usable (x: {x}, y: {y}, z: {z}): a variance has to be above 0 "
+        f"and below {LARGEST_VARIANCE:g} (m/s)²; let the driver set twist.covariance"
+    )

@@ -19,10 +19,11 @@ from hybrid_ins.core.aiding import (
     HeightSensor,
     VelocitySensor,
 )
+from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.fix_watch import FixWatch
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.ros.aiding_conversions import AidingMessages
+from hybrid_ins.ros.aiding_conversions import AidingMessages, substituted
 from hybrid_ins.ros.conversions import FLIP, Message, Refused
 from hybrid_ins.ros.diagnostics import status
 from hybrid_ins.ros.input_log import InputLog
@@ -101,7 +102,12 @@ class AidingSources:
             "aiding/heading": (self._heading, messages.heading),
             "aiding/pressure": (self._height, messages.pressure),
         }[topic]
-        self._use(topic, sensor, convert(message))
+        reading = convert(message)
+        if isinstance(reading, BodyVelocity):
+            text = substituted(message, messages.velocity_std_min)
+            if text:
+                self._inputs.note(f"{topic}: covariance", f"{topic}: {text}")
+        self._use(topic, sensor, reading)
 
     def _use(self, topic: str, sensor: AidingSensor, reading: Measurement | Refused) -> None:
         if isinstance(reading, Refused):

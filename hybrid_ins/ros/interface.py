@@ -56,9 +56,9 @@ AIDING = (
         TWIST,
         SENSOR,
         "optional. Velocity of the vehicle in the axes of `base_frame`: wheels, a Doppler log. "
-        "Axes with a variance of 0 or above 100 (m/s)² are not used; all zero: the x axis, with "
-        "`aiding.velocity_std_min`. Used in outages; its scale and its place "
-        "are found with fixes",
+        "Axes with a variance of 0 or above 100 (m/s)² are not used. Where no axis is left and "
+        "that of x is 0: the x axis, with `aiding.velocity_std_min`. Used in outages; its scale "
+        "and its place are found with fixes",
     ),
     Topic(
         "aiding/odometry",
