@@ -32,7 +32,7 @@ from hybrid_ins.core.imu_axes_faults import (
 from hybrid_ins.core.imu_axes_fit import Fit, Motion, fit
 from hybrid_ins.core.imu_axes_motion import WINDOW, MotionWindow, is_long
 from hybrid_ins.core.imu_axes_tolerance import times_by_chance, tolerant_fits
-from hybrid_ins.core.imu_health import LEAST_FORCE
+from hybrid_ins.core.imu_health import GRAVITY, LEAST_FORCE
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,7 @@ BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more
 AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
+MOST_MEAN_FORCE = 1.15 * GRAVITY  # of which the direction is that of gravity
 CONFIRMATIONS = 2  # checks in a row that find the same
 
 AS_GIVEN = ((np.eye(3), np.eye(3)),)
@@ -252,10 +253,11 @@ class ImuAxesCheck:
         """
         Return how the IMU lies by its mean specific force, if it does not lie as given.
 
-        Without gravity, which a driver may have removed, that says nothing.
+        Without gravity, which a driver may have removed, that says nothing, nor does more than
+        gravity: a vehicle that circles, at any bank, has that.
         """
         mean_force = self._window.mean_force()
-        if mean_force is None or np.linalg.norm(mean_force) < LEAST_FORCE:
+        if mean_force is None or not LEAST_FORCE < np.linalg.norm(mean_force) < MOST_MEAN_FORCE:
             return False
         mount = mount_upright(self._mount, mean_force)
         return False if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)

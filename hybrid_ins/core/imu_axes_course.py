@@ -1,5 +1,8 @@
 """
-Kinds of motion, and what a course over ground shows of the mount of an IMU.
+Kinds of motion, and what gravity and the course over ground show of the mount of an IMU.
+
+A force that lasts in the vehicle's axes, as in a long turn, adds to gravity in the mean specific
+force. So a mount is wrong where the attitudes by the fit show the same as that mean.
 """
 
 from __future__ import annotations
@@ -47,6 +50,10 @@ def mount_fault(
 ) -> AxesFault | None:
     """Return the fault if the mount given, (3, 3), does not fit gravity or course."""
     upright = mount_upright(given, accelerometer @ motion.impulse.sum(axis=0))
+    if upright is not None:
+        nearest = mount_upright(given, _mean_up(motion, accelerometer, fitted), least=1.0)
+        if nearest is None or not np.allclose(nearest, upright):
+            upright = None
     mount = given if upright is None else upright
     along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
     if upright is None and along is None:
@@ -57,6 +64,18 @@ def mount_fault(
     return AxesFault(explanation, chosen, turned=True, by_course=by_course)
 
 
+def _attitudes_n(motion: Motion, accelerometer: Array, fitted: Fit) -> Array:
+    """Return the rotations (N, 3, 3) from the IMU's axes, corrected, to n by a fit."""
+    rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
+    C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)
+    return np.asarray(fitted.C_ni @ C @ rotation.T)
+
+
+def _mean_up(motion: Motion, accelerometer: Array, fitted: Fit) -> Array:
+    """Return where up is in the IMU's axes, corrected, on average (3,), by a fit."""
+    return np.asarray(-_attitudes_n(motion, accelerometer, fitted)[:, 2].mean(axis=0))
+
+
 def _mount_along_course(
     motion: Motion, mount: Array, accelerometer: Array, gyroscope: Array, fitted: Fit
 ) -> Array | None:
@@ -64,10 +83,8 @@ def _mount_along_course(
     course, t = courses(motion)
     if not is_winding(course):
         return None
-    rotation = fitted.sign * accelerometer  # from the fit's axes to the IMU's corrected ones
     k = np.clip(((t - motion.t[0]) / STEP).astype(np.intp), 0, len(motion.turn) - 1)
-    C = attitudes(motion.turn @ fitted.gyroscope.T - STEP * fitted.bias)[k]
-    nose_n = np.einsum("ij,kjl,lm,m->ki", fitted.C_ni, C, rotation.T, mount.T[:, 0])
+    nose_n = _attitudes_n(motion, accelerometer, fitted)[k] @ mount.T[:, 0]
     angle = course - np.arctan2(nose_n[:, 1], nose_n[:, 0])
     mean = np.mean(np.exp(1j * angle))
     if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:

@@ -119,10 +119,14 @@ def to_hypothesis(accelerometer: Array, gyroscope: Array) -> tuple[float, Array]
     return sign, (sign * accelerometer).T @ gyroscope
 
 
-def mount_upright(mount: Array, mean_force: Array) -> Array | None:
-    """Return the mount with which a mean specific force points up; None: the given one."""
-    up = mean_force / max(float(np.linalg.norm(mean_force)), 1e-9)
-    if -(mount @ up)[2] > UP:
+def mount_upright(mount: Array, mean_up: Array, least: float = UP) -> Array | None:
+    """
+    Return the mount with which a mean, such as that of the specific force, points up.
+
+    None: the given one, with which the cosine of its angle to up is above ``least``.
+    """
+    up = mean_up / max(float(np.linalg.norm(mean_up)), 1e-9)
+    if -(mount @ up)[2] > least:
         return None
     heights = [-(mount @ rotation @ up)[2] for rotation in ROTATIONS]
     for rotation, height in zip(ROTATIONS, heights, strict=True):  # the least turned first

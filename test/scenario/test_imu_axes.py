@@ -15,7 +15,16 @@ from hybrid_ins.core.imu_axes_faults import AxesFault
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.ros.axes_monitor import describe
 from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.simulation.motions import Motion, quadrotor_flight, random_motion
+from hybrid_ins.simulation.motions import (
+    START_LLA,
+    Motion,
+    integral,
+    motion_through,
+    quadrotor_flight,
+    random_motion,
+    time_grid,
+    velocity_of,
+)
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 from hybrid_ins.simulation.vehicles import VEHICLES, city_car, record
 from tools.vehicles.drives import from_simulation
@@ -311,6 +320,38 @@ def test_a_healthy_vehicle_is_never_accused(name: str) -> None:
     found = [f for _, f in check((t, drive.force, drive.rate, fix_t, drive.fix_lla)) if f]
 
     assert not found, describe(found[0]).text
+
+
+def circling(bank: float) -> Readings:
+    """Return a minute of right turns at 1.5 rev/min and 0.67 g, banked by so many degrees."""
+    t = time_grid(60.0)
+    course = integral(np.full(len(t), 0.25))
+    velocity = velocity_of(np.full(len(t), 26.0), course, np.full(len(t), 0.5))
+    rpy = np.stack((np.full(len(t), np.radians(bank)), np.zeros(len(t)), course), axis=-1)
+    return readings(motion_through(t, velocity, rpy, START_LLA), 60.0)
+
+
+@pytest.mark.parametrize("bank", [33.5, 0.0, -38.0])
+@pytest.mark.parametrize("with_fixes", [True, False])
+def test_a_bank_that_lasts_is_not_taken_for_a_mount(bank: float, with_fixes: bool) -> None:
+    """
+    GIVEN a vehicle that circles, coordinated, flat, or banked outwards by 38 degrees
+    WHEN its mean specific force is up to 71 degrees off its z axis for a minute
+    THEN no mount is named: the attitudes are upright, and without fixes it is more than gravity.
+    """
+    *imu, fix_t, places = circling(bank)
+    run = (*imu, fix_t, places) if with_fixes else (*imu, fix_t[:0], places[:0])
+
+    found = [fault for _, fault in check(run) if fault]
+
+    assert not found, describe(found[0]).text
+
+
+@pytest.mark.parametrize("bank", [33.5, 0.0])
+def test_a_wrong_mount_is_named_in_circles_too(bank: float) -> None:
+    found = [fault for _, fault in check(circling(bank), ON_ITS_SIDE, ON_ITS_SIDE) if fault]
+
+    assert "imu.mount_rpy to [-1.571, 0, 0]" in describe(found[-1]).text
 
 
 @pytest.mark.parametrize(
