@@ -10,6 +10,7 @@ References
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise_hypotheses import clear_slow_std
 from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.position_jumps import PositionJumps
 
@@ -48,6 +50,8 @@ class FilterNoise:
 
     Attributes
     ----------
+    claimed_std : float
+        Horizontal standard deviation [m] that the last position claimed.
     unclaimed_std, excess : float
         Standard deviation [m] of a slow error of fixes, and factor on their variance, that are not
         claimed; see `position_scatter.Split`.
@@ -70,7 +74,7 @@ class FilterNoise:
         self.factors = factors
         self.without_scale = None if factors is None else NoiseMultipleModelBank()
         self.considers_scale = self._explained = False
-        self.unclaimed_std, self.excess = 0.0, 1.0
+        self.claimed_std, self.unclaimed_std, self.excess = math.inf, 0.0, 1.0
         self.jumps = PositionJumps()
         self._suspected: tuple[Correction, Array] | None = None
         self._restarted = False
@@ -119,6 +123,18 @@ class FilterNoise:
     def slow_is_probable(self) -> bool:
         """Whether such an error is more probable than none."""
         return self.factors is not None and self.factors.slow_probability > 0.5
+
+    @property
+    def drifts_beyond_claim(self) -> bool:
+        """
+        Whether it is, and clearly more than positions claim: the receiver is wrong.
+
+        The published covariance contains any. But the hypotheses compare it with the white part of
+        the claim alone, and that of a receiver without corrections is mostly slow: one of them may
+        explain an honest metre for a while.
+        """
+        known = self.unclaimed_std > 0.0 and self.slow_is_probable
+        return known and self.unclaimed_std > clear_slow_std(self.claimed_std)
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""

@@ -7,6 +7,7 @@ clock offset and the place of the antenna.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ from hybrid_ins.core.position_scatter import (
     PositionScatter,
     Split,
     change_slow_error,
+    horizontal_variance,
     residual_variance,
 )
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -178,6 +180,7 @@ class MeasurementUpdate:
             if isinstance(event, PositionFix):
                 noise, claimed = self.noise, event.claimed
                 split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
+                noise.claimed_std = math.sqrt(horizontal_variance(claimed))
                 noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
             fused = self._fuse_ordinary(nav, event, split, age)
             psd_changed = fused is None or self.noise.uses_corrections

@@ -33,6 +33,7 @@ SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small a
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
 SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
 UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
+CLEAR_UNCORRECTED_RATIO = 3.5  # to that, from which it is to blame: none of ``SLOW_STDS`` is
 SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
 STAMP_STDS = np.array([0.01, 0.03, 0.1])  # s, of the stamps of fixes
@@ -100,3 +101,9 @@ def smallest_slow_std(claimed_std):  # type: ignore[no-untyped-def]
     share = np.log(claimed_std / CORRECTED_STD) / np.log(UNCORRECTED_STD / CORRECTED_STD)
     share = min(max(share, 0.0), 1.0)
     return claimed_std * SLOW_RATIO * (UNCORRECTED_RATIO / SLOW_RATIO) ** share
+
+
+def clear_slow_std(claimed_std: float) -> float:
+    """Return the slow error [m] beyond the claimed σ [m] for which a receiver is to blame."""
+    span = (CORRECTED_STD, UNCORRECTED_STD), (SLOW_RATIO, CLEAR_UNCORRECTED_RATIO)
+    return claimed_std * float(np.interp(claimed_std, *span))

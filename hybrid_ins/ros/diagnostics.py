@@ -235,11 +235,11 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "contains such jumps until there was none for minutes; check the receiver and its "
             "corrections"
         )
-    if running.noise.unclaimed_std > 0.0 and running.noise.slow_is_probable:
+    if running.noise.drifts_beyond_claim:
         found["fixes drift by more than they claim"] = (
-            f"fixes drift by about {running.noise.unclaimed_std:.1f} m, more than they claim: the "
-            "published covariance contains it; check the receiver and its corrections, or set "
-            "gnss.position_std_min"
+            f"fixes drift by about {running.noise.unclaimed_std:.1f} m although they claim "
+            f"{running.noise.claimed_std:.2g} m: the published covariance contains it; check the "
+            "receiver and its corrections, or set gnss.position_std_min"
         )
     return found
 
