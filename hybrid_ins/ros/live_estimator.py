@@ -59,9 +59,9 @@ from hybrid_ins.ros.node_arguments import reason_of
 from hybrid_ins.ros.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.output_topics import OutputTopics
 from hybrid_ins.ros.rate_limiter import RateLimiter
+from hybrid_ins.ros.static_transforms import without_tf2
 from hybrid_ins.ros.warm_start import WarmStart
 
-NO_TRANSFORMS = "tf2_msgs is not installed: /tf is not published and /tf_static not read"
 TRANSFORM_RATE = 50.0  # Hz, on /tf
 LAST_MESSAGES = Duration(seconds=0.2)  # of a publisher, to arrive before it is given up
 SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
@@ -170,12 +170,12 @@ class LiveEstimator:
                     event_callbacks=PublisherEventCallbacks(matched=self._topics.find_subscribers),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 )
-        if values["publish_tf"]:
-            if TFMessage is None:
-                self.estimator.inputs.log("info", NO_TRANSFORMS)
-            else:
-                self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
-                self._transform_publisher = node.create_publisher(TFMessage, "/tf", _qos("/tf"))
+        if TFMessage is None:
+            for level, text in without_tf2(values):
+                self.estimator.inputs.log(level, text)
+        elif values["publish_tf"]:
+            self._transforms = TFMessage(transforms=[TransformStamped(), TransformStamped()])
+            self._transform_publisher = node.create_publisher(TFMessage, "/tf", _qos("/tf"))
         self._topics.find_subscribers()
         self._publish_reports()
 

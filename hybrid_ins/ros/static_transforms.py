@@ -8,6 +8,7 @@ installed or not.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,15 @@ Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,) [m] of a chil
 LONGEST_CHAIN = 64
 MOST_FRAMES = 1000  # of a vehicle
 LONGEST_NAME = 256
+
+NOT_PUBLISHED = "tf2_msgs is not installed: /tf is not published"
+NOT_READ = "tf2_msgs is not installed: /tf_static is not read"
+NOT_PLACED = (
+    "tf2_msgs is not installed: /tf_static is not read, and neither imu.position nor "
+    "gnss.antenna_position is given: IMU and antenna are taken to be at the origin of base_frame; "
+    "install tf2_msgs (apt: ros-$ROS_DISTRO-tf2-msgs), set these parameters, or set use_tf_static "
+    "to false if that is so"
+)
 
 
 class StaticTransforms:
@@ -71,3 +81,15 @@ class StaticTransforms:
             frame, (C_parent, p_parent) = self._parents[frame]
             C, p = C_parent @ C, C_parent @ p + p_parent
         return (C, p), frame
+
+
+def without_tf2(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what is missed by checked parameters where tf2_msgs is: levels and texts for a log."""
+    if values["publish_tf"]:
+        yield "info", NOT_PUBLISHED
+    if not values["use_tf_static"]:
+        return
+    if any(values["imu.position"]) or any(values["gnss.antenna_position"]):
+        yield "info", NOT_READ
+    else:
+        yield "warn", NOT_PLACED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import re
@@ -20,6 +21,7 @@ from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, start_pl
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from hybrid_ins.ros.static_transforms import NOT_PLACED
 from tools.processes import Processes
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
@@ -130,6 +132,16 @@ def test_sigterm_ends_the_node_in_order(recorded: tuple[Path, str, int]) -> None
     _, log, status = recorded
     assert status == 0, log
     assert "Traceback" not in log
+
+
+def test_a_node_without_tf2_warns_that_nobody_gives_the_places_of_sensors(
+    recorded: tuple[Path, str, int],
+) -> None:
+    has_tf2 = importlib.util.find_spec("tf2_msgs") is not None
+    lines = [line for line in recorded[1].splitlines() if NOT_PLACED in line]
+
+    assert len(lines) == (0 if has_tf2 else 1)
+    assert all("[WARN]" in line for line in lines)
 
 
 @pytest.fixture

@@ -5,8 +5,14 @@ from types import SimpleNamespace as Namespace
 import numpy as np
 import pytest
 
+from hybrid_ins import parameters
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.ros.static_transforms import LONGEST_NAME, MOST_FRAMES, StaticTransforms
+from hybrid_ins.ros.static_transforms import (
+    LONGEST_NAME,
+    MOST_FRAMES,
+    StaticTransforms,
+    without_tf2,
+)
 
 
 def transform(parent, child, xyz=(0.0, 0.0, 0.0), quat=(0.0, 0.0, 0.0, 1.0)):
@@ -91,3 +97,23 @@ def test_the_tree_does_not_grow_without_bound() -> None:
 
     assert (refused, long_name) == (51, 1)
     assert known.find("base_link", "imu")[1] == pytest.approx([2.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "levels"),
+    [
+        ({}, ["info", "warn"]),
+        ({"publish_tf": False}, ["warn"]),
+        ({"imu.mount_rpy": [0.1, 0.0, 0.0]}, ["info", "warn"]),  # where the sensors are is unknown
+        ({"imu.position": [0.1, 0.0, 0.0]}, ["info", "info"]),
+        ({"gnss.antenna_position": [0.0, 0.0, 1.0]}, ["info", "info"]),
+        ({"publish_tf": False, "use_tf_static": False}, []),
+    ],
+)
+def test_without_tf2_a_warning_asks_for_the_places_that_nobody_gives(values, levels) -> None:
+    found = list(without_tf2({**parameters.defaults(), **values}))
+
+    assert [level for level, _ in found] == levels
+    for text in (text for level, text in found if level == "warn"):
+        assert "/tf_static is not read" in text and "install tf2_msgs" in text
+        assert "imu.position" in text and "gnss.antenna_position" in text
