@@ -14,11 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.filter_noise import FilterNoise
+from hybrid_ins.core.lever_arm_observer import LeverArmObserver
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.noise import NoiseEstimate
 from hybrid_ins.core.position_jumps import PositionJumps
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class AntennaFound:
+    """An earlier filter has found that of the antenna's place; see `LeverArmObserver.or_earlier`."""
+
+    t_ns: int
+    earlier: LeverArmObserver
+    kind: ClassVar[str] = "antenna found"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +92,8 @@ class ScatterInForce:
 
 
 Change = (
-    NoiseEstimate
+    AntennaFound
+    | NoiseEstimate
     | NoiseChange
     | ClockInflation
     | ClockShift

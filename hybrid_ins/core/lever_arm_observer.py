@@ -12,7 +12,8 @@ The estimate is a regression of the innovations on h, with the clock offset of t
 of velocities beside it: straight ahead one is like the other. The state is not corrected by it: who
 says where the antenna is decides what the odometry is of. But an error that is probable is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
-reported. It is told once it is certain. Where the noise factors have risen by what the lever arm
+reported. It is told once it is certain. The antenna is the vehicle's: what one filter has found is
+the prior of the next. Where the noise factors have risen by what the lever arm
 does, the estimate is too short, but no less certain. A lever arm that was not given but found from
 motion is considered from the start on.
 
@@ -128,6 +129,28 @@ class LeverArmObserver(ShallowCopy):
             error, std = self.estimate[:2]
             return np.full(3, float(np.max(error**2 + std**2)))
         return self._values[CONSIDERED]
+
+    @property
+    def has_begun(self) -> bool:
+        """A correction was seen: what an earlier filter has found comes too late."""
+        return self._start_ns > 0
+
+    def or_earlier(self, earlier: LeverArmObserver) -> LeverArmObserver:
+        """
+        Return this, or before its first correction what an earlier filter has found of the antenna.
+
+        The clock offset is another one. Until the heading is known, the mean square of the error
+        may have any direction.
+        """
+        if self.has_begun:
+            return self
+        found, values = self.__copy__(), earlier._values.copy()
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
+        values[PARAMETERS.start] = P[0] = P[:, 0] = 0.0
+        P[0, 0] = MAX_STD**2
+        values[CONSIDERED] = values[CONSIDERED].sum()
+        found._values = values
+        return found
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""

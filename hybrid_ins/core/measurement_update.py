@@ -22,6 +22,7 @@ from hybrid_ins.core.clock_sensitivity import (
     sensitivities,
 )
 from hybrid_ins.core.events import (
+    AntennaFound,
     ClockInflation,
     ClockShift,
     CovarianceInflation,
@@ -174,6 +175,8 @@ class MeasurementUpdate:
         elif isinstance(event, ScatterInForce):
             self.scatter.in_force = True
             self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
+        elif isinstance(event, AntennaFound):
+            self.lever_arm = self.lever_arm.or_earlier(event.earlier)
         elif isinstance(event, Outage):
             self.scale_errors.begin_outage(nav, ring, self._corrected_ns, event.t_ns)
         else:

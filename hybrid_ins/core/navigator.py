@@ -36,6 +36,12 @@ from hybrid_ins.core.stamp_check import ImuStampCheck, MeasurementCheck, StampFa
 Array = NDArray[np.float64]
 
 ATTEMPT_NS = 100_000_000  # between two attempts to align
+STATE_WAS_WRONG = (
+    RestartCause.NOT_FINITE,
+    RestartCause.REPEATED_RESETS,
+    RestartCause.VELOCITIES_WRONG,
+)
+"""What makes a state useless, and what it has shown of the antenna."""
 
 
 class Navigator:
@@ -90,6 +96,7 @@ class Navigator:
     def reset(self) -> None:
         """Discard everything, and align again."""
         self.monitor.discard_biases()
+        self.phases.kept.discard_antenna()
         self._discard_samples()
 
     def realign(self) -> Alignment:
@@ -107,19 +114,16 @@ class Navigator:
         """Give up the state for a cause, and align again."""
         fault = self.monitor.fault if cause is RestartCause.IMU_UNUSABLE else None
         self._events.append(Restarted(cause, fault=fault))
-        self.realign()
+        if cause in STATE_WAS_WRONG:
+            self.phases.kept.discard_antenna()
+        self.realign().forget_parameter()
         self.monitor.fault = fault
-        self._ignore_given_heading()
 
-    def _discard_samples(self) -> None:
+    def _discard_samples(self) -> Alignment:
         self.ring.clear()
         self.stamps.reset()
         self._measurements.reset()
-        self.realign()
-
-    def _ignore_given_heading(self) -> None:
-        if self.alignment is not None:
-            self.alignment.forget_parameter()
+        return self.realign()
 
     @property
     def phase(self) -> Phase:
@@ -199,10 +203,10 @@ class Navigator:
         else:
             self._events.append(Restarted(RestartCause.NO_SAMPLES, seconds))
             kept = heading_after(seconds, self.filter, self.monitor.standing)
-            self._discard_samples()
-            self._ignore_given_heading()
-            if kept is not None and self.alignment is not None:
-                self.alignment.set_yaw(t_ns, *kept)
+            alignment = self._discard_samples()
+            alignment.forget_parameter()
+            if kept is not None:
+                alignment.set_yaw(t_ns, *kept)
 
     # From no state to one filter.
 

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment import Alignment
 from hybrid_ins.core.clock_comparison import Comparison, compare, is_excluded, lacking_std
 from hybrid_ins.core.clock_search import OFFSET_STD, ClockSearch
-from hybrid_ins.core.events import Change, ClockInflation, ScatterInForce
+from hybrid_ins.core.events import Change, ClockInflation
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.heading_check import correction, is_contradicted
 from hybrid_ins.core.ins_filter import InsFilter, hand_over
+from hybrid_ins.core.kept_knowledge import KeptKnowledge
 from hybrid_ins.core.measurements import Measurement
 from hybrid_ins.core.multiple_model import Decision, MultipleModelBank
 from hybrid_ins.core.navigator_events import ClockOffsetFound, Event, HeadingCorrected
@@ -40,7 +41,6 @@ from hybrid_ins.core.phases import (
     search_clock,
     search_heading_and_clock,
 )
-from hybrid_ins.core.position_jumps import PositionJumps
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck
 
@@ -71,6 +71,8 @@ class PhaseMachine:
     phase : Aligning, Searching or Running
     filter : InsFilter or None
         The filter while running.
+    kept : KeptKnowledge
+        What filters have learned for those after them.
     clock_open : bool
         The clock offset of the fixes is to be found: from `open_clock` on until it is.
     """
@@ -89,7 +91,7 @@ class PhaseMachine:
         self._events = events
         self._record = record
         self.clock_open = False
-        self._jumps = PositionJumps()  # of the fixes, that the last filter has learned
+        self.kept = KeptKnowledge()
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -97,16 +99,14 @@ class PhaseMachine:
         """Discard all filters, and align."""
         if self._record is not None:
             self._record.begin()
+        self.kept.on_restart(self.filter)
         self._enter(Aligning(alignment))
 
     def _enter(self, phase: Phase) -> None:
         """Change the phase; every transition passes here."""
-        if self.filter is not None:
-            self._jumps = self.filter.noise.jumps
-        if phase.filter is not None and phase.filter is not self.filter:
-            phase.filter.submit(ScatterInForce(phase.filter.t_ns, self._jumps))
-        self.phase = phase
+        ended, self.phase = self.filter, phase
         self.filter = phase.filter  # beside the phase: read at every sample
+        self.kept.hand_over(ended, self.filter, self.filters)
         self._stamps.steady_ns = self._stamps.short_ns
         if phase.filter is not None:
             if self._record is not None:
