@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class AntennaFound:
-    """An earlier filter has found that of the antenna's place; see `LeverArmObserver.or_earlier`."""
+    """What an earlier filter has found of the antenna's place: `LeverArmObserver.or_earlier`."""
 
     t_ns: int
     earlier: LeverArmObserver

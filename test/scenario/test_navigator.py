@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
-from support.scenes import make_navigator, play, scene, stamp
+from support.scenes import Parts, make_navigator, play, scene, stamp
 
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.ins_filter import NOT_MEASURED
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator_events import GapBridged, RestartCause, Restarted
+from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.samples import SAMPLE_DTYPE
 from hybrid_ins.core.stamp_check import StampFault
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
+from hybrid_ins.core.state import ANTENNA_VARIANCE, COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -151,6 +153,60 @@ def test_long_gap_ends_dead_reckoning_and_alignment_follows(flight) -> None:
     assert navigator.filter is not None
     assert flight.errors(navigator, 60.0)[0] < 0.4
     assert flight.errors(navigator, 60.0)[2] < 0.1
+
+
+@pytest.fixture
+def found_elsewhere():
+    """Return a flight with an antenna that nobody gave, and a navigator that has found it."""
+
+    class Learning(Parts):
+        def noise(self, period: float) -> FilterNoise:
+            fixed = super().noise(period)
+            return FilterNoise(fixed.model, fixed.process, NoiseMultipleModelBank())
+
+    run = scene(quadrotor_flight(70.0, 4, heading=0.7), seed=4, lever_arm_b=(0.8, -0.4, 0.6))
+    navigator = make_navigator("auto", parts=Learning())
+    play(run, navigator, stop=45.0)
+    assert navigator.filter is not None and navigator.filter.lever_arm.is_certain
+    return run, navigator
+
+
+@pytest.mark.parametrize("cause", ["gap", "stamps went back", "by hand"])
+def test_an_antenna_that_was_found_is_considered_after_a_restart(found_elsewhere, cause) -> None:
+    """GIVEN a restart THEN before the motion shows the antenna again the covariance holds it."""
+    run, navigator = found_elsewhere
+    before, start = navigator.filter.lever_arm, 48.0 if cause == "gap" else 45.0
+    if cause == "by hand":
+        navigator.realign()
+    elif cause == "stamps went back":
+        start = 20.0
+    variances = []
+
+    def note(t: float) -> None:
+        if navigator.phase.best is not None:
+            variances.append(navigator.phase.best.nav[ANTENNA_VARIANCE].copy())
+
+    play(run, navigator, start=start, stop=start + 15.0, after=note)
+
+    size = float(before.error_b @ before.error_b)
+    assert len(variances) > 500 and np.min(np.sum(variances, axis=1)) > 0.5 * size
+    after = navigator.filter.lever_arm
+    assert np.linalg.norm(after.error_b - [0.8, -0.4, 0.6]) < 0.4
+
+
+@pytest.mark.parametrize("restart", ["reset", "wrong"])
+def test_what_a_wrong_filter_has_found_of_the_antenna_is_discarded(
+    found_elsewhere, restart
+) -> None:
+    run, navigator = found_elsewhere
+    if restart == "reset":
+        navigator.reset()
+    else:
+        navigator.give_up(RestartCause.REPEATED_RESETS)
+
+    play(run, navigator, start=45.0, stop=48.0)
+
+    assert not navigator.phase.best.nav[ANTENNA_VARIANCE].any()
 
 
 def test_heading_survives_a_gap_of_a_vehicle_that_stands() -> None:

@@ -59,6 +59,7 @@ def make_navigator(
     bias_a: ArrayLike = (0.0, 0.0, 0.0),
     bias_g: ArrayLike = (0.0, 0.0, 0.0),
     lever_b: ArrayLike = (0.0, 0.0, 0.0),
+    parts: Parts | None = None,
 ) -> Navigator:
     settings = AlignmentSettings(
         source,
@@ -71,7 +72,7 @@ def make_navigator(
         np.array(bias_g),
         np.full(3, 0.01),
     )
-    return Navigator(settings, Parts(lever_b), max_gap)
+    return Navigator(settings, parts or Parts(lever_b), max_gap)
 
 
 @dataclass

@@ -9,8 +9,10 @@ import pytest
 from support.analytic_motion import difference
 from support.runs import begin
 
+from hybrid_ins.core.clock_offset import MAX_STD
+from hybrid_ins.core.events import AntennaFound
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.lever_arm_observer import SENSITIVITIES
+from hybrid_ins.core.lever_arm_observer import P_PARAMETERS, SENSITIVITIES
 from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
@@ -117,3 +119,33 @@ def test_what_the_clock_does_is_no_lever_arm() -> None:
     run = replace(run, fixes=fixes)
 
     assert filtered(run, np.zeros(3)).lever_arm.distance < 2.5
+
+
+def test_what_one_filter_has_found_is_the_prior_of_the_next() -> None:
+    """
+    GIVEN a filter that has found an antenna elsewhere
+    WHEN another one begins
+    THEN it considers that error from the start, in any direction, and goes on from it.
+    """
+    run = draw(FLIGHT, 1)
+    earlier = filtered(run, -np.array([0.6, -0.2, 0.3]))
+    known = earlier.lever_arm
+    begun = begin(run)
+    begun.submit(AntennaFound(begun.t_ns, earlier.update.lever_arm))
+
+    assert known.is_certain and begun.lever_arm.is_certain
+    np.testing.assert_array_equal(begun.lever_arm.error_b, known.error_b)
+    np.testing.assert_allclose(begun.lever_arm.std, known.std)
+    total = earlier.nav[ANTENNA_VARIANCE].sum()
+    np.testing.assert_allclose(begun.nav[ANTENNA_VARIANCE], np.full(3, total))
+    assert begun.update.lever_arm._values[P_PARAMETERS][:5].tolist() == [MAX_STD**2, 0, 0, 0, 0]
+
+
+def test_an_earlier_finding_comes_too_late_for_a_filter_that_has_its_own() -> None:
+    run = draw(FLIGHT, 1)
+    earlier, running = filtered(run, -np.array([0.6, -0.2, 0.3])), filtered(run, np.zeros(3))
+    own = running.lever_arm.error_b
+    running.submit(AntennaFound(running.t_ns, earlier.update.lever_arm))
+
+    np.testing.assert_array_equal(running.lever_arm.error_b, own)
+    assert not running.lever_arm.is_certain
