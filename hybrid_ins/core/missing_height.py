@@ -7,7 +7,9 @@ frame are wrong with it. That no vehicle climbs or descends for long is assumed,
 
 A height that was never given is not estimated but considered, as the slow error of
 `position_scatter` is: in the filter, whose nonlinearity grows with the errors of position, a
-kilometre would make horizontal fixes evidence on the attitude. The first height ends it.
+kilometre would make horizontal fixes evidence on the attitude. The first height ends it. Heights
+that turn out to be frozen were never given; what the filter has made of them is a vertical velocity
+of zero that it was too sure of.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.constraint_observer import inflated
+from hybrid_ins.core.events import CovarianceInflation
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import ASSUMED, PositionFix
 from hybrid_ins.core.state import DV, N_ERROR, VELOCITY
@@ -28,6 +32,7 @@ Array = NDArray[np.float64]
 
 CLIMB_STD = 3.0  # m/s: steep roads have 1, drones, helicopters and gliders 2 to 5
 CLIMB_TIME = 30.0  # s, that a climb lasts
+FROZEN_STD = 1.0  # m/s, of the climb that frozen heights have hidden: a road at 15 m/s has less
 PERIOD_NS = 1_000_000_000  # between two measurements
 UNKNOWN_HEIGHT_STD = 1000.0  # m: land is 0.8 km above the sea on average
 MISSING_NS = 5_000_000_000  # without a height
@@ -59,15 +64,22 @@ class MissingHeight:
 
     def restart(self) -> None:
         """Forget the fixes before a restart: stamps may have gone back."""
-        self._fix_ns = self._height_ns = self._next_ns = 0
+        self._fix_ns = self._height_ns = self._next_ns = self._frozen_ns = 0
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Note a fix that was fused."""
         fix = verdict.measurement
         if isinstance(fix, PositionFix) and verdict.accepted:
             self._fix_ns = fix.t_ns
-            if math.isfinite(fix.lla[2]):
+            if math.isfinite(fix.lla[2]) and fix.t_ns >= self._frozen_ns:
                 self._height_ns = fix.t_ns
+
+    def on_frozen(self, found: FrozenHeight) -> CovarianceInflation:
+        """Note that the heights so far were none; return what that is to the filter."""
+        self._frozen_ns, self._height_ns, self._next_ns = found.t_ns, 0, 0
+        std = np.zeros(N_ERROR)
+        std[DV.stop - 1] = FROZEN_STD
+        return CovarianceInflation(found.t_ns, std, np.zeros(3))
 
     def measurement(self, t_ns: int) -> LevelMotion | None:
         """Return what is to be measured at a stamp [ns]; None while fixes have heights, or fail."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Alignment, AlignmentSettings
 from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.frozen_height import FrozenHeightCheck
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_monitor import ImuMonitor
 from hybrid_ins.core.ins_filter import InsFilter
@@ -88,6 +89,7 @@ class Navigator:
         self.phases = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
         self._alignment_settings = alignment
         self._record = record
+        self._heights = FrozenHeightCheck(self._events.append)
         self._measurements = MeasurementCheck(parts.speed_check)
         self.reset()
 
@@ -237,6 +239,7 @@ class Navigator:
 
     def measure(self, measurement: Measurement) -> None:
         """Use an aiding measurement; its verdict appears among the events."""
+        measurement = self._heights.checked(measurement)
         refused = self._measurements.check(measurement, self.stamps, speed(self.phase))
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from hybrid_ins.core.alignment import yaw_of
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import ImuFault
 from hybrid_ins.core.state import NavState
@@ -90,4 +91,5 @@ Event = (
     | ClockOffsetFound
     | HeadingCorrected
     | Contradiction
+    | FrozenHeight
 )

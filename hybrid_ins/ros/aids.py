@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from hybrid_ins.core.fix_watch import FixWatch
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.measurements import GNSS
 from hybrid_ins.core.missing_height import MissingHeight
 from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.core.navigator_events import Event
 from hybrid_ins.core.outage_monitor import OutageMonitor
 from hybrid_ins.ros.aiding_sources import AidingSources
 from hybrid_ins.ros.diagnostics import aiding_verdict_status
@@ -68,13 +70,17 @@ class Aids:
         self.vehicle.restart()
         self.sources.restart()
 
-    def on_verdict(self, verdict: Verdict) -> None:
-        """Note a fix; report the verdict on another sensor's reading."""
-        if verdict.measurement.sensor == GNSS:
-            self._fixes.on_verdict(verdict)
-            self._height.on_verdict(verdict)
+    def on_event(self, event: Event) -> None:
+        """Note a fix, or that heights are none; report the verdict on another sensor's reading."""
+        if isinstance(event, FrozenHeight):
+            self._navigator.phases.submit(self._height.on_frozen(event))
+        elif not isinstance(event, Verdict):
+            return
+        elif event.measurement.sensor == GNSS:
+            self._fixes.on_verdict(event)
+            self._height.on_verdict(event)
         else:
-            self._report("aiding/verdict", aiding_verdict_status(verdict))
+            self._report("aiding/verdict", aiding_verdict_status(event))
 
     def run_periodic(self, t_ns: int) -> list[Report]:
         """Do what is due at a stamp [ns]; return what is to be published."""

@@ -289,8 +289,8 @@ class Estimator:
         """Report what happened in the navigator, and follow it."""
         self.reporter.on_event(event)
         self._review.on_event(event)
+        self.aids.on_event(event)
         if isinstance(event, Verdict):
-            self.aids.on_verdict(event)
             self.clock.on_verdict(event)
         elif isinstance(event, Restarted):
             self._restart(event.cause in KEEP_CLOCK)

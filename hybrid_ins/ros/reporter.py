@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gap import LONG_GAP
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.ins_filter import TOO_OLD
@@ -135,6 +136,9 @@ class Reporter:
                 "warn",
                 f"gnss/velocity contradicts gnss/fix, and is not used until it agrees: {text}",
             )
+        elif isinstance(event, FrozenHeight):
+            text = wording.describe_frozen_height(event)
+            self._inputs.count_and_warn("gnss/fix", Refused("gnss: altitude frozen", text))
         elif isinstance(event, FaultFound):
             name, text = wording.name_of_fault(event.fault), wording.describe_fault(event.fault)
             self._inputs.count_and_warn("imu/data", Refused(name, text))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import Need, Waiting
 from hybrid_ins.core.clock_search import ClockSearch
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.multiple_model import MultipleModelBank
@@ -133,6 +134,15 @@ def describe_contradiction(found: Contradiction) -> str:
         f"in {found.seconds:.0f} s the positions moved by {moved} and the velocities add up to "
         f"{summed}: let the driver publish m/s along east, north, up (not north first, nor along "
         "the vehicle)"
+    )
+
+
+def describe_frozen_height(found: FrozenHeight) -> str:
+    """Return what was measured as the height all the time, and the remedy."""
+    return (
+        f"altitude stays at {found.height:.8g} m, to the last digit, in {found.count} fixes and "
+        f"over {found.way:.0f} m: it is not used until it changes, and the height is unknown; let "
+        "the driver fill it, or leave it NaN"
     )
 
 

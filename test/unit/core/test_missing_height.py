@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from support.runs import begin
 
+from hybrid_ins.core.frozen_height import FrozenHeight
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.missing_height import (
     CLIMB_STD,
     CLIMB_TIME,
+    FROZEN_STD,
     MISSING_NS,
     UNKNOWN_HEIGHT_STD,
     LevelMotion,
@@ -68,6 +70,22 @@ def test_a_height_that_was_never_given_is_said_to_be_unknown() -> None:
 
     assert never is not None and never.height_variance == UNKNOWN_HEIGHT_STD**2
     assert once is not None and once.height_variance == 0.0
+
+
+def test_frozen_heights_were_never_given() -> None:
+    """GIVEN a fix with such a height that is fused late THEN it is no height either."""
+    watch = MissingHeight()
+    watch.on_verdict(_verdict(10.0, 0.0))
+    inflation = watch.on_frozen(FrozenHeight(11 * SECOND, 0.0, 40, 120.0))
+    watch.on_verdict(_verdict(10.8, 0.0))
+    watch.on_verdict(_verdict(11.0, np.nan))
+    at_once = watch.measurement(11 * SECOND)
+    watch.on_verdict(_verdict(12.0, 80.0))
+
+    assert at_once is not None and at_once.height_variance == UNKNOWN_HEIGHT_STD**2
+    assert inflation.t_ns == 11 * SECOND and np.flatnonzero(inflation.std).tolist() == [5]
+    assert inflation.std[5] == FROZEN_STD
+    assert watch.measurement(12 * SECOND) is None
 
 
 def test_many_of_them_know_the_mean_climb_as_well_as_climbs_allow() -> None:
