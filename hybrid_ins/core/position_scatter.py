@@ -59,6 +59,7 @@ SMALLEST = 0.03  # share of the claimed variance
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
 SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
 LEAST_SEARCHED = 0.1  # of the given share, while a heading or a clock is searched for
+REFLECTED_STD = 1.5  # m, likewise: reflections near walls last for seconds, and scatter little
 LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
 LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
@@ -100,7 +101,8 @@ class PositionScatter(ShallowCopy):
     in_force : bool
         Positions are fused with the learned share. Otherwise, while heading or clock are searched
         for, with no more than the given one, since a wrong heading looks like scatter, and with no
-        less than a tenth of it: else the model's other errors are evidence on both.
+        less than a tenth of it, nor than ``REFLECTED_STD``: else the model's other errors are
+        evidence on both. What a position claims beyond the smallest claim counts in full.
     """
 
     def __init__(self, given: float = 1.0, learning: bool = False) -> None:
@@ -111,16 +113,22 @@ class PositionScatter(ShallowCopy):
         self.learned = given
         self._t_ns = 0  # of the last position
         self.in_force = False
+        self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
 
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""
-        share = self.learned
-        if not self.in_force:
-            share = min(max(share, LEAST_SEARCHED * self._given), self._given)
         horizontal = horizontal_variance(claimed)
+        share = self.learned if self.in_force else self._searched(horizontal)
         if share >= 1.0:
             return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected
         return max(share, min(1.0, SMALLEST_STD**2 / horizontal))
+
+    def _searched(self, horizontal: float) -> float:
+        """Return the share for a claimed variance [m²] while heading or clock are searched for."""
+        usual = min(self._usual, horizontal)
+        least = self._given * max(LEAST_SEARCHED, min(1.0, REFLECTED_STD**2 / usual))
+        share = min(max(self.learned, least), self._given)
+        return (usual * share + (horizontal - usual) * self._given) / horizontal
 
     @property
     def _largest_expected(self) -> float:
@@ -142,6 +150,7 @@ class PositionScatter(ShallowCopy):
         fix_factor : float
             On the white part, by the innovations: the split is made for it.
         """
+        self._usual = min(self._usual, horizontal_variance(claimed))
         share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
         if share > self._largest_expected:

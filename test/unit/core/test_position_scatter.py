@@ -10,6 +10,7 @@ from hybrid_ins.core import iterated_update
 from hybrid_ins.core.position_scatter import (
     LEAST_SEARCHED,
     MARGIN,
+    REFLECTED_STD,
     PositionScatter,
     change_slow_error,
     residual_variance,
@@ -113,7 +114,20 @@ def test_a_larger_share_than_the_given_one_waits_until_it_is_in_force(
     before = copy.copy(found)
     before.in_force = False
     assert found.share(np.eye(3)) == (found.learned if waits else pytest.approx(0.05, abs=0.03))
-    assert before.share(np.eye(3)) == (1.0 if waits else LEAST_SEARCHED)
+    assert before.share(1e3 * np.eye(3)) == (1.0 if waits else LEAST_SEARCHED)
+
+
+def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None:
+    # GIVEN positions that scatter by a twentieth of what they claim, while a heading is searched for
+    found = learned(0.2, 1.0, 0.02)
+    found.in_force = False
+    metres, one = 9.0 * np.eye(3), np.eye(3)
+    # THEN no position counts as better than reflections near walls leave it
+    assert found.share(one) == 1.0
+    assert found.share(metres) * 9.0 == pytest.approx(REFLECTED_STD**2)
+    # AND what one claims beyond the smallest claim counts in full: the receiver sees them
+    found.split(metres, SECOND, 0.0)
+    assert found.share(4.0 * metres) * 36.0 == pytest.approx(REFLECTED_STD**2 + 27.0)
 
 
 def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
