@@ -118,7 +118,7 @@ def test_a_larger_share_than_the_given_one_waits_until_it_is_in_force(
 
 
 def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None:
-    # GIVEN positions that scatter by a twentieth of what they claim, while a heading is searched for
+    # GIVEN positions that scatter by less than they claim, while a heading is searched for
     found = learned(0.2, 1.0, 0.02)
     found.in_force = False
     metres, one = 9.0 * np.eye(3), np.eye(3)
