@@ -13,7 +13,7 @@ from hybrid_ins.calibration.drift import SIGNIFICANT
 from hybrid_ins.calibration.fit import KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.clock_prior import ClockDrift
+from hybrid_ins.core.clock_prior import UNKNOWN_DRIFT, ClockDrift
 from hybrid_ins.parameters import PARAMETERS
 from hybrid_ins.ros.conversions import clock_drift
 
@@ -101,7 +101,7 @@ def _drift(fitted: Fit, given: ClockDrift) -> ClockDrift:
     found = fitted.drift
     if found.value:
         return ClockDrift(found.value, math.hypot(found.std, BETWEEN))
-    return given if abs(given.mean) < SIGNIFICANT * found.std else ClockDrift()
+    return given if abs(given.mean) < SIGNIFICANT * found.std else UNKNOWN_DRIFT
 
 
 def _velocity_age(fitted: Fit) -> Row:

@@ -184,7 +184,8 @@ def calibrate(
     )
     found.values.update(changed)
     for row in rows:
-        found.add(*row, *["gnss.time_offset.drift"] * (row[0] == DRIFT))
+        names = ("gnss.time_offset.drift",) if row[0] == DRIFT else ()
+        found.add(*row, *names)
     if fitted.drift.value:
         found.values["gnss.time_offset.estimate"] = True
     offsets = [fitted.offset(k) for k in range(len(recordings))]

@@ -16,6 +16,7 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding_measurements import BodyVelocity
 from hybrid_ins.core.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.gap import LONG_GAP
 from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.samples import sample_period
@@ -32,7 +33,6 @@ Array = NDArray[np.float64]
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
-MAX_GAP = 0.5  # s without samples, within the stretch that is used
 MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
@@ -328,7 +328,7 @@ def _truth(
 
 def _longest_without_gap(stamps: NDArray[np.int64]) -> slice:
     """Return the longest range of samples without a gap."""
-    edges = np.flatnonzero(np.diff(stamps) > MAX_GAP * 1e9) + 1
+    edges = np.flatnonzero(np.diff(stamps) > LONG_GAP * 1e9) + 1
     starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(stamps)]))
     best = int(np.argmax(stops - starts))
     return slice(int(starts[best]), int(stops[best]))

@@ -35,7 +35,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
+from hybrid_ins.core.clock_prior import UNKNOWN_DRIFT, ClockDrift, ClockPrior
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.noise import Correction
@@ -98,7 +98,7 @@ class ClockOffsetObserver:
         self,
         std: float,
         prior: ClockPrior | None = None,
-        drift: ClockDrift = ClockDrift(),  # noqa: B008
+        drift: ClockDrift = UNKNOWN_DRIFT,
     ) -> None:
         self.prior = prior
         self._drift = drift

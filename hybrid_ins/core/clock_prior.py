@@ -38,6 +38,9 @@ class ClockDrift(NamedTuple):
     std: float = 1e-4
 
 
+UNKNOWN_DRIFT = ClockDrift()
+
+
 class ClockPrior(NamedTuple):
     """
     Offsets that are expected.

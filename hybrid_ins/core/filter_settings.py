@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.clock_offset import MAX_STD, ClockOffsetObserver
-from hybrid_ins.core.clock_prior import ClockDrift, ClockPrior
+from hybrid_ins.core.clock_prior import UNKNOWN_DRIFT, ClockDrift, ClockPrior
 from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import Gate
 from hybrid_ins.core.lever_arm_observer import LeverArmObserver
@@ -56,7 +56,7 @@ class FilterSettings:
     max_delay: float = 1.0
     clock_std: float = MAX_STD
     clock_prior: ClockPrior | None = None
-    clock_drift: ClockDrift = ClockDrift()  # noqa: RUF009
+    clock_drift: ClockDrift = UNKNOWN_DRIFT
     consider_clock: bool = False
     keep_record: bool = False
     position_scatter: float = 1.0

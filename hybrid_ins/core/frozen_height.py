@@ -6,7 +6,7 @@ longitude go on, and a filter that fuses the altitude is metres off with a covar
 centimetres. No ground is level to the last bit of a number over a hundred metres, and no receiver
 without noise. Altitudes that are rounded stay the same for longer on level ground, or on water: the
 smallest change so far is taken for what they are rounded to. A simulator without noise on a plane
-looks like such a receiver; nothing but a vertical variance comes of it.
+looks like such a receiver: its height drifts then, with a covariance that says so.
 """
 
 from __future__ import annotations

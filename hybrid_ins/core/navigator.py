@@ -195,8 +195,7 @@ class Navigator:
             return
         step_ns = t_ns - self.stamps.last_ns
         seconds = abs(step_ns) * 1e-9
-        bridged = 0 < step_ns <= self.stamps.max_gap_ns
-        if bridged and outlasts(self.filter, reading, seconds):
+        if 0 < step_ns <= self.stamps.max_gap_ns and outlasts(self.filter, reading, seconds):
             self._events.append(GapBridged(seconds))
         elif step_ns < 0:
             self._events.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))

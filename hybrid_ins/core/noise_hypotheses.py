@@ -17,6 +17,7 @@ from hybrid_ins.core.position_scatter import (
     SLOW_AXES,
     SLOW_TIME,
     UNCORRECTED_STD,
+    uncorrected,
 )
 
 DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
@@ -105,5 +106,5 @@ def smallest_slow_std(claimed_std):  # type: ignore[no-untyped-def]
 
 def clear_slow_std(claimed_std: float) -> float:
     """Return the slow error [m] beyond the claimed σ [m] for which a receiver is to blame."""
-    span = (CORRECTED_STD, UNCORRECTED_STD), (SLOW_RATIO, CLEAR_UNCORRECTED_RATIO)
-    return claimed_std * float(np.interp(claimed_std, *span))
+    rise = CLEAR_UNCORRECTED_RATIO - SLOW_RATIO
+    return claimed_std * (SLOW_RATIO + rise * uncorrected(claimed_std))

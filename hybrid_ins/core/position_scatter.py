@@ -186,9 +186,13 @@ def horizontal_variance(covariance_n: Array) -> float:
 
 def _least_slow(claimed: Array) -> float:
     """Return the share of a claimed covariance (m, m) that is slow at the least."""
-    std = math.sqrt(horizontal_variance(claimed))
-    uncorrected = (std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
-    return LEAST_SLOW * min(max(uncorrected, 0.0), 1.0)
+    return LEAST_SLOW * uncorrected(math.sqrt(horizontal_variance(claimed)))
+
+
+def uncorrected(claimed_std: float) -> float:
+    """Return how far a claimed σ [m] is that of a receiver without corrections, 0 to 1."""
+    share = (claimed_std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
+    return min(max(share, 0.0), 1.0)
 
 
 @kernel()

@@ -135,9 +135,10 @@ def claims_no_variance(message: Message) -> bool:
 
     Drivers of wheels do that: all are 0, or those of the other axes say that they are not measured.
     """
+    if message.twist.covariance[0] != 0.0:
+        return False
     velocity, covariance = _twist(message)
-    variance = np.diag(covariance)
-    return bool(variance[0] == 0.0 and not np.any(_usable(velocity, variance)))
+    return not np.any(_usable(velocity, np.diag(covariance)))
 
 
 def substituted(message: Message, std: float) -> str:
@@ -146,8 +147,7 @@ def substituted(message: Message, std: float) -> str:
 
     Where all are 0 they are unknown, as ROS says: nothing is wrong.
     """
-    variance = np.diag(_twist(message)[1])
-    if not (claims_no_variance(message) and np.any(variance)):
+    if not (claims_no_variance(message) and np.any(np.diag(_twist(message)[1]))):
         return ""
     return (
         "the variance of the velocity along x is 0, and those of the other axes say that they are "

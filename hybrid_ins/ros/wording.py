@@ -18,12 +18,7 @@ from hybrid_ins.core.gate import Verdict
 from hybrid_ins.core.imu_health import FaultKind, ImuFault
 from hybrid_ins.core.multiple_model import MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import (
-    GapBridged,
-    HeadingCorrected,
-    RestartCause,
-    Restarted,
-)
+from hybrid_ins.core.navigator_events import GapBridged, HeadingCorrected, RestartCause, Restarted
 from hybrid_ins.core.phases import Aligning, Searching
 from hybrid_ins.core.stamp_check import StampFault
 from hybrid_ins.core.velocity_check import Contradiction
