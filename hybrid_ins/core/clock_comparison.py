@@ -8,7 +8,7 @@ import math
 from enum import Enum, auto
 
 from hybrid_ins.core.clock_search import OFFSET_KNOWN, ClockSearch
-from hybrid_ins.core.heading_check import correction
+from hybrid_ins.core.heading_check import check
 from hybrid_ins.core.ins_filter import InsFilter
 
 CONFIRMATION, CONTRADICTION = 1.0, 2.0
@@ -55,7 +55,7 @@ def compare(running: InsFilter, search: ClockSearch) -> Comparison:
 
 def is_excluded(provisional: InsFilter, search: ClockSearch) -> bool:
     """Return whether a search excludes the offset or the heading of a provisional filter."""
-    return search.shift_is_certain or correction(provisional, search) is not None
+    return search.shift_is_certain or check(provisional, search).corrected is not None
 
 
 def lacking_std(provisional: InsFilter, search: ClockSearch) -> float:

@@ -5,7 +5,8 @@ A heading that was given (by hand, by a magnetometer, by the course) may be wron
 its standard deviation, and a filter that starts with it does not find out: it explains the
 innovations by biases and tilt. So it is one hypothesis among others, [1]_, until the motion has
 shown which is right. Long before one of the others is known to be right the given one may be known
-to be wrong: the state is then that of all others together.
+to be wrong: the state is then that of all others together. From when the others are the more
+probable ones until then, what they are off it is part of its reported variance.
 
 References
 ----------
@@ -16,13 +17,14 @@ References
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment import yaw_of
 from hybrid_ins.core.ins_filter import InsFilter, state_at_imu
-from hybrid_ins.core.multiple_model import MultipleModelBank
+from hybrid_ins.core.multiple_model import MultipleModelBank, headings
 from hybrid_ins.core.navigator_events import HeadingCorrected
 from hybrid_ins.core.state import HEADING_VARIANCE, QUAT, NavState
 
@@ -30,7 +32,8 @@ Array = NDArray[np.float64]
 
 WRONG = 0.1  # prior probability that a given heading is wrong
 SIGNIFICANT = 3.0  # standard deviations
-EXCLUDED = 0.01  # probability of a heading that is given up
+DOUBTFUL = 0.5  # probability of a heading below which others are the more probable ones
+EXCLUDED = 0.01  # that of one that is given up
 GROSS = 0.5  # rad; the filter corrects a smaller error by itself
 
 
@@ -46,9 +49,16 @@ def is_contradicted(state: NavState, found: NavState) -> bool:
     return abs(turn) > max(GROSS, SIGNIFICANT * std)
 
 
-def correction(running: InsFilter, bank: MultipleModelBank) -> HeadingCorrected | None:
+class HeadingCheck(NamedTuple):
+    """What the motion shows of the heading of a filter."""
+
+    doubt: float  # rad², that its variance lacks while other headings are more probable
+    corrected: HeadingCorrected | None = None  # the motion excludes it, and shows this
+
+
+def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
     """
-    Return what the motion shows of the heading if it excludes that of a filter; else None.
+    Compare the heading of a filter with those of others.
 
     Parameters
     ----------
@@ -58,10 +68,16 @@ def correction(running: InsFilter, bank: MultipleModelBank) -> HeadingCorrected 
         The filters beside it, which may be behind.
     """
     if not bank.motion.shown:
-        return None
+        return HeadingCheck(0.0)
     best = yaw_of(state_at_imu(bank.best, bank.best.nav)[QUAT])
     own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.flat_state()[HEADING_VARIANCE])
-    if bank.probability(own - best, max(GROSS, SIGNIFICANT * std)) > EXCLUDED:
-        return None
+    turns = headings(bank.filters, bank.best) - (own - best)
+    off = np.abs((turns + math.pi) % (2.0 * math.pi) - math.pi)
+    weights = np.exp(bank.log_weights)
+    weights /= weights.sum()
+    probability = float(weights[off < max(GROSS, SIGNIFICANT * std)].sum())
+    doubt = float(weights @ off**2) if probability < DOUBTFUL else 0.0
+    if probability > EXCLUDED:
+        return HeadingCheck(doubt)
     mean, sigma = bank.heading()
-    return HeadingCorrected(own, best + mean, sigma)
+    return HeadingCheck(doubt, HeadingCorrected(own, best + mean, sigma))

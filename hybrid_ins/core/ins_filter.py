@@ -30,6 +30,7 @@ from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings
 from hybrid_ins.core.scale_errors import ScaleErrors
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
+    HEADING_DOUBT,
     LAST_SAMPLE,
     N_NAV,
     PSD,
@@ -45,6 +46,7 @@ MIN_GAP = 0.025  # s
 TOO_OLD = "too old"  # the reason of a measurement that comes too late
 NOT_MEASURED = "no IMU samples at its time"  # of one that lies in a long gap of them
 LONG_GAP_NS = int(gap.LONG_GAP * 1e9)
+OWN = slice(0, HEADING_DOUBT)  # what goes back in a rewind: others know how doubtful the heading is
 
 
 class InsFilter:
@@ -285,7 +287,7 @@ class InsFilter:
         again = self._history.rewind(late.t_ns)
         if self.record is not None:
             self.record.rewind(self._history.count)
-        self.nav[:N_NAV], self.t_ns, self.update = point.nav, point.t_ns, point.update
+        self.nav[OWN], self.t_ns, self.update = point.nav[OWN], point.t_ns, point.update
         self._checkpoint()
         decided, self.verdicts = self.verdicts, deque()
         self._pending = sorted([*again, late], key=order)

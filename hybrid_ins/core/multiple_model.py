@@ -88,7 +88,7 @@ def _errors(nav: Array, others: Array) -> Array:
     )
 
 
-def _headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
+def headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
     """Return the headings [rad] of filters relative to the best's, (-pi, pi]."""
     C = matrix_from_quat(np.stack([f.nav[QUAT] for f in filters]))
     C = C @ matrix_from_quat(best.nav[QUAT]).T
@@ -312,15 +312,8 @@ class MultipleModelBank:
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
         variances = np.array([h.nav.item(HEADING_VARIANCE) for h in self.filters])
-        mean, std = mixture_of(_headings(self.filters, self.best), variances, self.log_weights)
+        mean, std = mixture_of(headings(self.filters, self.best), variances, self.log_weights)
         return mean, std * math.sqrt(max(1.0, self._nis_scale))
-
-    def probability(self, heading: float, within: float) -> float:
-        """Return that of the headings within so much [rad] of one relative to the best's."""
-        weights = np.exp(self.log_weights)
-        turns = _headings(self.filters, self.best) - heading
-        off = np.abs((turns + math.pi) % (2.0 * math.pi) - math.pi)
-        return float(weights[off < within].sum() / weights.sum())
 
     def mixture(self) -> Array:
         """

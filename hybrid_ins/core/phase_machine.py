@@ -25,7 +25,7 @@ from hybrid_ins.core.clock_search import OFFSET_STD, ClockSearch
 from hybrid_ins.core.events import Change, ClockInflation
 from hybrid_ins.core.forward_record import RunRecord
 from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.heading_check import correction, is_contradicted
+from hybrid_ins.core.heading_check import check, is_contradicted
 from hybrid_ins.core.ins_filter import InsFilter, hand_over
 from hybrid_ins.core.kept_knowledge import KeptKnowledge
 from hybrid_ins.core.measurements import Measurement
@@ -43,6 +43,7 @@ from hybrid_ins.core.phases import (
 )
 from hybrid_ins.core.samples import ImuRing
 from hybrid_ins.core.stamp_check import ImuStampCheck
+from hybrid_ins.core.state import HEADING_DOUBT
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,7 @@ class PhaseMachine:
             if self._record is not None:
                 self._record.follow(phase.filter)
             self._stamps.steady_ns = min(phase.filter.long_step_ns, self._stamps.short_ns)
+            phase.filter.nav[HEADING_DOUBT] = 0.0
 
     @property
     def filters(self) -> list[InsFilter]:
@@ -202,7 +204,7 @@ class PhaseMachine:
         if self.phase.bank is not None:
             self.phase.bank.end_block()
             found = self.decide()
-            self._give_up_wrong_heading()
+            self._check_heading()
             if self.filter is not None and self.phase.bank is not None:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
@@ -211,13 +213,13 @@ class PhaseMachine:
             self._enter(Running(running, search_clock(running, self._parts, self._ring)))
         return False
 
-    def _give_up_wrong_heading(self) -> None:
-        """Search for the heading again if the motion excludes the given one."""
+    def _check_heading(self) -> None:
+        """Report how doubtful the heading is; search for a given one that the motion excludes."""
         bank, running = self.phase.bank, self.filter
-        if bank is None or running is None or not bank.heading_open or self.phase.is_provisional:
+        if bank is None or running is None or not bank.heading_open:
             return
-        corrected = correction(running, bank)
-        if corrected is not None:
+        running.nav[HEADING_DOUBT], corrected = check(running, bank)
+        if corrected is not None and not self.phase.is_provisional:
             left = bank.take_over(running)
             self._events.extend([corrected, *(Verdict.rejected(m, "aligning") for m in left)])
             self._enter(Searching(bank))
@@ -293,8 +295,7 @@ class PhaseMachine:
         if self.filter is not None:
             if not self.phase.is_provisional:
                 return None
-            lacking = lacking_std(self.filter, bank)
-            if lacking > PERCEPTIBLE:
+            if (lacking := lacking_std(self.filter, bank)) > PERCEPTIBLE:
                 self._inflate_clock(self.filter, lacking)
             if not is_excluded(self.filter, bank):
                 return None

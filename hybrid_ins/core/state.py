@@ -57,7 +57,8 @@ JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `
 ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
 # rad², NED, upper triangle row by row, of an attitude by an IMU's scale errors: `scale_errors`
 SCALE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
-N_NAV = SCALE_COVARIANCE.stop
+HEADING_DOUBT = SCALE_COVARIANCE.stop  # rad², of a heading that may be another: `heading_check`
+N_NAV = HEADING_DOUBT + 1
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 PRODUCTS = slice(SCRATCH.stop, SCRATCH.stop + 24 * 16)  # see `covariance_step`
@@ -89,7 +90,8 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     Write the covariance that is reported, (15, 15).
 
     P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, what
-    an antenna in another place does to the position, and an IMU's scale errors to the attitude.
+    an antenna in another place does to the position, and to the attitude an IMU's scale errors and
+    the other headings that it may have.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -105,6 +107,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
             full[i, j] += nav[k]
             full[j, i] = full[i, j]
             k += 1
+    full[8, 8] += nav[HEADING_DOUBT]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -170,4 +173,5 @@ def total_std(nav: Array) -> Array:
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
     variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE] + nav[ANTENNA_VARIANCE]
     variance[EPS] += nav[SCALE_COVARIANCE][[0, 3, 5]]
+    variance[8] += nav[HEADING_DOUBT]
     return np.sqrt(variance)

@@ -15,6 +15,7 @@ from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import HeadingCorrected
 from hybrid_ins.core.phases import Running, Searching
+from hybrid_ins.core.state import HEADING_DOUBT, total_std
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight, static
 from hybrid_ins.simulation.vehicles import slow_rover
 
@@ -86,10 +87,16 @@ def test_a_change_of_the_clock_does_not_end_the_check(unknown: bool) -> None:
 
 
 def test_a_heading_is_given_up_before_another_one_is_known() -> None:
-    """GIVEN a slow rover and a wrong heading WHEN the motion excludes it THEN none is claimed."""
+    """
+    GIVEN a slow rover and a wrong heading.
+
+    WHEN others become more probable THEN σ says so; WHEN the motion excludes it THEN none is
+    claimed.
+    """
     run = scene(slow_rover(60.0, 2, 5.0), seed=2, fix_rate=2.0, fix_std=(0.4, 0.4, 0.6))
     navigator = make_navigator("parameter", yaw=run.yaw(0.0) + math.pi, yaw_std=0.1)
     searched: list[float] = []
+    reported: list[float] = []  # rad, σ of the heading before
     claimed: list[float] = []  # heading error over its σ, of one filter after the search began
 
     def after(t: float) -> None:
@@ -98,11 +105,16 @@ def test_a_heading_is_given_up_before_another_one_is_known() -> None:
         navigator.continue_search()
         if isinstance(navigator.phase, Searching):
             searched.append(t)
+        elif not searched and navigator.filter is not None:
+            reported.append(float(total_std(navigator.filter.nav)[8]))
         elif searched:
             claimed.append(run.errors(navigator, t)[2] / heading_std(navigator))
 
     play(run, navigator, after=after)
 
+    doubtful = int(np.argmax(np.asarray(reported) > 0.2))
+    assert doubtful > 50 and len(reported) - doubtful > 5
+    assert min(reported[doubtful:]) > 1.0  # the error is 3.1
     assert len(searched) > 50
     assert len(claimed) > 50 and max(claimed) < 4.0
     [found] = corrections(run)
@@ -125,7 +137,7 @@ def test_a_right_heading_stays_with_its_filter(seed: int) -> None:
     filters = run_with_search(run, navigator)
 
     assert corrections(run) == []
-    assert len(filters) == 1
+    assert len(filters) == 1 and filters[0].nav[HEADING_DOUBT] == 0.0
     assert isinstance(navigator.phase, Running) and navigator.phase.bank is None
 
 

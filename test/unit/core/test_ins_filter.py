@@ -22,7 +22,20 @@ from hybrid_ins.core.measurements import PositionFix, VelocityFix
 from hybrid_ins.core.noise import ConstantNoise, NoiseEstimate, ProcessNoise
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.state import LLA, N_ERROR, N_NAV, PSD, QUAT, VELOCITY, Array, NavState
+from hybrid_ins.core.state import (
+    HEADING_DOUBT,
+    HEADING_VARIANCE,
+    LLA,
+    N_ERROR,
+    N_NAV,
+    PSD,
+    QUAT,
+    VELOCITY,
+    Array,
+    NavState,
+    total_std,
+    unpack_total,
+)
 
 Q = np.repeat([4e-4, 4e-6], 3)
 BIAS_WALK = np.repeat([1e-6, 1e-9], 3)
@@ -281,6 +294,21 @@ def test_a_late_fix_repeats_only_the_events_that_are_younger(
     ins.submit(fix(truth, late_ns))
 
     assert applied == [late_ns, younger_ns]
+
+
+def test_what_other_filters_show_of_the_heading_outlasts_a_late_fix() -> None:
+    truth = flight()
+    ins, total = make_filter(truth), np.empty((N_ERROR, N_ERROR))
+    fly(ins, imu(truth)[1:151])
+    ins.nav[HEADING_DOUBT] = 0.5
+
+    ins.submit(fix(truth, SECOND))
+
+    assert len(ins.verdicts) == 1
+    unpack_total(ins.nav, total)
+    variance = ins.nav[HEADING_VARIANCE]
+    assert total[8, 8] - variance == pytest.approx(0.5)
+    assert total_std(ins.nav)[8] ** 2 - variance == pytest.approx(0.5)
 
 
 def test_velocity_and_position_of_one_stamp_are_fused_in_one_order() -> None:
