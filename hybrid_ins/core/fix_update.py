@@ -18,6 +18,7 @@ from hybrid_ins.core.clock_sensitivity import (
     sensitivities,
 )
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.filter_noise import FilterNoise
 from hybrid_ins.core.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.iterated_update import update_and_linearise
 from hybrid_ins.core.kalman import innovation_covariance
@@ -195,6 +196,7 @@ def correction_of(
     interval: float,
     before: Array,
     weight: float,
+    noise: FilterNoise,
     scatter_in_force: bool,
 ) -> Correction:
     """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
@@ -218,4 +220,6 @@ def correction_of(
             result[LINEAR_G].reshape(N_ERROR, N_ERROR),
         ),
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
+        fix_factor=noise.fix_factor,
+        stamp_std=noise.stamp_std,
     )

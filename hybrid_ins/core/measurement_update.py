@@ -245,7 +245,7 @@ class MeasurementUpdate:
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
-            nav, correction_of(fix, result, interval, before, weight, self.scatter.in_force)
+            nav, correction_of(fix, result, interval, before, weight, noise, self.scatter.in_force)
         )
         return verdict, moved, found if self.scatter.learning else None
 
@@ -258,27 +258,25 @@ class MeasurementUpdate:
         (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
+        fix_factor = self.noise.fix_factor if measurement.sensor == GNSS else 1.0
         if split is not None:
             share, m = share_of_motion(self.clock.values), len(model[0])
             of_stamp = stamp_covariance(nav[VELOCITY], share, m)
             by_stamp = self.noise.stamp_std**2 * of_stamp
-            fix_factor = self.noise.fix_factor
             model, found = _split_position(nav, model, split, self.scatter, fix_factor, by_stamp)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
         of_age = np.zeros_like(R)
         if measurement.sensor == GNSS:
-            R = R * self.noise.fix_factor + by_stamp
+            R = R * fix_factor + by_stamp
             h, change = sensitivities(nav, H)
             if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
                 of_age = age_mean_square(self.clock.values) * np.outer(change, change)
                 R = R + of_age
         else:
             h = H @ np.stack((nav[SENSITIVITY], nav[AGE_SENSITIVITY]), axis=1)
-        of_clock = np.zeros_like(R)
-        if nav[CLOCK_VARIANCE] > 0.0:
-            of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
+        of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
         S, nis = innovation(nav, z, H, R + of_clock)
         interval = (measurement.t_ns - self._corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
@@ -307,6 +305,8 @@ class MeasurementUpdate:
             weight=verdict.weight,
             linear=linear,
             of_stamp=of_stamp if self.scatter.in_force else None,
+            fix_factor=fix_factor,
+            stamp_std=self.noise.stamp_std,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

@@ -68,6 +68,10 @@ class Correction:
         Where the correction was found by iteration, `iterated_update.linearisation`.
     of_stamp : ndarray, shape (m, m), optional
         `stamp_scatter.stamp_covariance` of a position; None where stamps are not to be doubted.
+    fix_factor : float
+        Factor on the covariance of a fix that is in S.
+    stamp_std : float
+        Standard deviation of the stamps [s] that is in S, times ``of_stamp``.
     """
 
     t_ns: int
@@ -84,6 +88,8 @@ class Correction:
     weight: float = 1.0
     linear: tuple[Array, Array, Array, Array] | None = None
     of_stamp: Array | None = None
+    fix_factor: float = 1.0
+    stamp_std: float = 0.0
 
 
 class NoiseModel(Protocol):

@@ -177,12 +177,12 @@ class NoiseMultipleModelBank(ShallowCopy):
         correction : Correction
             With S that ``R`` is contained in.
         R : ndarray, shape (m, m)
-            With ``fix_factor`` in force.
+            With the correction's ``fix_factor``.
         """
         z, m = correction.z, len(R)
         found = np.empty(COUNT)
         for level in _R_LEVELS:
-            factor = HYPOTHESES[ON_NOISE][2][level[0]] / self.fix_factor
+            factor = HYPOTHESES[ON_NOISE][2][level[0]] / correction.fix_factor
             S = correction.S + (factor - 1.0) * R
             tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
             found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
@@ -210,8 +210,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         Parameters
         ----------
         correction : Correction
-            With the state before it, and its S with ``fix_factor`` in force; dx is zero if the
-            measurement was rejected.
+            With the state before it; dx is zero if the measurement was rejected.
         psd : ndarray, shape (12,)
             Qc's diagonal at factor 1.
 
@@ -255,6 +254,8 @@ class NoiseMultipleModelBank(ShallowCopy):
             psd,
             correction.H,
             correction.S,
+            correction.fix_factor,
+            correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
@@ -286,7 +287,24 @@ class NoiseMultipleModelBank(ShallowCopy):
 
 @kernel(fastmath={"contract"})
 def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses, before, after, values, T, nav, psd, H, S, of_stamp, dx, z_x, H_x, x, G_x, teaches
+    hypotheses,
+    before,
+    after,
+    values,
+    T,
+    nav,
+    psd,
+    H,
+    S,
+    fix_factor,
+    stamp_variance,
+    of_stamp,
+    dx,
+    z_x,
+    H_x,
+    x,
+    G_x,
+    teaches,
 ):
     """
     Propagate and correct the hypotheses, and weigh them.
@@ -301,7 +319,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, of_stamp, dx : ndarray
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, dx
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
@@ -314,13 +332,12 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         A factor has risen by `CORRECTION_RATIO`.
     """
     m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
-    fix_factor = values[FACTORS][2] if teaches else 1.0
     last_C = values[LAST_C].reshape(3, 3)
     F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
     _, R = covariances_at_full_weight(nav[COVARIANCE], H, S, 1.0)
     for a in range(m):
         for b in range(m):
-            R[a, b] -= values[FACTORS][5] ** 2 * of_stamp[a, b]
+            R[a, b] -= stamp_variance * of_stamp[a, b]
     if H[0, 0] != 0.0:  # a position
         values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
     log_likelihood = np.zeros(before.shape[1])

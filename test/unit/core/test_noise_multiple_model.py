@@ -65,7 +65,9 @@ def flat_state(rng: np.random.Generator, tilt_std: float) -> Array:
     return nav
 
 
-def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
+def correction_of(
+    rng: np.random.Generator, nav: Array, k: int, fix_factor: float = 1.0, stamp_std: float = 0.0
+) -> Correction:
     """Return what a fix does to a state: positions and velocities, some rejected, large ones."""
     size = 1.0 if k < 4 else 6.0
     if k % 3 == 2:
@@ -76,7 +78,9 @@ def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
         away = rng.normal(0.0, size, 3) * [1.6e-7, 1.8e-7, 1.0]
         z, H = position_model(nav, nav[LLA] + away, np.array([0.5, -0.2, 1.0]))
     root = rng.normal(0.0, 0.3, (3, 3))
-    R = root @ root.T + 0.2 * np.eye(3)
+    is_position = k % 3 != 2
+    of_stamp = stamp_covariance(nav[VELOCITY], 0.7, 3) if is_position else np.zeros((3, 3))
+    R = fix_factor * (root @ root.T + 0.2 * np.eye(3)) + stamp_std**2 * of_stamp
     S = H @ covariance(nav) @ H.T + R
     K = covariance(nav) @ H.T @ np.linalg.inv(S)
     fused = k % 4 != 3
@@ -99,7 +103,9 @@ def correction_of(rng: np.random.Generator, nav: Array, k: int) -> Correction:
         False,
         weight,
         linear,
-        stamp_covariance(nav[VELOCITY], 0.7, 3) if H[0, 0] != 0.0 else np.zeros((3, 3)),
+        of_stamp,
+        fix_factor,
+        stamp_std,
     )
 
 
@@ -151,15 +157,16 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
     log_likelihood = np.zeros(COUNT)
     for k in range(1, 9):
         nav = flat_state(rng, tilt_std)
-        correction = correction_of(rng, nav, k)
-        fix_factor, stamp_variance = bank.fix_factor, bank.stamp_std**2
+        # What S contains is what another bank has found: of innovations that scale errors raise.
+        fix_factor, stamp_std = 3.0 ** rng.uniform(-1.0, 1.0), 0.1 * rng.uniform()
+        correction = correction_of(rng, nav, k, fix_factor, stamp_std)
         moved = bank.update(correction, PSD)
 
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
         of_stamp = correction.of_stamp
-        R -= stamp_variance * of_stamp
+        R -= stamp_std**2 * of_stamp
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
         z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
