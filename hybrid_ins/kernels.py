@@ -200,6 +200,8 @@ def _compile_output() -> None:
         np.ones(12),
         H,
         turn,
+        1.0,
+        0.0,
         turn,
         np.zeros(N_ERROR),
         z,
