@@ -203,6 +203,7 @@ def _compile_output() -> None:
         1.0,
         0.0,
         turn,
+        turn,
         np.zeros(N_ERROR),
         z,
         H,
@@ -216,7 +217,7 @@ def _compile_output() -> None:
     clock_sensitivity.noise_information(nav, H, gain, turn, True)
     clock_offset.observe(clock, 0.0, zero, h, turn, 0.0, True)
     lever_arm_observer.observe_lever_arm(
-        np.ones(lever_arm_observer.SENSITIVITIES.stop),
+        np.ones(lever_arm_observer.N_VALUES),
         0.1,
         nav,
         nav,

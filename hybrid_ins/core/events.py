@@ -32,6 +32,16 @@ class AntennaFound:
 
 
 @dataclass(frozen=True, slots=True)
+class AntennaShift:
+    """From its stamp on the antenna is taken to be elsewhere in fixes: `LeverArmObserver.shift`."""
+
+    t_ns: int
+    by_b: Array  # (3,) m
+    moves_odometry: bool  # it was that of the antenna, and is that of the IMU
+    kind: ClassVar[str] = "antenna shift"
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseChange:
     """Other noise, from its stamp on."""
 
@@ -93,6 +103,7 @@ class ScatterInForce:
 
 Change = (
     AntennaFound
+    | AntennaShift
     | NoiseEstimate
     | NoiseChange
     | ClockInflation

@@ -12,10 +12,14 @@ The estimate is a regression of the innovations on h, with the clock offset of t
 of velocities beside it: straight ahead one is like the other. The state is not corrected by it: who
 says where the antenna is decides what the odometry is of. But an error that is probable is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
-reported. It is told once it is certain. The antenna is the vehicle's: what one filter has found is
-the prior of the next. Where the noise factors have risen by what the lever arm
-does, the estimate is too short, but no less certain. A lever arm that was not given but found from
-motion is considered from the start on.
+reported. It is told once it is certain, and corrected by `LeverArmObserver.shift` where nobody has
+said where the antenna is. The antenna is the vehicle's: what one filter has found is the prior of
+the next. A lever arm that was not given but found from motion is considered from the start on.
+
+Where the noise factors rise by what a lever arm does, the attitude follows each turn, and the
+estimate is too short and no less certain. So what it may do to an innovation in a turn is no
+evidence on the noise. And what the first seconds show is forgotten: the search for the heading has
+put into the state what s does not contain.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -48,6 +52,7 @@ from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
     BIAS_G,
     COVARIANCE,
+    DV,
     HEADING_VARIANCE,
     LAST_W,
     N_ERROR,
@@ -60,9 +65,13 @@ Array = NDArray[np.float64]
 
 GIVEN = np.zeros(3)  # m
 PRIOR_STD = 2.0  # m, of each component of the error
+TURNING = 0.1  # rad/s: of a vehicle that turns less, vibration makes h
+DOUBTED_STD = 1.0  # m, of that as a cause of large innovations
+SHIFT_SHARE = 0.3  # of an error that is corrected: it may be off by so much
 AGE_STD = 0.3  # s, of velocities against positions
 HEADING_STD = math.radians(4.0)  # from which the start is observed
 MAX_HEADING_STD, SETTLED_NS = math.radians(12.0), 30_000_000_000  # later: of the heading; ns
+SEARCHED_NS = 10_000_000_000  # after the start: until then s lacks what the search has done
 PROBABLE, ELSEWHERE = 4.0, 6.0  # standard deviations of dl, from which it is considered, certain
 LEAST_ERROR = 0.2  # m, of an axis: a smaller one is left to who measures it
 MAX_INTERVAL = 3.0  # s without a measurement: beyond it the mean motion does not represent the IMU
@@ -76,7 +85,11 @@ FIX_STD = 32  # m, of the last position from north, as it was fused
 CONSIDERED = slice(33, 36)  # m², NED: what is added to the covariance of the position
 LAST_VELOCITY, LAST_C = slice(36, 39), slice(39, 48)  # n, and C_nb, after the last correction
 SENSITIVITIES = slice(48, 48 + 3 * N_ERROR)  # s, row by row
-_START = np.zeros(SENSITIVITIES.stop)
+DOUBT = slice(SENSITIVITIES.stop, SENSITIVITIES.stop + 9)  # `LeverArmObserver.doubt`, row by row
+CORRECTED = slice(DOUBT.stop, DOUBT.stop + 3)  # m, b: of dl, and considered all the same
+CERTAIN = CORRECTED.stop  # 1: the error is worth telling
+N_VALUES = CERTAIN + 1
+_START = np.zeros(N_VALUES)
 _START[P_PARAMETERS] = np.diag((MAX_STD**2, AGE_STD**2, *3 * [PRIOR_STD**2])).ravel()
 _START[NIS_SCALE] = 1.0
 
@@ -104,6 +117,7 @@ class LeverArmObserver(ShallowCopy):
 
     def __init__(self, found_std: Array = GIVEN) -> None:
         self._values, self._is_found = _START, bool(np.any(found_std))
+        self._forgets = not self._is_found
         if self._is_found:
             self._values = _START.copy()
             P = np.diag((MAX_STD**2, AGE_STD**2, *np.square(found_std)))
@@ -119,7 +133,7 @@ class LeverArmObserver(ShallowCopy):
             values[ERROR].copy(),
             np.sqrt(variance),
             values.item(DISTANCE),
-            bool(values[CONSIDERED].any()) and values.item(DISTANCE) > ELSEWHERE,
+            bool(values[CERTAIN]),
         )
 
     @property
@@ -145,6 +159,7 @@ class LeverArmObserver(ShallowCopy):
         if self.has_begun:
             return self
         found, values = self.__copy__(), earlier._values.copy()
+        found._forgets = earlier._forgets
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         values[PARAMETERS.start] = P[0] = P[:, 0] = 0.0
         P[0, 0] = MAX_STD**2
@@ -162,6 +177,41 @@ class LeverArmObserver(ShallowCopy):
         self._values[PARAMETERS.start] -= by
         self._values[P_PARAMETERS.start] += by**2
 
+    def doubt(self, m: int) -> Array | None:
+        """
+        Return the mean square (m, m) of what an error adds to the innovation of the last fix.
+
+        It is as the error was known before that fix; None where it is not observed.
+        """
+        return self._values[DOUBT][: m * m].reshape(m, m) if self._t_ns else None
+
+    def _forget(self) -> None:
+        """Forget what is known of the error; the values must be a copy."""
+        self._forgets, values = False, self._values
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
+        values[ERROR] = P[ERROR] = P[:, ERROR] = 0.0
+        P[ERROR, ERROR] = np.diag(_START[P_PARAMETERS][:: N_PARAMETERS + 1][ERROR])
+
+    def shift(self, by_b: Array, moves_odometry: bool) -> Array:
+        """
+        Correct a part ``by_b`` (3,) [m], b, of the error: fixes contain it from now on.
+
+        Returns the error (15,) that it has caused in the state. Where that moves the odometry, what
+        is left is considered from now on, as that of a lever arm that was found. Where the odometry
+        remains that of the antenna, all of it is.
+        """
+        self._values = values = self._values.copy()
+        if moves_odometry:
+            self._is_found = True
+        else:
+            values[CORRECTED] += by_b
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
+        P[ERROR, ERROR] += np.square(SHIFT_SHARE * np.linalg.norm(by_b)) * np.eye(3)
+        values[ERROR] -= by_b
+        caused = values[SENSITIVITIES].reshape(N_ERROR, 3) @ by_b
+        values[LAST_VELOCITY] += caused[DV]
+        return np.asarray(caused)
+
     def update(self, correction: Correction, nav: Array, is_fix: bool) -> None:
         """
         Use a correction by a fix, or note one by another measurement.
@@ -177,8 +227,9 @@ class LeverArmObserver(ShallowCopy):
         """
         before = correction.nav
         self._start_ns = self._start_ns or correction.t_ns
-        settled = correction.t_ns - self._start_ns > SETTLED_NS
-        if before[HEADING_VARIANCE] > (MAX_HEADING_STD if settled else HEADING_STD) ** 2:
+        age_ns = correction.t_ns - self._start_ns
+        largest_std = MAX_HEADING_STD if age_ns > SETTLED_NS else HEADING_STD
+        if before[HEADING_VARIANCE] > largest_std**2:
             self._t_ns = 0
             return
         if not (is_fix or self._t_ns):
@@ -187,6 +238,8 @@ class LeverArmObserver(ShallowCopy):
         if not (self._t_ns and 0.0 <= T <= MAX_INTERVAL):
             T = -1.0
         self._values, self._t_ns = self._values.copy(), correction.t_ns
+        if self._forgets and age_ns > SEARCHED_NS:
+            self._forget()
         observe_lever_arm(
             self._values,
             T,
@@ -229,7 +282,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    values : ndarray, shape (SENSITIVITIES.stop,)
+    values : ndarray, shape (N_VALUES,)
         What is known; overwritten.
     T : float
         Time since the last correction [s]; negative: its sensitivity does not hold.
@@ -265,15 +318,16 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
             h[a, 0], h[a, 1] = to_clock[a, 0], to_clock[a, 1]
             for j in range(3):
                 of_error[a, j] += of_itself[a, j]
+        _doubt(values, of_error, T > 0.0 and _turn_square(C, values[LAST_C]) > (TURNING * T) ** 2)
     if informs:
-        values[P_PARAMETERS.start] += max(T, 0.0) * RANDOM_WALK**2
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
+        P[0, 0] += max(T, 0.0) * RANDOM_WALK**2
         total, R = covariances_at_full_weight(before[COVARIANCE], H, S, weight)
         if H[0, 0] != 0.0:
             values[FIX_STD] = np.sqrt(max(R[0, 0], 0.0))
         factorise(total)
         now = values[PARAMETERS]
         values[NIS_SCALE] += (mean_square(z, h, now, total) - values[NIS_SCALE]) / NIS_MEMORY
-        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         regress(now, P, z, h, total)
         _consider(values, C)
     for i in range(N_ERROR):
@@ -292,23 +346,55 @@ def _variance_factor(values):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
+def _turn_square(C, before):  # type: ignore[no-untyped-def]
+    """Return the square of the small angle between two attitudes [rad²], C_nb row by row."""
+    square = 3.0
+    for i in range(9):
+        square -= C[i] * before[i]
+    return square
+
+
+@register_jitable
+def _doubt(values, of_error, turns):  # type: ignore[no-untyped-def]
+    """Write the mean square of what an error adds to an innovation, by its derivative (m, 3)."""
+    m, error, doubt = len(of_error), values[ERROR], values[DOUBT]
+    for a in range(m):
+        for b in range(m):
+            of_a, of_b, spread = 0.0, 0.0, 0.0
+            for i in range(3):
+                of_a += of_error[a, i] * error[i]
+                of_b += of_error[b, i] * error[i]
+                variance = min(values[P_PARAMETERS][(N_PARAMETERS + 1) * (2 + i)], DOUBTED_STD**2)
+                spread += of_error[a, i] * variance * of_error[b, i]
+            doubt[a * m + b] = of_a * of_b + spread if turns else 0.0
+
+
+@register_jitable
 def _consider(values, C):  # type: ignore[no-untyped-def]
-    """Decide whether there probably is an error, and write what is considered of it."""
+    """Decide whether there is an error, and write what is considered of it."""
     factor, P = _variance_factor(values), np.empty((3, 3))
-    error = values[ERROR]
     for i in range(3):
         for j in range(3):
             P[i, j] = factor * values[P_PARAMETERS][N_PARAMETERS * (2 + i) + 2 + j]
-    root = P.copy()
-    factorise(root)
-    values[DISTANCE] = np.sqrt(whiten(root, error.copy()))
-    is_large, least = False, max(LEAST_ERROR, 2.0 * values[FIX_STD])
-    for i in range(3):
-        is_large |= abs(error[i]) > max(least, 3.0 * np.sqrt(P[i, i]))
+    error, total = values[ERROR].copy(), values[ERROR] + values[CORRECTED]
+    values[DISTANCE], is_large = _distance(error, P, values[FIX_STD])
+    values[CERTAIN] = 1.0 if is_large and values[DISTANCE] > ELSEWHERE else 0.0
+    distance, is_large = _distance(total, P, values[FIX_STD])
     for i in range(3):
         values[CONSIDERED][i] = 0.0
-        if is_large and values[DISTANCE] > PROBABLE:
+        if is_large and distance > PROBABLE:
             for j in range(3):
                 for k in range(3):
-                    mean_square = error[j] * error[k] + P[j, k]
+                    mean_square = total[j] * total[k] + P[j, k]
                     values[CONSIDERED][i] += C[3 * i + j] * mean_square * C[3 * i + k]
+
+
+@register_jitable
+def _distance(error, P, fix_std):  # type: ignore[no-untyped-def]
+    """Return the distance from none in standard deviations, and whether an axis is worth it."""
+    least, is_large = max(LEAST_ERROR, 2.0 * fix_std), False
+    for i in range(3):
+        is_large |= abs(error[i]) > max(least, 3.0 * np.sqrt(P[i, i]))
+    root = P.copy()
+    factorise(root)
+    return np.sqrt(whiten(root, error.copy())), is_large

@@ -8,6 +8,7 @@ clock offset and the place of the antenna.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from hybrid_ins.core.clock_sensitivity import (
 )
 from hybrid_ins.core.events import (
     AntennaFound,
+    AntennaShift,
+    Change,
     ClockInflation,
     ClockShift,
     CovarianceInflation,
@@ -126,7 +129,7 @@ class MeasurementUpdate:
         self.gate = gate
         self.clock = clock
         self.scatter = scatter
-        self._corrected_ns = corrected_ns
+        self.corrected_ns = corrected_ns
         self.lever_arm, self.scale_errors = lever_arm, scale_errors
 
     def __copy__(self) -> MeasurementUpdate:
@@ -159,26 +162,8 @@ class MeasurementUpdate:
         self.scale_errors.follow(nav, ring, event.t_ns)
         r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
         split: Split | None = None
-        if isinstance(event, NoiseChange):
-            self.noise = self.noise.replaced_by(event.noise)
-        elif isinstance(event, NoiseEstimate):
-            self.noise.learn_estimate(event)
-        elif isinstance(event, ClockInflation):
-            self.clock.inflate(event.std)
-        elif isinstance(event, ClockShift):
-            inject(nav, self.clock.shift(event.by, nav))
-            self.lever_arm.shift_clock(event.by)
-            self.scale_errors.shift_clock(event.by)
-        elif isinstance(event, CovarianceInflation):
-            inflate(nav, event.std, event.lever_b)
-            self.noise.on_imu_fault(event.t_ns)
-        elif isinstance(event, ScatterInForce):
-            self.scatter.in_force = True
-            self.noise.jumps = self.noise.jumps.or_earlier(event.jumps, event.t_ns)
-        elif isinstance(event, AntennaFound):
-            self.lever_arm = self.lever_arm.or_earlier(event.earlier)
-        elif isinstance(event, Outage):
-            self.scale_errors.begin_outage(nav, ring, self._corrected_ns, event.t_ns)
+        if isinstance(event, Change):
+            _apply_change(self, nav, event, ring)
         else:
             if isinstance(event, PositionFix):
                 noise, claimed = self.noise, event.claimed
@@ -216,7 +201,7 @@ class MeasurementUpdate:
         claimed = fix.claimed
         m, noise, clock = len(claimed), self.noise, self.clock
         uses_corrections = noise.uses_corrections
-        interval = (fix.t_ns - self._corrected_ns) * 1e-9
+        interval = (fix.t_ns - self.corrected_ns) * 1e-9
         before = np.empty(len(nav) if uses_corrections else 0)
         result = np.empty(N_RESULT)
         if not fuse_ordinary_fix(
@@ -239,7 +224,7 @@ class MeasurementUpdate:
         ):
             return None
         clock.on_corrected(fix.t_ns)
-        self._corrected_ns = fix.t_ns
+        self.corrected_ns = fix.t_ns
         self.scale_errors.end_outage()
         nis, log_det, weight, found = result[: SIGMA.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
@@ -278,7 +263,7 @@ class MeasurementUpdate:
             h = H @ np.stack((nav[SENSITIVITY], nav[AGE_SENSITIVITY]), axis=1)
         of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
         S, nis = innovation(nav, z, H, R + of_clock)
-        interval = (measurement.t_ns - self._corrected_ns) * 1e-9
+        interval = (measurement.t_ns - self.corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
@@ -315,7 +300,7 @@ class MeasurementUpdate:
             self.scale_errors.update(correction, is_fix=False, beside=by_scale)
             return verdict, False, found
         if verdict.accepted:
-            self._corrected_ns = measurement.t_ns
+            self.corrected_ns = measurement.t_ns
             self.scale_errors.end_outage()
         self.noise.learn_verdict(verdict, correction, R)
         if verdict.inflated:
@@ -330,14 +315,44 @@ class MeasurementUpdate:
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let noise and sensors' errors learn from it; the former may move the state."""
-        without_scale = self.scale_errors.explain(correction)
         if self.noise.uses_corrections:
             self.lever_arm.update(correction, nav, is_fix=True)
+            correction = replace(correction, of_antenna=self.lever_arm.doubt(len(correction.z)))
+        without_scale = self.scale_errors.explain(correction)
+        if self.noise.uses_corrections:
             self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction, without_scale)
         if moved is not None:
             _move(nav, moved)
         return moved is not None
+
+
+def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuRing) -> None:
+    """Do what a change does to a state, overwritten, and to what is held beside it."""
+    if isinstance(change, NoiseChange):
+        own.noise = own.noise.replaced_by(change.noise)
+    elif isinstance(change, NoiseEstimate):
+        own.noise.learn_estimate(change)
+    elif isinstance(change, ClockInflation):
+        own.clock.inflate(change.std)
+    elif isinstance(change, ClockShift):
+        inject(nav, own.clock.shift(change.by, nav))
+        own.lever_arm.shift_clock(change.by)
+        own.scale_errors.shift_clock(change.by)
+    elif isinstance(change, CovarianceInflation):
+        inflate(nav, change.std, change.lever_b)
+        own.noise.on_imu_fault(change.t_ns)
+    elif isinstance(change, ScatterInForce):
+        own.scatter.in_force = True
+        own.noise.jumps = own.noise.jumps.or_earlier(change.jumps, change.t_ns)
+    elif isinstance(change, AntennaFound):
+        own.lever_arm = own.lever_arm.or_earlier(change.earlier)
+    elif isinstance(change, AntennaShift):
+        inject(nav, own.lever_arm.shift(change.by_b, change.moves_odometry))
+        own.noise.restart(keep_weights=False)
+        own.scale_errors.restart()
+    elif isinstance(change, Outage):
+        own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

@@ -257,6 +257,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.fix_factor,
             correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
+            _EXACT[:m, :m] if correction.of_antenna is None else correction.of_antenna,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
@@ -299,6 +300,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fix_factor,
     stamp_variance,
     of_stamp,
+    of_antenna,
     dx,
     z_x,
     H_x,
@@ -319,7 +321,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, dx
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, of_antenna, dx
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
@@ -355,7 +357,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         hypotheses[STAMP_STD],
         z_x,
         H_x,
-        R / fix_factor,
+        R / fix_factor + of_antenna,
         of_stamp,
         x,
         TAIL_DOF,

@@ -108,7 +108,7 @@ class AxesMonitor:
 
 def describe_antenna(error_b: Array, std: Array) -> Refused:
     """Return that the antenna is ``error_b`` ± ``std`` (3,) [m], b, from where it is given."""
-    place = place_of(error_b, std, digits=1)
+    place = place_of(error_b, std, digits=2)
     return Refused(
         "gnss: antenna elsewhere",
         f"the motion shows the antenna {place} of where imu.position and gnss.antenna_position put "

@@ -255,7 +255,7 @@ class Estimator:
         self.navigator.measure(measurement)
         self._handle_events()
         self.clock.run_periodic(self._review.axes.are_plausible)
-        self._fixes.follow_clock()
+        self._fixes.follow()
 
     # What happens, and what is due.
 
@@ -271,7 +271,7 @@ class Estimator:
             self._report_ns = t_ns + REPORT_NS
             self.reporter.add(self.aids.run_periodic(t_ns))
             self.navigator.check_imu()
-            if self._review.axes.run_periodic():
+            if self._review.run_periodic():
                 self._on_moved_sensors()
             self.navigator.continue_search()
             self._handle_events()

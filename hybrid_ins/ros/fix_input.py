@@ -64,17 +64,21 @@ class FixInput:
             time_offset=self._clock.offset,
         )
 
-    def follow_clock(self) -> None:
-        """Use the present clock offset and its prior, where they have changed."""
-        if self._clock.offset != self._gnss.time_offset or self._clock.prior != self._prior:
+    def follow(self) -> None:
+        """Use the present place of the antenna, clock offset and its prior where they changed."""
+        clock, lever_b = self._clock, self._placement.lever_b
+        moved = lever_b is not self._gnss.lever_b
+        if moved or clock.offset != self._gnss.time_offset or clock.prior != self._prior:
             self.configure()
 
     def position(self, message: Message, received_ns: int | None) -> PositionFix | Refused:
         """Convert a sensor_msgs/NavSatFix; see `GnssInput.position`."""
+        self.follow()
         return self._gnss.position(message, self._by_receipt(received_ns))
 
     def velocity(self, message: Message, received_ns: int | None) -> Measurement | Refused:
         """Convert a geometry_msgs/TwistWithCovarianceStamped; see `GnssInput.velocity`."""
+        self.follow()
         return self._gnss.velocity(message, self._by_receipt(received_ns))
 
     def _by_receipt(self, received_ns: int | None) -> int | None:

@@ -12,6 +12,7 @@ from hybrid_ins.core.measurements import PositionFix
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.core.navigator_events import Event
 from hybrid_ins.ros import diagnostics
+from hybrid_ins.ros.antenna_correction import AntennaCorrection
 from hybrid_ins.ros.axes_monitor import AxesMonitor
 from hybrid_ins.ros.conversions import Message, Refused, missing_covariance
 from hybrid_ins.ros.fix_refusals import FixRefusals
@@ -53,6 +54,7 @@ class InputReview:
         self._navigator = navigator
         self._inputs = inputs
         self.axes = AxesMonitor(navigator, placement, inputs)
+        self._antenna = AntennaCorrection(navigator, placement, inputs)
         self._refusals = FixRefusals(navigator, inputs)
         self._scatter = FixScatter(inputs)
         self._units = InputUnits(inputs)
@@ -76,6 +78,12 @@ class InputReview:
                 "gnss: covariance",
                 f"gnss/fix: {missing}: gnss.position_std_default, {std} m, is used instead",
             )
+
+    def run_periodic(self) -> bool:
+        """Do what is due, some times a second; return whether alignment has to begin again."""
+        if self._antenna.run_periodic():
+            self.axes.restart()
+        return self.axes.run_periodic()
 
     def on_event(self, event: Event) -> None:
         """Note what happened to the navigator."""

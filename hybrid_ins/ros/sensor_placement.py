@@ -64,12 +64,19 @@ class SensorPlacement:
         self._given_b: Array = np.full(3, np.nan)  # the antenna's place without that error
         self.antenna_error_b: Array = np.zeros(3)
         self.antenna_std: Array = np.zeros(3)
+        self._imu_error_b: Array = np.zeros(3)  # what arm_b contains besides what is given
         self._place()
 
     def to_body(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Return a vector in b of one in the IMU message's axes: once per reading, no arrays."""
         xx, xy, xz, yx, yy, yz, zx, zy, zz = self._mount_rows
         return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
+
+    def is_placed(self, topic: str) -> bool:
+        """Return whether a parameter or ``/tf_static`` says where the sensor of a topic is."""
+        is_base = self._frames[topic] == self._base  # so say drivers that do not know it
+        by_transform = not is_base and self._transform_of(topic) is not None
+        return self.is_given[topic] or by_transform
 
     def frame_of(self, topic: str) -> str:
         """Return the frame_id of the last message on ``imu/data`` or ``gnss/fix``."""
@@ -113,10 +120,16 @@ class SensorPlacement:
             )
         return self._place_again()
 
-    def move_antenna(self, error_b: Array, std: Array) -> None:
-        """Take the antenna to be ``error_b`` ± ``std`` (3,) [m], b, from where it was so far."""
+    def move_antenna(self, error_b: Array, std: Array, moves_odometry: bool = True) -> None:
+        """
+        Take the antenna to be ``error_b`` ± ``std`` (3,) [m], b, from where it was so far.
+
+        Otherwise the IMU is moved: the odometry remains that of the antenna.
+        """
         self.antenna_error_b = self.antenna_error_b + error_b
         self.antenna_std = std
+        if not moves_odometry:
+            self._imu_error_b = self._imu_error_b - error_b
         self._place()
 
     def _place_again(self) -> bool:
@@ -138,16 +151,19 @@ class SensorPlacement:
             antenna = self._find("gnss/fix")[1].tolist()
         self.mount = mount
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
-        self.arm_b: Array = FLIP @ np.array(position)
         given_b = FLIP @ np.subtract(antenna, position)
         if not np.array_equal(given_b, self._given_b):  # what was found is of the place before
             self._given_b = given_b
-            self.antenna_error_b, self.antenna_std = np.zeros(3), np.zeros(3)
+            self.antenna_error_b = self.antenna_std = self._imu_error_b = np.zeros(3)
+        self.arm_b: Array = FLIP @ np.array(position) + self._imu_error_b
         self.lever_b: Array = given_b + self.antenna_error_b
 
     def _find(self, topic: str) -> tuple[Array, Array]:
         """Rotation and position in the base frame of the frame that a topic's messages have."""
-        frame, found = self._frames[topic], None
-        if frame and self._use_transforms:
-            found = self._transforms.find(self._base, frame)
+        found = self._transform_of(topic)
         return (np.eye(3), np.zeros(3)) if found is None else found
+
+    def _transform_of(self, topic: str) -> tuple[Array, Array] | None:
+        """Return that as ``/tf_static`` says it; None where it does not."""
+        frame = self._frames[topic]
+        return self._transforms.find(self._base, frame) if frame and self._use_transforms else None

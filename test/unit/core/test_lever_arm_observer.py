@@ -10,7 +10,7 @@ from support.analytic_motion import difference
 from support.runs import begin
 
 from hybrid_ins.core.clock_offset import MAX_STD
-from hybrid_ins.core.events import AntennaFound
+from hybrid_ins.core.events import AntennaFound, AntennaShift
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.lever_arm_observer import P_PARAMETERS, SENSITIVITIES
 from hybrid_ins.core.measurements import VelocityFix
@@ -110,6 +110,47 @@ def test_an_error_is_considered_before_it_is_worth_telling() -> None:
             told.append(seconds)
 
     assert considered and told and considered[0] < told[0]
+
+
+def test_a_correction_undoes_what_the_error_has_done_to_the_state() -> None:
+    error_b = np.array([0.03, -0.02, 0.02])
+    run = draw(FLIGHT, 1)
+    right, wrong = filtered(run, np.zeros(3)), filtered(run, -error_b)
+    sigma = np.sqrt(np.diag(right.state.P))
+    before = np.linalg.norm(difference(right.nav, wrong.nav) / sigma)
+
+    wrong.submit(AntennaShift(wrong.t_ns, error_b, True))
+
+    assert before > 1.0
+    assert np.linalg.norm(difference(right.nav, wrong.nav) / sigma) < 0.15 * before
+
+
+@pytest.mark.parametrize("moves_odometry", [True, False])
+def test_after_a_correction_what_is_left_is_considered_or_all_of_it(moves_odometry: bool) -> None:
+    ins = filtered(draw(FLIGHT, 1), -np.array([0.9, -0.3, 0.5]))
+    found = ins.lever_arm
+
+    ins.submit(AntennaShift(ins.t_ns, found.error_b, moves_odometry))
+
+    left, distance = ins.lever_arm, np.linalg.norm(found.error_b)
+    np.testing.assert_allclose(left.error_b, 0.0, atol=0.05)  # the last fix is of that stamp
+    assert np.all(left.std > found.std) and not left.is_certain
+    considered = np.sqrt(np.sum(ins.nav[ANTENNA_VARIANCE]))
+    assert considered < 0.8 * distance if moves_odometry else considered > 0.9 * distance
+
+
+def test_what_an_error_may_do_in_a_turn_is_told_to_the_noise() -> None:
+    run, traces = draw(FLIGHT, 1), []
+    for seconds in (12.0, 15.0, 18.0, 21.0):
+        stop_ns = int(run.samples["t_ns"][0] + seconds * 1e9)
+        begun = replace(run, fixes=tuple(fix for fix in run.fixes if fix.t_ns < stop_ns))
+        doubt = filtered(begun, np.zeros(3)).update.lever_arm.doubt(3)
+        assert doubt is not None
+        np.testing.assert_allclose(doubt, doubt.T)
+        traces.append(float(np.trace(doubt)))
+
+    assert max(traces) > 1e-5
+    assert min(traces) == 0.0  # it does not turn then
 
 
 def test_what_the_clock_does_is_no_lever_arm() -> None:

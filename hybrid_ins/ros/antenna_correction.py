@@ -1,0 +1,55 @@
+"""
+An antenna that nobody has placed: it is taken to be where the motion shows it.
+
+`hybrid_ins.core.lever_arm_observer` estimates that beside the filter which runs. A place that was
+given stays: who says where the antenna is decides what the odometry is of. Where nobody has placed
+the IMU either, the odometry remains that of the antenna, which fixes show; its attitude is right.
+"""
+
+from __future__ import annotations
+
+from hybrid_ins.core.events import AntennaShift
+from hybrid_ins.core.ins_filter import NEVER_NS
+from hybrid_ins.core.navigator import Navigator
+from hybrid_ins.ros.axes_monitor import describe_antenna
+from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.sensor_placement import SensorPlacement
+
+
+class AntennaCorrection:
+    """
+    Moves such an antenna.
+
+    Parameters
+    ----------
+    navigator : Navigator
+        Its filter shows the place.
+    placement : SensorPlacement
+        Where the antenna is taken to be.
+    inputs : InputLog
+        Warns when it is moved for the first time.
+    """
+
+    def __init__(self, navigator: Navigator, placement: SensorPlacement, inputs: InputLog) -> None:
+        self._navigator = navigator
+        self._placement = placement
+        self._inputs = inputs
+
+    def run_periodic(self) -> bool:
+        """Do what is due, some times a second; return whether the antenna was moved."""
+        running, placement = self._navigator.filter, self._placement
+        is_given = placement.is_placed("gnss/fix")
+        if running is None or is_given or not running.lever_arm.is_certain:
+            return False
+        is_settled = self._navigator.phase.bank is None and running.next_event_ns == NEVER_NS
+        if not is_settled or running.record is not None:  # a smoother finds it by itself
+            return False
+        error_b, std = running.lever_arm[:2]
+        by_imu, after_ns = placement.is_placed("imu/data"), running.update.corrected_ns + 1
+        running.submit(AntennaShift(after_ns, error_b, by_imu))
+        is_first = not placement.antenna_error_b.any()
+        placement.move_antenna(error_b, std, by_imu)
+        if is_first:
+            moved = describe_antenna(placement.antenna_error_b, placement.antenna_std)
+            self._inputs.count_and_warn("gnss/fix", moved)
+        return True
