@@ -269,9 +269,12 @@ class ImuAxesCheck:
         Return the fault if hypotheses fit much better than the readings as given.
 
         Where a motion was compared before, only the fixes' noise may be left over by the best.
-        Of those that fit, the most ordinary explanation by gravity and course is chosen.
+        Rates in degrees turn the vehicle 57 times too far, and do not fit as given at all. Of those
+        that fit, the most ordinary explanation by gravity and course is chosen.
         """
-        fits = [f for f in fits if f.left < as_given.left / MUCH_BETTER or not _is_slow(f)]
+        is_excluded = as_given.left > FITS_OTHER * change
+        most = as_given.left / MUCH_BETTER if is_excluded else 0.0
+        fits = [f for f in fits if f.left < most or not _is_slow(f)]
         if not fits:
             return None
         best = min(fits, key=lambda one: one.left)
@@ -326,5 +329,5 @@ def _is_elsewhere(motion: Motion, change: float, as_given: Fit, far: Fit) -> boo
 
 
 def _is_slow(hypothesis: Fit) -> bool:
-    """Return whether rates were in degrees: without turns the motion fits this, too."""
+    """Return whether rates were in degrees: without turns this fits, and hides the bias, too."""
     return bool(np.allclose(hypothesis.gyroscope, DEGREES * np.eye(3)))

@@ -23,11 +23,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.imu_axes_nuisance import (
-    CLOCK_OFFSETS,
-    CLOCK_STEP,
-    STRICT,
-)
+from hybrid_ins.core.imu_axes_nuisance import CLOCK_OFFSETS, CLOCK_STEP, DRIFT_TIME, STRICT
 from hybrid_ins.core.imu_health import GRAVITY
 from hybrid_ins.core.measurements import turned
 from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec, skew
@@ -39,9 +35,10 @@ STEP = 0.05  # s, over which readings are integrated
 INTERVALS = (1.0, 2.5, 5.0)  # s, of a change of velocity: brisk motion, gentle motion, poor fixes
 TOLERANCE = (0.5, 2.0)  # of an interval
 LEAST_STEP = 0.24  # s, from one change of velocity to the next
-CHANGE_STD = 0.3  # m/s, of a change of velocity by fixes
+LEAST_STD, CHANGE_STD = 0.2, 0.3  # m/s, of a change of velocity: by good fixes and by poor ones
 NUDGE = 1e-3  # rad/s, for derivatives by the bias
-ITERATIONS, SMALLER = 8, 0.99  # at most; as long as so many times as much is left over
+ITERATIONS, TOLERANT_ITERATIONS = 8, 16  # at most, of few and of many nuisance parameters
+SMALLER = 0.99  # times as much has to be left over for another one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +164,7 @@ def fit(motion: Motion, start: Fit, allowed: tuple[Array, Array] = STRICT) -> Fi
     best = replace(start, left=np.inf)
     nuisance = nuisance_of_best = np.zeros(len(std))
     nuisance[:6] = *start.bias, *(start.lever_arm - start.given_arm)
-    for _ in range(ITERATIONS):
+    for _ in range(TOLERANT_ITERATIONS if tolerant else ITERATIONS):
         lever_arm, offsets = start.given_arm + nuisance[3:6], CLOCK_OFFSETS + nuisance[6]
         force = impulse - STEP * nuisance[7:10] if tolerant else impulse
         path, arms = _paths(motion, _turns(turn, nuisance), force)
@@ -212,10 +209,12 @@ def fit(motion: Motion, start: Fit, allowed: tuple[Array, Array] = STRICT) -> Fi
 
 def _turns(turn: Array, nuisance: Array) -> Array:
     """Return turns (..., N, 3) without the errors of a gyroscope, of nuisances (..., 1, P)."""
-    bias, scales = nuisance[..., :3], nuisance[..., 10:]
+    bias, scales, drift = nuisance[..., :3], nuisance[..., 10:19], nuisance[..., 19:]
     if scales.shape[-1]:
         errors = scales.reshape(*nuisance.shape[:-2], 3, 3)
         turn = turn - turn @ np.swapaxes(errors, -1, -2)
+        since_middle = STEP * (np.arange(turn.shape[-2]) - 0.5 * turn.shape[-2])
+        bias = bias + drift * (since_middle / DRIFT_TIME)[:, None]
     return np.asarray(turn - STEP * bias)
 
 
@@ -232,9 +231,10 @@ def _equations(
 ) -> tuple[Array, Array]:
     """Return H and z of the least squares for a rotation (3,) and nuisance parameters (P,)."""
     count = len(std)
-    by_rotation = [-skew(changes @ C.T)[:, :, i] for i in range(3)]
-    of_changes = np.concatenate((np.stack(by_rotation, -1), C @ by_nuisance), -1)
-    weight = np.diag(CHANGE_STD / std)
+    of_changes = np.concatenate((-skew(changes @ C.T), C @ by_nuisance), -1)
+    least = LEAST_STD if count > len(STRICT[0]) else CHANGE_STD
+    noise = np.clip(np.sqrt(np.mean(misfit[:, :2] ** 2)), least, CHANGE_STD)
+    weight = np.diag(noise / std)
     H = np.vstack((of_changes.reshape(-1, 3 + count), np.hstack((np.zeros((count, 3)), weight))))
     return H, np.concatenate((misfit.ravel(), -weight @ nuisance))
 

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 CLOCK_OFFSETS = np.linspace(-1.0, 1.0, 21)  # s, that may explain a misfit
 CLOCK_STEP = float(CLOCK_OFFSETS[1] - CLOCK_OFFSETS[0])
 BIAS_STD, LARGEST_BIAS = 0.02, 0.05  # rad/s, of a gyroscope
+DRIFT_STD, LARGEST_DRIFT, DRIFT_TIME = 0.0015, 0.005, 30.0  # rad/s, of that bias in so many s
 LEVER_ARM_STD, LONGEST_LEVER_ARM = 0.5, 3.0  # m, from the IMU to the antenna along each axis
 
 # Bias, lever arm from where it is said to be, clock offset between those of the grid.
@@ -25,10 +26,13 @@ STRICT = (
 
 
 def _tolerant(lever_arm_std: float, longest: float) -> tuple[Array, Array]:
-    """Return the same; an accelerometer's bias [m/s²], a gyroscope's scales and misaligned axes."""
-    count = (3, 3, 1, 3, 9)
-    std = np.repeat((BIAS_STD, lever_arm_std, 0.5 * CLOCK_STEP, 0.1, 0.01), count)
-    return std, np.repeat((LARGEST_BIAS, longest, 0.5 * CLOCK_STEP, 0.5, 0.03), count)
+    """
+    Return the same; an accelerometer's bias [m/s²], a gyroscope's scales, misaligned axes, drift.
+    """
+    count = (3, 3, 1, 3, 9, 3)
+    std = np.repeat((BIAS_STD, lever_arm_std, 0.5 * CLOCK_STEP, 0.1, 0.01, DRIFT_STD), count)
+    largest = LARGEST_BIAS, longest, 0.5 * CLOCK_STEP, 0.5, 0.03, LARGEST_DRIFT
+    return std, np.repeat(largest, count)
 
 
 TOLERANT = _tolerant(2.0, 5.0)

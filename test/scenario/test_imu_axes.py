@@ -22,11 +22,12 @@ from hybrid_ins.simulation.motions import (
     motion_through,
     quadrotor_flight,
     random_motion,
+    smoothed,
     time_grid,
     velocity_of,
 )
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
-from hybrid_ins.simulation.vehicles import VEHICLES, city_car, record
+from hybrid_ins.simulation.vehicles import VEHICLES, along_road, city_car, record
 from tools.vehicles.drives import from_simulation
 
 ONE = np.eye(3)
@@ -361,3 +362,32 @@ def test_a_wrong_mount_is_named_in_circles_too(bank: float) -> None:
 def test_a_wrong_clock_is_not_taken_for_wrong_axes(offset: float) -> None:
     for motion in (random_motion(60.0, 2), quadrotor_flight(60.0, 5), city_car(60.0, 2)):
         assert not any(fault for _, fault in check(readings(motion, 60.0, offset)))
+
+
+def on_a_field(seed: int) -> Readings:
+    """Return rows by a slow tractor: biases of degrees per second that drift, and good fixes."""
+    rng = np.random.default_rng(seed)
+    t = time_grid(200.0)
+    speed = 1.4 * smoothed((t > 6.0).astype(float), 1.0)
+    rows = np.floor(integral(speed) / 90.0)
+    motion = along_road(t, speed, 0.4 + np.pi * smoothed(rows % 2.0, 5.0))
+    gyro_bias, force_bias, drift = rng.uniform(-1.0, 1.0, (3, 3)) * [[0.03], [0.3], [0.01]]
+    errors = ImuErrors(
+        gyroscope_bias=gyro_bias,
+        accelerometer_bias=force_bias,
+        gyroscope_scale=0.008,
+        mount_rpy=(0.01, -0.01, 0.01),
+    )
+    imu = corrupt(sample(motion, sample_times(200.0, 50.0)), errors, rng)
+    gnss = fixes(sample(motion, sample_times(200.0, 5.0)), rng, 0.012)
+    rate = imu.angular_rate + drift * (1.0 - np.exp(-imu.t / 90.0))[:, None]
+    return imu.t, imu.specific_force @ FLIP, rate @ FLIP, gnss.t, gnss.lla
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_drifting_bias_on_straight_rows_is_not_taken_for_degrees(seed: int) -> None:
+    field = on_a_field(seed)
+
+    assert not any(fault for _, fault in check(field))
+    found = next((t, fault) for t, fault in check(field, ONE, DEGREES * ONE) if fault)
+    assert found[0] < 60.0 and "divided by 57.3" in describe(found[1]).text
