@@ -97,7 +97,7 @@ _START[NIS_SCALE] = 1.0
 class LeverArmError(NamedTuple):
     """What the innovations show of the antenna's place."""
 
-    error_b: Array  # (3,) m, true minus given, b
+    error_b: Array  # (3,) m, true minus that of the fixes, b
     std: Array  # (3,) m
     distance: float  # of the error from none, in standard deviations of three dimensions
     is_certain: bool  # worth telling
@@ -139,7 +139,8 @@ class LeverArmObserver(ShallowCopy):
     @property
     def considered(self) -> Array:
         """What is added to the covariance of the position that is reported, (3,) [m²], NED."""
-        if self._is_found:
+        remains_of_antenna = self._values[CORRECTED].any()  # the odometry
+        if self._is_found and not remains_of_antenna:
             error, std = self.estimate[:2]
             return np.full(3, float(np.max(error**2 + std**2)))
         return self._values[CONSIDERED]

@@ -12,7 +12,7 @@ from support.runs import begin
 from hybrid_ins.core.clock_offset import MAX_STD
 from hybrid_ins.core.events import AntennaFound, AntennaShift
 from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.lever_arm_observer import P_PARAMETERS, SENSITIVITIES
+from hybrid_ins.core.lever_arm_observer import P_PARAMETERS, SENSITIVITIES, LeverArmObserver
 from hybrid_ins.core.measurements import VelocityFix
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.state import (
@@ -137,6 +137,10 @@ def test_after_a_correction_what_is_left_is_considered_or_all_of_it(moves_odomet
     assert np.all(left.std > found.std) and not left.is_certain
     considered = np.sqrt(np.sum(ins.nav[ANTENNA_VARIANCE]))
     assert considered < 0.8 * distance if moves_odometry else considered > 0.9 * distance
+    # AND a filter that begins later, with the lever arm that was found, considers as much
+    begun = LeverArmObserver(found.std).or_earlier(ins.update.lever_arm)
+    later = np.sqrt(np.max(begun.considered))
+    assert later < 0.8 * distance if moves_odometry else later > 0.9 * distance
 
 
 def test_what_an_error_may_do_in_a_turn_is_told_to_the_noise() -> None:
