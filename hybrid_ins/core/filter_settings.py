@@ -48,6 +48,8 @@ class FilterSettings:
         Antenna relative to the IMU [m], b, as in the fixes.
     lever_std : ndarray, shape (3,)
         See `LeverArmObserver`.
+    antenna_is_placed : bool
+        Likewise.
     scale_std : float
         See `ScaleErrorObserver`.
     """
@@ -63,6 +65,7 @@ class FilterSettings:
     learn_scatter: bool = False
     lever_b: Array = field(default_factory=lambda: np.zeros(3))
     lever_std: Array = field(default_factory=lambda: np.zeros(3))
+    antenna_is_placed: bool = True
     scale_std: float = 0.0
 
     def clock_prior_at(self, t_ns: int) -> ClockPrior | None:
@@ -78,6 +81,6 @@ class FilterSettings:
             ClockOffsetObserver(self.clock_std, self.clock_prior, self.clock_drift),
             PositionScatter(self.position_scatter**2, self.learn_scatter),
             t_ns,
-            LeverArmObserver(self.lever_std),
+            LeverArmObserver(self.lever_std, self.antenna_is_placed),
             ScaleErrorObserver(self.scale_std),
         )

@@ -17,9 +17,9 @@ said where the antenna is. The antenna is the vehicle's: what one filter has fou
 the next. A lever arm that was not given but found from motion is considered from the start on.
 
 Where the noise factors rise by what a lever arm does, the attitude follows each turn, and the
-estimate is too short and no less certain. So what it may do to an innovation in a turn is no
-evidence on the noise. And what the first seconds show is forgotten: the search for the heading has
-put into the state what s does not contain.
+estimate is too short and no less certain. So what an antenna that nobody has placed may do to an
+innovation in a turn is no evidence on the noise. And what the first seconds show of it is
+forgotten: the search for the heading has put into the state what s does not contain.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -113,15 +113,17 @@ class LeverArmObserver(ShallowCopy):
     ----------
     found_std : ndarray, shape (3,)
         Standard deviation of a lever arm that was found from motion [m], b; zeros: it is given.
+    is_placed : bool
+        Somebody has said where the antenna is: no large error is to be expected.
     """
 
-    def __init__(self, found_std: Array = GIVEN) -> None:
+    def __init__(self, found_std: Array = GIVEN, is_placed: bool = True) -> None:
         self._values, self._is_found = _START, bool(np.any(found_std))
-        self._forgets = not self._is_found
+        self._is_placed = is_placed
+        self._forgets = not (is_placed or self._is_found)
         if self._is_found:
-            self._values = _START.copy()
-            P = np.diag((MAX_STD**2, AGE_STD**2, *np.square(found_std)))
-            self._values[P_PARAMETERS] = P.ravel()
+            P, self._values = (MAX_STD**2, AGE_STD**2, *np.square(found_std)), _START.copy()
+            self._values[P_PARAMETERS] = np.diag(P).ravel()
         self._t_ns = self._start_ns = 0  # of the last correction (0: s is not known), of the first
 
     @property
@@ -129,12 +131,8 @@ class LeverArmObserver(ShallowCopy):
         """See `LeverArmError`."""
         values = self._values
         variance = values[P_PARAMETERS][:: N_PARAMETERS + 1][ERROR] * _variance_factor(values)
-        return LeverArmError(
-            values[ERROR].copy(),
-            np.sqrt(variance),
-            values.item(DISTANCE),
-            bool(values[CERTAIN]),
-        )
+        found = values[ERROR].copy(), np.sqrt(variance), values.item(DISTANCE)
+        return LeverArmError(*found, bool(values[CERTAIN]))
 
     @property
     def considered(self) -> Array:
@@ -182,9 +180,11 @@ class LeverArmObserver(ShallowCopy):
         """
         Return the mean square (m, m) of what an error adds to the innovation of the last fix.
 
-        It is as the error was known before that fix; None where it is not observed.
+        It is as the error was known before that fix; None where it is not observed, or no large one
+        is to be expected.
         """
-        return self._values[DOUBT][: m * m].reshape(m, m) if self._t_ns else None
+        is_none = self._is_placed or not self._t_ns
+        return None if is_none else self._values[DOUBT][: m * m].reshape(m, m)
 
     def _forget(self) -> None:
         """Forget what is known of the error; the values must be a copy."""
@@ -197,9 +197,8 @@ class LeverArmObserver(ShallowCopy):
         """
         Correct a part ``by_b`` (3,) [m], b, of the error: fixes contain it from now on.
 
-        Returns the error (15,) that it has caused in the state. Where that moves the odometry, what
-        is left is considered from now on, as that of a lever arm that was found. Where the odometry
-        remains that of the antenna, all of it is.
+        Returns the error (15,) that it has caused in the state. What is left is considered from now
+        on where that moves the odometry, all of it where it remains that of the antenna.
         """
         self._values = values = self._values.copy()
         if moves_odometry:

@@ -8,12 +8,16 @@ the IMU either, the odometry remains that of the antenna, which fixes show; its 
 
 from __future__ import annotations
 
+import numpy as np
+
 from hybrid_ins.core.events import AntennaShift
 from hybrid_ins.core.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator import Navigator
 from hybrid_ins.ros.axes_monitor import describe_antenna
 from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.sensor_placement import SensorPlacement
+
+LEAST_ERROR = 0.3  # m: a smaller one does little to the state, and is considered
 
 
 class AntennaCorrection:
@@ -38,14 +42,16 @@ class AntennaCorrection:
     def run_periodic(self) -> bool:
         """Do what is due, some times a second; return whether the antenna was moved."""
         running, placement = self._navigator.filter, self._placement
-        is_given = placement.is_placed("gnss/fix")
-        if running is None or is_given or not running.lever_arm.is_certain:
+        is_placed = placement.antenna_is_placed
+        if running is None or is_placed or not running.lever_arm.is_certain:
             return False
         is_settled = self._navigator.phase.bank is None and running.next_event_ns == NEVER_NS
         if not is_settled or running.record is not None:  # a smoother finds it by itself
             return False
         error_b, std = running.lever_arm[:2]
-        by_imu, after_ns = placement.is_placed("imu/data"), running.update.corrected_ns + 1
+        if np.linalg.norm(error_b) < LEAST_ERROR:
+            return False
+        by_imu, after_ns = placement.imu_is_placed, running.update.corrected_ns + 1
         running.submit(AntennaShift(after_ns, error_b, by_imu))
         is_first = not placement.antenna_error_b.any()
         placement.move_antenna(error_b, std, by_imu)

@@ -72,13 +72,16 @@ class FilterFactory:
         self.speed_check.max_speed = self._values["gnss.max_speed"]
         self.speed_check.patience = self._values["gnss.patience"]
 
-    def set_antenna(self, lever_b: Array, lever_std: Array) -> None:
+    def set_antenna(self, lever_b: Array, lever_std: Array, is_placed: bool) -> None:
         """
         Note where the antenna is relative to the IMU [m], b, shape (3,).
 
-        Its standard deviation is zero where it is given.
+        Its standard deviation is zero where it was not found from motion. Where it is not placed,
+        nobody has said where it is.
         """
-        self.settings = replace(self.settings, lever_b=lever_b, lever_std=lever_std)
+        self.settings = replace(
+            self.settings, lever_b=lever_b, lever_std=lever_std, antenna_is_placed=is_placed
+        )
 
     def set_clock_offset(self, offset: float, prior: ClockPrior, drift: ClockDrift) -> None:
         """

@@ -52,7 +52,9 @@ class FixInput:
 
     def configure(self) -> None:
         """Use the present parameters, placement and clock offset."""
-        self._parts.set_antenna(self._placement.lever_b, self._placement.antenna_std)
+        placement = self._placement
+        is_placed = placement.antenna_is_placed
+        self._parts.set_antenna(placement.lever_b, placement.antenna_std, is_placed)
         clock = self._clock
         self._parts.set_clock_offset(clock.offset, clock.prior, clock.drift)
         self._prior = clock.prior

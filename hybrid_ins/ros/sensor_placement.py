@@ -72,11 +72,20 @@ class SensorPlacement:
         xx, xy, xz, yx, yy, yz, zx, zy, zz = self._mount_rows
         return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
 
-    def is_placed(self, topic: str) -> bool:
-        """Return whether a parameter or ``/tf_static`` says where the sensor of a topic is."""
+    @property
+    def antenna_is_placed(self) -> bool:
+        """Whether parameters or ``/tf_static`` say where the antenna is relative to the IMU."""
+        by_parameters = any(self._antenna) or any(self._position)
+        return by_parameters or self._is_placed_by_transform("gnss/fix")
+
+    @property
+    def imu_is_placed(self) -> bool:
+        """Whether they say where the IMU is in the base frame."""
+        return any(self._position) or self._is_placed_by_transform("imu/data")
+
+    def _is_placed_by_transform(self, topic: str) -> bool:
         is_base = self._frames[topic] == self._base  # so say drivers that do not know it
-        by_transform = not is_base and self._transform_of(topic) is not None
-        return self.is_given[topic] or by_transform
+        return not is_base and self._transform_of(topic) is not None
 
     def frame_of(self, topic: str) -> str:
         """Return the frame_id of the last message on ``imu/data`` or ``gnss/fix``."""

@@ -30,9 +30,12 @@ DRIVE = Scenario("drive", car_drive, rate=100.0, duration=90.0, scored_from=0.6)
 FLIGHT = Scenario("flight", rate=100.0, duration=30.0, scored_from=0.6)
 
 
-def filtered(run: Run, lever_b: np.ndarray, *, velocities: bool = False) -> InsFilter:
+def filtered(
+    run: Run, lever_b: np.ndarray, *, velocities: bool = False, is_placed: bool = True
+) -> InsFilter:
     """Run a filter until the last fix, by which the antenna is at ``lever_b`` from the IMU."""
     ins = begin(run)
+    ins.update.lever_arm = LeverArmObserver(is_placed=is_placed)
     ins.ring.extend(run.samples)
     fixes = [replace(fix, lever_b=lever_b) for fix in run.fixes]
     for k in range(2, len(run.scored), 3) if velocities else ():
@@ -148,13 +151,14 @@ def test_what_an_error_may_do_in_a_turn_is_told_to_the_noise() -> None:
     for seconds in (12.0, 15.0, 18.0, 21.0):
         stop_ns = int(run.samples["t_ns"][0] + seconds * 1e9)
         begun = replace(run, fixes=tuple(fix for fix in run.fixes if fix.t_ns < stop_ns))
-        doubt = filtered(begun, np.zeros(3)).update.lever_arm.doubt(3)
+        doubt = filtered(begun, np.zeros(3), is_placed=False).update.lever_arm.doubt(3)
         assert doubt is not None
         np.testing.assert_allclose(doubt, doubt.T)
         traces.append(float(np.trace(doubt)))
 
     assert max(traces) > 1e-5
     assert min(traces) == 0.0  # it does not turn then
+    assert filtered(run, np.zeros(3)).update.lever_arm.doubt(3) is None
 
 
 def test_what_the_clock_does_is_no_lever_arm() -> None:
