@@ -203,7 +203,6 @@ def _compile_output() -> None:
         1.0,
         0.0,
         turn,
-        turn,
         np.zeros(N_ERROR),
         z,
         H,

@@ -17,9 +17,8 @@ said where the antenna is. The antenna is the vehicle's: what one filter has fou
 the next. A lever arm that was not given but found from motion is considered from the start on.
 
 Where the noise factors rise by what a lever arm does, the attitude follows each turn, and the
-estimate is too short and no less certain. So what an antenna that nobody has placed may do to an
-innovation in a turn is no evidence on the noise. And what the first seconds show of it is
-forgotten: the search for the heading has put into the state what s does not contain.
+estimate is too short and no less certain. Of an antenna that nobody has placed, what the first
+seconds show is forgotten: the search for the heading has put into the state what s does not contain.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -65,8 +64,6 @@ Array = NDArray[np.float64]
 
 GIVEN = np.zeros(3)  # m
 PRIOR_STD = 2.0  # m, of each component of the error
-TURNING = 0.1  # rad/s: of a vehicle that turns less, vibration makes h
-DOUBTED_STD = 1.0  # m, of that as a cause of large innovations
 SHIFT_SHARE = 0.3  # of an error that is corrected: it may be off by so much
 AGE_STD = 0.3  # s, of velocities against positions
 HEADING_STD = math.radians(4.0)  # from which the start is observed
@@ -85,8 +82,9 @@ FIX_STD = 32  # m, of the last position from north, as it was fused
 CONSIDERED = slice(33, 36)  # m², NED: what is added to the covariance of the position
 LAST_VELOCITY, LAST_C = slice(36, 39), slice(39, 48)  # n, and C_nb, after the last correction
 SENSITIVITIES = slice(48, 48 + 3 * N_ERROR)  # s, row by row
-DOUBT = slice(SENSITIVITIES.stop, SENSITIVITIES.stop + 9)  # `LeverArmObserver.doubt`, row by row
-CORRECTED = slice(DOUBT.stop, DOUBT.stop + 3)  # m, b: of dl, and considered all the same
+CORRECTED = slice(
+    SENSITIVITIES.stop, SENSITIVITIES.stop + 3
+)  # m, b: of dl, and considered all the same
 CERTAIN = CORRECTED.stop  # 1: the error is worth telling
 N_VALUES = CERTAIN + 1
 _START = np.zeros(N_VALUES)
@@ -119,7 +117,6 @@ class LeverArmObserver(ShallowCopy):
 
     def __init__(self, found_std: Array = GIVEN, is_placed: bool = True) -> None:
         self._values, self._is_found = _START, bool(np.any(found_std))
-        self._is_placed = is_placed
         self._forgets = not (is_placed or self._is_found)
         if self._is_found:
             P, self._values = (MAX_STD**2, AGE_STD**2, *np.square(found_std)), _START.copy()
@@ -175,16 +172,6 @@ class LeverArmObserver(ShallowCopy):
         self._values = self._values.copy()
         self._values[PARAMETERS.start] -= by
         self._values[P_PARAMETERS.start] += by**2
-
-    def doubt(self, m: int) -> Array | None:
-        """
-        Return the mean square (m, m) of what an error adds to the innovation of the last fix.
-
-        It is as the error was known before that fix; None where it is not observed, or no large one
-        is to be expected.
-        """
-        is_none = self._is_placed or not self._t_ns
-        return None if is_none else self._values[DOUBT][: m * m].reshape(m, m)
 
     def _forget(self) -> None:
         """Forget what is known of the error; the values must be a copy."""
@@ -318,7 +305,6 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
             h[a, 0], h[a, 1] = to_clock[a, 0], to_clock[a, 1]
             for j in range(3):
                 of_error[a, j] += of_itself[a, j]
-        _doubt(values, of_error, T > 0.0 and _turn_square(C, values[LAST_C]) > (TURNING * T) ** 2)
     if informs:
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         P[0, 0] += max(T, 0.0) * RANDOM_WALK**2
@@ -343,30 +329,6 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
 def _variance_factor(values):  # type: ignore[no-untyped-def]
     """Return the factor by which the variances in ``values`` are too small."""
     return MARGIN**2 * max(values[NIS_SCALE], 1.0)
-
-
-@register_jitable
-def _turn_square(C, before):  # type: ignore[no-untyped-def]
-    """Return the square of the small angle between two attitudes [rad²], C_nb row by row."""
-    square = 3.0
-    for i in range(9):
-        square -= C[i] * before[i]
-    return square
-
-
-@register_jitable
-def _doubt(values, of_error, turns):  # type: ignore[no-untyped-def]
-    """Write the mean square of what an error adds to an innovation, by its derivative (m, 3)."""
-    m, error, doubt = len(of_error), values[ERROR], values[DOUBT]
-    for a in range(m):
-        for b in range(m):
-            of_a, of_b, spread = 0.0, 0.0, 0.0
-            for i in range(3):
-                of_a += of_error[a, i] * error[i]
-                of_b += of_error[b, i] * error[i]
-                variance = min(values[P_PARAMETERS][(N_PARAMETERS + 1) * (2 + i)], DOUBTED_STD**2)
-                spread += of_error[a, i] * variance * of_error[b, i]
-            doubt[a * m + b] = of_a * of_b + spread if turns else 0.0
 
 
 @register_jitable

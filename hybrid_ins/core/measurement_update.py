@@ -8,7 +8,6 @@ clock offset and the place of the antenna.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -315,11 +314,9 @@ class MeasurementUpdate:
 
     def _learn_noise(self, nav: Array, correction: Correction) -> bool:
         """Let noise and sensors' errors learn from it; the former may move the state."""
-        if self.noise.uses_corrections:
-            self.lever_arm.update(correction, nav, is_fix=True)
-            correction = replace(correction, of_antenna=self.lever_arm.doubt(len(correction.z)))
         without_scale = self.scale_errors.explain(correction)
         if self.noise.uses_corrections:
+            self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction, without_scale)
         if moved is not None:

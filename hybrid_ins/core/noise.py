@@ -72,8 +72,6 @@ class Correction:
         Factor on the covariance of a fix that is in S.
     stamp_std : float
         Standard deviation of the stamps [s] that is in S, times ``of_stamp``.
-    of_antenna : ndarray, shape (m, m), optional
-        Mean square of what an antenna in another place adds to z, which S does not contain.
     """
 
     t_ns: int
@@ -92,7 +90,6 @@ class Correction:
     of_stamp: Array | None = None
     fix_factor: float = 1.0
     stamp_std: float = 0.0
-    of_antenna: Array | None = None
 
 
 class NoiseModel(Protocol):

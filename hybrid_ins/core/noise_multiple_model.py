@@ -257,7 +257,6 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.fix_factor,
             correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
-            _EXACT[:m, :m] if correction.of_antenna is None else correction.of_antenna,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
@@ -300,7 +299,6 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fix_factor,
     stamp_variance,
     of_stamp,
-    of_antenna,
     dx,
     z_x,
     H_x,
@@ -321,7 +319,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, of_antenna, dx
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, dx
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
@@ -357,7 +355,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         hypotheses[STAMP_STD],
         z_x,
         H_x,
-        R / fix_factor + of_antenna,
+        R / fix_factor,
         of_stamp,
         x,
         TAIL_DOF,

@@ -146,19 +146,16 @@ def test_after_a_correction_what_is_left_is_considered_or_all_of_it(moves_odomet
     assert later < 0.8 * distance if moves_odometry else later > 0.9 * distance
 
 
-def test_what_an_error_may_do_in_a_turn_is_told_to_the_noise() -> None:
-    run, traces = draw(FLIGHT, 1), []
-    for seconds in (12.0, 15.0, 18.0, 21.0):
-        stop_ns = int(run.samples["t_ns"][0] + seconds * 1e9)
+@pytest.mark.parametrize("is_placed", [True, False])
+def test_of_an_antenna_that_nobody_placed_the_first_seconds_are_forgotten(is_placed: bool) -> None:
+    run, std = draw(FLIGHT, 1), []
+    for seconds in (9.8, 10.4):
+        stop_ns = run.fixes[0].t_ns + round(seconds * 1e9)
         begun = replace(run, fixes=tuple(fix for fix in run.fixes if fix.t_ns < stop_ns))
-        doubt = filtered(begun, np.zeros(3), is_placed=False).update.lever_arm.doubt(3)
-        assert doubt is not None
-        np.testing.assert_allclose(doubt, doubt.T)
-        traces.append(float(np.trace(doubt)))
+        std.append(filtered(begun, np.zeros(3), is_placed=is_placed).lever_arm.std.min())
 
-    assert max(traces) > 1e-5
-    assert min(traces) == 0.0  # it does not turn then
-    assert filtered(run, np.zeros(3)).update.lever_arm.doubt(3) is None
+    assert std[0] < 0.3
+    assert (std[1] < std[0]) if is_placed else (std[1] > 1.5 * std[0])
 
 
 def test_what_the_clock_does_is_no_lever_arm() -> None:

@@ -160,15 +160,13 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         # What S contains is what another bank has found: of innovations that scale errors raise.
         fix_factor, stamp_std = 3.0 ** rng.uniform(-1.0, 1.0), 0.1 * rng.uniform()
         correction = correction_of(rng, nav, k, fix_factor, stamp_std)
-        side = rng.normal(0.0, 0.5, (3, 1))
-        correction = replace(correction, of_antenna=side @ side.T)
         moved = bank.update(correction, PSD)
 
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
         of_stamp = correction.of_stamp
-        R = (R - stamp_std**2 * of_stamp) / fix_factor + side @ side.T
+        R = (R - stamp_std**2 * of_stamp) / fix_factor
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
         z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
