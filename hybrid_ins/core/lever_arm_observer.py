@@ -17,8 +17,8 @@ said where the antenna is. The antenna is the vehicle's: what one filter has fou
 the next. A lever arm that was not given but found from motion is considered from the start on.
 
 Where the noise factors rise by what a lever arm does, the attitude follows each turn, and the
-estimate is too short and no less certain. Of an antenna that nobody has placed, what the first
-seconds show is forgotten: the search for the heading has put into the state what s does not contain.
+estimate is too short and no less certain. What the first seconds show of an antenna that nobody has
+placed is forgotten: the search for the heading has put into the state what s does not contain.
 
 Headings that are hardly known are a nonlinear problem: nothing is observed meanwhile. A wrong place
 of the antenna may itself keep a heading from being known well, so after half a minute less is
@@ -82,9 +82,7 @@ FIX_STD = 32  # m, of the last position from north, as it was fused
 CONSIDERED = slice(33, 36)  # m², NED: what is added to the covariance of the position
 LAST_VELOCITY, LAST_C = slice(36, 39), slice(39, 48)  # n, and C_nb, after the last correction
 SENSITIVITIES = slice(48, 48 + 3 * N_ERROR)  # s, row by row
-CORRECTED = slice(
-    SENSITIVITIES.stop, SENSITIVITIES.stop + 3
-)  # m, b: of dl, and considered all the same
+CORRECTED = slice(SENSITIVITIES.stop, SENSITIVITIES.stop + 3)  # m, b: of dl, and considered
 CERTAIN = CORRECTED.stop  # 1: the error is worth telling
 N_VALUES = CERTAIN + 1
 _START = np.zeros(N_VALUES)
@@ -195,6 +193,7 @@ class LeverArmObserver(ShallowCopy):
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         P[ERROR, ERROR] += np.square(SHIFT_SHARE * np.linalg.norm(by_b)) * np.eye(3)
         values[ERROR] -= by_b
+        values[CERTAIN] = 0.0
         caused = values[SENSITIVITIES].reshape(N_ERROR, 3) @ by_b
         values[LAST_VELOCITY] += caused[DV]
         return np.asarray(caused)
