@@ -42,19 +42,19 @@ class AntennaCorrection:
     def run_periodic(self) -> bool:
         """Do what is due, some times a second; return whether the antenna was moved."""
         running, placement = self._navigator.filter, self._placement
-        is_placed = placement.antenna_is_placed
-        if running is None or is_placed or not running.lever_arm.is_certain:
+        if running is None or placement.antenna_is_placed:
             return False
-        is_settled = self._navigator.phase.bank is None and running.next_event_ns == NEVER_NS
-        if not is_settled or running.record is not None:  # a smoother finds it by itself
+        error_b, std, _, is_certain = running.lever_arm
+        if not is_certain or np.linalg.norm(error_b) < LEAST_ERROR:
             return False
-        error_b, std = running.lever_arm[:2]
-        if np.linalg.norm(error_b) < LEAST_ERROR:
+        searches = self._navigator.phase.bank is not None
+        fix_waits = running.next_event_ns < NEVER_NS  # for the IMU, with the place so far
+        if searches or fix_waits or running.record is not None:  # a smoother finds it by itself
             return False
-        by_imu, after_ns = placement.imu_is_placed, running.update.corrected_ns + 1
-        running.submit(AntennaShift(after_ns, error_b, by_imu))
+        after_ns, moves_odometry = running.update.corrected_ns + 1, placement.imu_is_placed
+        running.submit(AntennaShift(after_ns, error_b, moves_odometry))
         is_first = not placement.antenna_error_b.any()
-        placement.move_antenna(error_b, std, by_imu)
+        placement.move_antenna(error_b, std, moves_odometry)
         if is_first:
             moved = describe_antenna(placement.antenna_error_b, placement.antenna_std)
             self._inputs.count_and_warn("gnss/fix", moved)

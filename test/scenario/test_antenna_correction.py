@@ -35,7 +35,7 @@ class Ends:
         self.estimator, t_ns, rows = judge.run(drive, values, lambda _, text: lines.append(text))
         self.lines = "\n".join(lines)
         late = drive.truth_ns > drive.imu_ns[-1] - 60_000_000_000
-        _, horizontal, self.up, P = judge._position_errors(drive, t_ns, rows)
+        _, horizontal, _, P = judge._position_errors(drive, t_ns, rows)
         self.horizontal = float(np.median(np.linalg.norm(horizontal[late], axis=1)))
         self.std = float(np.sqrt(np.median(np.trace(P[late], axis1=1, axis2=2))))
         moved = rows.copy()
