@@ -3,8 +3,8 @@ Logs of ArduPilot: dataflash (``*.bin``) and telemetry (``*.tlog``). Needs `pyma
 
 References
 ----------
-ArduPilot documentation, "Onboard message log messages": IMU, GPS, GPA, ORGN, XKF1. MAVLink common
-message set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
+ArduPilot documentation, "Onboard message log messages": IMU, GPS, GPA, ORGN, XKF1, NKF1. MAVLink
+common message set: RAW_IMU, SCALED_IMU, HIGHRES_IMU, GPS_RAW_INT.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ import numpy as np
 
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
     FIX,
     GBAS_FIX,
     SBAS_FIX,
+    WEEK,
     EstimateLog,
     GnssLog,
     ImuLog,
@@ -42,6 +44,7 @@ IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
     "RAW_IMU": (1e-3 * GRAVITY, 1e-3),
     "SCALED_IMU": (1e-3 * GRAVITY, 1e-3),
 }
+ESTIMATES = ("XKF1", "NKF1")  # of EKF3 and EKF2
 UNKNOWN = 65_535  # of speed and course in GPS_RAW_INT
 
 _log = logging.getLogger(__name__)
@@ -108,12 +111,12 @@ def read_gnss(path: Path) -> GnssLog:
         raise InputError(f"{path}: holds no three-dimensional fix")
     table = np.array(rows, float)
     table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
-    t, status, lla, velocity, accuracy = np.split(table, [1, 2, 5, 8], axis=1)
+    t, status, lla, velocity, accuracy, epochs = np.split(table, [1, 2, 5, 8, 11], axis=1)
     accuracy[accuracy <= 0.0] = np.nan
     horizontal, vertical, speed = accuracy.T
     return GnssLog(
         path,
-        t[:, 0],
+        times_of_epochs(t[:, 0], epochs[:, 0]),
         np.column_stack((np.radians(lla[:, :2]), lla[:, 2])),
         diagonal(np.column_stack((horizontal / 2**0.5, horizontal / 2**0.5, vertical))),
         np.array([STATUS[int(kind)] for kind in status[:, 0]], np.int8),
@@ -124,17 +127,18 @@ def read_gnss(path: Path) -> GnssLog:
 
 
 def read_estimate(path: Path) -> EstimateLog | None:
-    """Read the first core of EKF3 from a dataflash log; None where there is none."""
+    """Read the first core of EKF3, else of EKF2, from a dataflash log; None without either."""
     origin: Array | None = None
-    rows = []
-    for m in _messages(path, "ORGN", "XKF1") if _is_dataflash(path) else ():
+    found: dict[str, list[tuple[float, ...]]] = {name: [] for name in ESTIMATES}
+    for m in _messages(path, "ORGN", *ESTIMATES) if _is_dataflash(path) else ():
         if m.get_type() == "ORGN":
             origin = np.array([*np.radians((m.Lat, m.Lng)), m.Alt])
-        elif m.C == 0:
-            rows.append(
+        elif getattr(m, "C", 0) == 0:  # logs before ArduPilot 4.1 name further cores otherwise
+            found[m.get_type()].append(
                 (m.TimeUS * 1e-6, m.PN, m.PE, m.PD, m.VN, m.VE, m.VD, m.Roll, m.Pitch, m.Yaw)
             )
-    if origin is None or len(rows) < 2:
+    rows = next((part for part in found.values() if len(part) > 1), [])
+    if origin is None or not rows:
         return None
     table = np.array(rows, float)
     table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
@@ -144,24 +148,30 @@ def read_estimate(path: Path) -> EstimateLog | None:
 
 
 def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:
-    """Return rows: time, kind, latitude, longitude, height, velocity NED, three accuracies."""
+    """
+    Return rows of fixes.
+
+    Time of arrival, kind, latitude, longitude, height, velocity NED, three accuracies, receiver's
+    time.
+    """
     rows: list[tuple[float, ...]] = []
-    accuracy: dict[int, Any] = {}
-    fixes = []
+    fixes: list[tuple[Any, Any]] = []
     for m in _messages(path, "GPS", "GPA"):
         if getattr(m, "I", 0) == 0:
-            if m.get_type() == "GPA":
-                accuracy[m.TimeUS] = m
-            elif m.Status in STATUS:
-                fixes.append(m)
-    for m in fixes:
-        own = accuracy.get(m.TimeUS)
+            if m.get_type() == "GPS":
+                fixes.append((m, None))
+            elif fixes:  # follows the message that it belongs to
+                fixes[-1] = (fixes[-1][0], m)
+    for m, own in fixes:
+        if m.Status not in STATUS:
+            continue
         course = np.radians(m.GCrs)
         height = m.Alt - (getattr(own, "Und", 0.0) if own is not None else 0.0)
         place = (m.Lat, m.Lng, height)
         velocity = (m.Spd * np.cos(course), m.Spd * np.sin(course), m.VZ)
         claimed = (own.HAcc, own.VAcc, own.SAcc) if own is not None else (np.nan,) * 3
-        rows.append((m.TimeUS * 1e-6, m.Status, *place, *velocity, *claimed))
+        epoch = m.GWk * WEEK + m.GMS * 1e-3
+        rows.append((m.TimeUS * 1e-6, m.Status, *place, *velocity, *claimed, epoch))
     return rows
 
 
@@ -178,7 +188,8 @@ def _telemetry_fixes(path: Path) -> list[tuple[float, ...]]:
         place = (m.lat * 1e-7, m.lon * 1e-7, height)
         velocity = (speed * np.cos(course), speed * np.sin(course), np.nan)
         accuracy = (getattr(m, name, 0) * 1e-3 for name in ("h_acc", "v_acc", "vel_acc"))
-        rows.append((m.time_usec * 1e-6, m.fix_type, *place, *velocity, *accuracy))
+        t = m.time_usec * 1e-6
+        rows.append((t, m.fix_type, *place, *velocity, *accuracy, t))
     return rows
 
 

@@ -21,9 +21,11 @@ from hybrid_ins.dataset.logs.clock_match import (
 )
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.trajectory import Array
 
 UPRIGHT = 0.7  # cosine of the mean specific force with an axis that is vertical
 STEADY = 5.0  # m/s², of the mean specific force: gravity in a vehicle that mostly stays upright
+SHORT = 5.0  # s, over which a vehicle keeps its attitude, or moves by more than fixes scatter
 LEAST_TURNS = math.radians(5.0)  # rad/s, RMS of the course rate that shows a factor
 LEAST_CORRELATION = 0.5
 USUAL = 0.7, 1.4  # of the gyroscope's turn rate by that of the course
@@ -46,16 +48,18 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
     imu, gnss : ImuLog, GnssLog
         Of one clock.
     """
-    mean = np.mean(imu.specific_force, axis=0)
-    if np.linalg.norm(mean) < STEADY:
+    means = _short_means(imu)
+    size, mean = float(np.median(np.linalg.norm(means, axis=1))), np.median(means, axis=0)
+    if size < STEADY:
         _log.warning(
             "%s: the specific force is %.1f m/s² on average: gravity is missing; accelerations "
             "that were freed of it cannot be used",
             imu.path,
-            np.linalg.norm(mean),
+            size,
         )
         return imu
-    up = float(mean[2] / np.linalg.norm(mean))
+    is_upright_mostly = np.linalg.norm(mean) > 0.5 * size  # else it flies loops and rolls
+    up = float(mean[2] / np.linalg.norm(mean)) if is_upright_mostly else 1.0
     if up < -UPRIGHT:
         _log.warning(
             "%s: gravity points along +z: the axes are not forward, left, up; of forward, right, "
@@ -105,6 +109,13 @@ def check_imu(imu: ImuLog, gnss: GnssLog) -> ImuLog:
     return imu
 
 
+def _short_means(imu: ImuLog) -> Array:
+    """Return the means (K, 3) of the specific force over stretches of ``SHORT``."""
+    width = max(1, round(SHORT / float(np.median(np.diff(imu.t)))))
+    whole = max(1, len(imu.t) // width)
+    return np.array([part.mean(axis=0) for part in np.array_split(imu.specific_force, whole)])
+
+
 def mount_yaw(imu: ImuLog, gnss: GnssLog) -> float | None:
     """
     Return the angle of the IMU's x axis left of the direction of travel [rad], axes z up.
@@ -135,11 +146,18 @@ def check_velocity(gnss: GnssLog) -> None:
     """Warn where the receiver's speed is not that of its positions: another unit."""
     if gnss.velocity_n is None or len(gnss.t) < 3:
         return
-    step = np.gradient(positions(gnss), gnss.t, axis=0)[:, :2]
-    moved = np.hypot(*np.diff(positions(gnss)[:, :2], axis=0).T)
-    speed, by_positions = np.hypot(*gnss.velocity_n[:, :2].T), np.hypot(*step.T)
-    known = np.isfinite(speed) & (by_positions > LEAST_SPEED)
-    if known.sum() < 10 or moved.sum() < 20.0:
+    position = positions(gnss)[:, :2]
+    width = max(1, round(SHORT / float(np.median(np.diff(gnss.t)))))
+    if len(position) <= width:
+        return
+    step = (position[width:] - position[:-width]) / (gnss.t[width:] - gnss.t[:-width])[:, None]
+    middle = 0.5 * (gnss.velocity_n[1:, :2] + gnss.velocity_n[:-1, :2])
+    velocity = np.lib.stride_tricks.sliding_window_view(middle, width, axis=0).mean(axis=-1)
+    speed, by_positions = np.hypot(*velocity.T), np.hypot(*step.T)
+    claimed = np.sqrt(np.trace(gnss.covariance_n[width:, :2, :2], axis1=1, axis2=2))
+    shown = np.fmax(LEAST_SPEED, 3.0 * claimed / SHORT)  # beyond the positions' own wander
+    known = np.isfinite(speed) & (by_positions > shown)
+    if known.sum() < 10 or np.hypot(*np.diff(position, axis=0).T).sum() < 20.0:
         return
     factor = float(np.median(speed[known] / by_positions[known]))
     if not USUAL[0] < factor < USUAL[1]:

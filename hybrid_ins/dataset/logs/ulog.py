@@ -15,6 +15,7 @@ import numpy as np
 
 from hybrid_ins.core.earth import LocalFrame
 from hybrid_ins.core.rotations import slerp
+from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
     FIX,
     GBAS_FIX,
@@ -87,9 +88,10 @@ def read_gnss(path: Path) -> GnssLog:
     speed = data["s_variance_m_s"].astype(float)  # a deviation, despite its name
     sampled = np.any(data.get("timestamp_sample", 0))
     stamps = data["timestamp_sample" if sampled else "timestamp"]
+    arrivals, epochs = stamps * 1e-6, data.get("time_utc_usec", stamps) * 1e-6
     return GnssLog(
         path,
-        stamps * 1e-6,
+        times_of_epochs(arrivals, epochs),
         lla,
         diagonal(np.column_stack((horizontal, horizontal, data["epv"]))),
         np.array([STATUS[int(kind)] for kind in data["fix_type"]], np.int8),

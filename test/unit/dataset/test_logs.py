@@ -8,6 +8,7 @@ import struct
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -345,15 +346,20 @@ def test_ulog(tmp_path: Path, topic: str) -> None:
     assert np.diag(gnss.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09], rel=1e-5)
 
 
-def dataflash(path: Path) -> None:
+def dataflash(path: Path, estimate: str = "XKF1", has_cores: bool = True) -> None:
     """Write a dataflash log with two IMU samples and a fix, by the format's description."""
+    core, name_of_core = ("B", "C,") if has_cores else ("", "")
     formats_of = {  # type, format, columns
         "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
         "IMU": (129, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
         "GPS": (130, "QBBIHLLefff", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,Spd,GCrs,VZ"),
         "GPA": (131, "QBfffff", "TimeUS,I,VDop,HAcc,VAcc,SAcc,Und"),
         "ORGN": (132, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
-        "XKF1": (133, "QBccCfffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD"),
+        estimate: (
+            133,
+            f"Q{core}ccCfffffff",
+            f"TimeUS,{name_of_core}Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD",
+        ),
     }
     codes = {"n": "4s", "N": "16s", "Z": "64s", "L": "i", "e": "i", "c": "h", "C": "H"}
 
@@ -381,12 +387,13 @@ def dataflash(path: Path) -> None:
         parts.append(message("IMU", t_us, 1, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0))
     fix = (321_000_000, 348_000_000, 7000, 2.0, 90.0, -3.0)
     parts.append(message("GPS", 1_010_000, 0, 6, 302_418_000, 2288, *fix))
-    parts.append(message("GPA", 1_010_000, 0, 1.0, 0.2, 0.3, 0.5, 20.0))
+    parts.append(message("GPA", 1_010_300, 0, 1.0, 0.2, 0.3, 0.5, 20.0))
     parts.append(message("ORGN", 1_000_000, 0, 321_000_000, 348_000_000, 5000))
     for t_us, yaw in ((1_001_000, 573), (1_005_000, 2865)):  # 0.01°
         moved = (1.0, 2.0, 3.0, 0.0, 4.0, 3.0, -5.0)
-        parts.append(message("XKF1", t_us, 0, 0, 0, yaw, *moved))
-        parts.append(message("XKF1", t_us, 1, 0, 0, 9000, *(9.0 for _ in moved)))
+        parts.append(message(estimate, t_us, *([0] if has_cores else []), 0, 0, yaw, *moved))
+        if has_cores:
+            parts.append(message(estimate, t_us, 1, 0, 0, 9000, *(9.0 for _ in moved)))
     path.write_bytes(b"".join(parts))
 
 
@@ -409,7 +416,15 @@ def telemetry(path: Path) -> None:
     path.write_bytes(b"".join(stamp + message.pack(link) for message in messages))
 
 
-@pytest.mark.parametrize(("needed", "write"), [("pyulog", ulog_file), ("pymavlink", dataflash)])
+@pytest.mark.parametrize(
+    ("needed", "write"),
+    [
+        ("pyulog", ulog_file),
+        ("pymavlink", dataflash),
+        ("pymavlink", partial(dataflash, has_cores=False)),  # ArduPilot 4.0
+        ("pymavlink", partial(dataflash, estimate="NKF1")),
+    ],
+)
 def test_the_autopilots_own_estimate_is_there_for_comparison(
     needed: str, write: Callable[[Path], None], tmp_path: Path
 ) -> None:

@@ -186,6 +186,17 @@ def test_missing_gravity_is_seen(caplog: pytest.LogCaptureFixture) -> None:
     assert "gravity is missing" in caplog.text
 
 
+def test_loops_and_rolls_are_no_missing_gravity(caplog: pytest.LogCaptureFixture) -> None:
+    # GIVEN an aircraft that hangs upside down for a second less than it stands upright
+    imu, gnss = drive(60.0)
+    is_inverted = (imu.t - imu.t[0]) % 20.0 < 9.5
+    force = np.where(is_inverted[:, None], -imu.specific_force, imu.specific_force)
+    assert np.linalg.norm(force.mean(axis=0)) < 1.0
+    # WHEN gravity is looked for, THEN it is there, and no mount is asked for
+    check_imu(replace(imu, specific_force=force), gnss)
+    assert "specific force" not in caplog.text and "gravity" not in caplog.text
+
+
 @pytest.mark.parametrize(("ahead", "is_seen"), [(0.0, False), (18.0, True)])
 def test_gps_time_in_one_of_the_logs_is_seen(
     ahead: float, is_seen: bool, caplog: pytest.LogCaptureFixture
@@ -203,6 +214,18 @@ def test_a_velocity_in_another_unit_is_seen(
     metres = (gnss.lla - gnss.lla[0]) * [6.36e6, 6.37e6 * np.cos(gnss.lla[0, 0]), -1.0]
     check_velocity(replace(gnss, velocity_n=factor * np.gradient(metres, gnss.t, axis=0)))
     assert ("check its unit" in caplog.text) == is_seen
+
+
+def test_a_wandering_position_at_rest_is_no_other_unit(caplog: pytest.LogCaptureFixture) -> None:
+    # GIVEN a receiver at rest, whose position comes into place by 30 m within its claims
+    _, gnss = drive()
+    metres = 30.0 * np.exp(-(gnss.t - gnss.t[0]) / 15.0)
+    lla = gnss.lla[0] + metres[:, None] * [1.0 / 6.36e6, 0.0, 0.0]
+    std = diagonal(np.full((len(lla), 3), 10.0))
+    still = replace(gnss, lla=lla, covariance_n=std, velocity_n=np.full((len(lla), 3), 0.05))
+    # WHEN the velocity is compared with the positions, THEN they are no contradiction
+    check_velocity(still)
+    assert not caplog.text
 
 
 def imu_file(path: Path, imu: ImuLog) -> Path:
