@@ -91,6 +91,7 @@ class ImuAxesCheck:
         self._mount, self._arm = mount, mount.T @ lever_b
         self.fault: AxesFault | None = None
         self._antenna = FarAntenna()
+        self._upright = 0  # motions with the mount given upright, less those with it turned
         self.reset()
 
     def reset(self) -> None:
@@ -231,7 +232,11 @@ class ImuAxesCheck:
             return self._by_gravity()
         motion, as_given = fitting[-1]
         fault = mount_fault(self._mount, motion, one, one, as_given)
-        if fault is not None and not fault.by_course:
+        is_turned = fault is not None and not fault.by_course
+        self._upright += -1 if is_turned else 1
+        if is_turned:
+            if self._upright >= 0:  # an aircraft that flies loops and rolls
+                return True
             reversed_force = fit(motion, _hypothesis(-one, one, self._arm))
             if reversed_force.left < MUCH_BETTER * as_given.left:
                 return self._by_gravity() or True

@@ -355,6 +355,25 @@ def test_a_wrong_mount_is_named_in_circles_too(bank: float) -> None:
     assert "imu.mount_rpy to [-1.571, 0, 0]" in describe(found[-1]).text
 
 
+def test_flying_on_its_back_is_not_taken_for_a_mount() -> None:
+    """
+    GIVEN an aircraft in S-turns, upright for 40 s, then on its back for 110 s
+    WHEN its axes are compared with gravity
+    THEN no mount is named; where it is on its back from the start, it is.
+    """
+    t = time_grid(150.0)
+    turn = 0.25 * np.sin(0.4 * t)
+    course = integral(turn)
+    velocity = velocity_of(np.full(len(t), 26.0), course, np.full(len(t), 0.5))
+    bank = np.arctan(26.0 * turn / 9.8)
+    on_its_back = np.pi * smoothed((t > 40.0).astype(float), 1.0)
+    rolled = np.stack((bank + on_its_back, np.zeros(len(t)), course), axis=-1)
+    run = readings(motion_through(t, velocity, rolled, START_LLA), 150.0)
+
+    assert not [fault for _, fault in check(run) if fault]
+    assert [fault for _, fault in check(run, FRD, FRD) if fault]
+
+
 @pytest.mark.parametrize(
     "offset",
     [-1.5, 0.2, *(pytest.param(t, marks=pytest.mark.slow) for t in (-0.4, 0.9, 5.0, 18.0))],
