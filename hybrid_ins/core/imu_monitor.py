@@ -38,7 +38,6 @@ SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 LONGEST_BRAKING_NS = 10_000_000_000
 STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
 LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
-LAST_FIX_NS = 2_500_000_000  # age of the last fix that confirms it: one a second, late
 GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
 MISLED_SPEED, MISLED_TURN = 1.5, 0.1  # m/s, rad: between two checks of such readings
@@ -192,11 +191,8 @@ class ImuMonitor:
         if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
             self._weighed_ns = t_ns
             return False
-        return (
-            running
-            and t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
-            and t_ns - self._fix_agreed_ns < LAST_FIX_NS
-        )
+        is_short = t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
+        return running and is_short and self._fix_agreed_ns > 0
 
 
 def _error_std_after(fault: ImuFault) -> Array | None:

@@ -178,6 +178,28 @@ def test_an_unusable_imu_ends_dead_reckoning_and_its_biases_are_remembered() -> 
     assert again.state.bias_g == pytest.approx(known, abs=1e-3)
 
 
+def test_a_push_over_without_fixes_is_a_motion_until_it_lasts_too_long() -> None:
+    # GIVEN a flight in an outage
+    drive = Drive(**KNOWN)
+    drive.play(0.0, 30.0)
+    drive.play(30.0, 34.0, with_fixes=False)
+
+    # WHEN it feels three tenths of gravity for 2 s, as over the top of a loop
+    drive.play(34.0, 36.0, force=lambda f: 0.3 * f, with_fixes=False)
+    drive.play(36.0, 38.0, with_fixes=False)
+
+    # THEN it has fallen as far as that
+    fallen = 0.7 * 9.8 * (0.5 * 2.0**2 + 2.0 * 2.0)
+    height = drive.track.position_enu[np.searchsorted(drive.truth.t, 37.99), 2]
+    assert drive.estimator.aligned
+    assert height - drive.odometry[2] == pytest.approx(fallen, rel=0.15)
+
+    # AND no flight feels it for 6 s
+    drive.play(38.0, 44.0, force=lambda f: 0.3 * f, with_fixes=False)
+    assert not drive.estimator.aligned
+    assert "no gravity" in drive.status("input").text
+
+
 def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:
     drive = Drive(**KNOWN)
     drive.play(0.0, 30.0)
