@@ -336,11 +336,12 @@ def add_fix_scatter(found: Findings, fitted: Fit) -> None:
         note = ""
     else:
         note = "the receiver's σ is too " + ("small" if scale > 0 else "large")
-    verdict = "identified" if sigma < 0.3 else "weak"
+    is_small = scale + 3.0 * sigma < 2.0 * math.log(SMALLEST_SCATTER)  # however small it is
+    verdict = "identified" if sigma < 0.3 or is_small else "weak"
     if note and verdict == "identified":
         found.values[SCATTER] = min(max(round(factor, 2), SMALLEST_SCATTER), LARGEST_SCATTER)
-    text = f"{factor:.2f} × stated σ"
-    found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.2f}", verdict, note, SCATTER)
+    text = f"{factor:.3g} × stated σ"
+    found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.1g}", verdict, note, SCATTER)
     _add_slow_error(found, fitted)
 
 
