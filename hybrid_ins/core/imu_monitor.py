@@ -183,8 +183,8 @@ class ImuMonitor:
         Distinguish a fall, a hard turn or a roll from an IMU without gravity or with a wrong unit.
 
         To the filter both are a motion. Where the vehicle does not move so, the next fix is beyond
-        the gate: one filter has to run (``running``) for fixes to show it. A rolling aircraft feels
-        gravity where it always does, as if it hardly turned.
+        the gate, once one filter runs (``running``); before, a short motion is believed. A rolling
+        aircraft feels gravity where it always does, as if it hardly turned.
         """
         if self.fault is not None and self.fault.kind is FaultKind.DEGREES:
             return running and self._fix_agreed_ns > 0
@@ -192,7 +192,7 @@ class ImuMonitor:
             self._weighed_ns = t_ns
             return False
         is_short = t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
-        return running and is_short and self._fix_agreed_ns > 0
+        return is_short and (self._fix_agreed_ns > 0 or not running)
 
 
 def _error_std_after(fault: ImuFault) -> Array | None:

@@ -12,6 +12,15 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.rotations import quat_from_rpy
 from hybrid_ins.ros.reports import Diagnostics
+from hybrid_ins.simulation.motions import (
+    START_LLA,
+    Motion,
+    integral,
+    motion_through,
+    smoothed,
+    time_grid,
+    velocity_of,
+)
 
 
 def test_reset_aligns_anew_and_keeps_the_map() -> None:
@@ -198,6 +207,28 @@ def test_a_push_over_without_fixes_is_a_motion_until_it_lasts_too_long() -> None
     drive.play(38.0, 44.0, force=lambda f: 0.3 * f, with_fixes=False)
     assert not drive.estimator.aligned
     assert "no gravity" in drive.status("input").text
+
+
+def pushed_over(duration: float = 30.0) -> Motion:
+    """Return a climbing turn that feels a quarter of gravity from 1 s on, for 2 s."""
+    t = time_grid(duration)
+    weight = np.where((t > 1.0) & (t < 3.0), 0.25, np.where((t > 3.0) & (t < 6.0), 1.4, 1.0))
+    climb = 6.0 - integral(9.8 * (1.0 - smoothed(weight, 0.3)))
+    course = integral(np.full(len(t), 0.15))
+    velocity = velocity_of(np.full(len(t), 15.0), course, climb)
+    rpy = np.stack((np.zeros(len(t)), np.zeros(len(t)), course), axis=-1)
+    return motion_through(t, velocity, rpy, START_LLA)
+
+
+def test_a_push_over_before_the_heading_is_known_is_a_motion() -> None:
+    drive = Drive(pushed_over())
+    drive.play(0.0, 2.0)
+    assert not drive.estimator.aligned
+
+    drive.play(2.0, 29.9)
+
+    assert not drive.warnings()
+    assert drive.estimator.aligned and drive.error(29.89) < 0.5
 
 
 def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:

@@ -13,7 +13,7 @@ from hybrid_ins.ros.cdr import ImuFields
 from hybrid_ins.ros.conversions import FLIP, set_stamp
 from hybrid_ins.ros.estimator import Estimator
 from hybrid_ins.ros.trajectory import Trajectory
-from hybrid_ins.simulation.motions import quadrotor_flight
+from hybrid_ins.simulation.motions import Motion, quadrotor_flight
 
 EPOCH_NS = 1_700_000_000_000_000_000
 GIVEN = {"alignment.heading_source": "parameter", "alignment.yaw": np.pi / 2 - 0.7}
@@ -23,14 +23,14 @@ KNOWN = {**GIVEN, "gnss.time_offset.estimate": False}
 
 
 class Drive:
-    """A flight fed message by message."""
+    """A flight fed message by message, a quadrotor's where no other ``motion`` is given."""
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, motion: Motion | None = None, **values: Any) -> None:
         self.log: list[tuple[str, str]] = []
         self.estimator = Estimator(
             {**parameters.defaults(), **values}, lambda level, text: self.log.append((level, text))
         )
-        flight = scene(quadrotor_flight(60.0, 4, heading=0.7), seed=3)
+        flight = scene(motion or quadrotor_flight(60.0, 4, heading=0.7), seed=3)
         self.truth = flight.truth
         self.force, self.rate = flight.force @ FLIP, flight.rate @ FLIP
         self.fix_t, self.fix_lla = flight.fix_t, flight.fix_lla
