@@ -27,7 +27,7 @@ from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.conversions import DIAGONAL
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.parallel import run_parallel
-from tools.vehicles.drives import AGE, Drive, from_simulation, load
+from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
 from tools.vehicles.evaluate import FEEDS, parser_of_drives
 from tools.vehicles.judge import Score, score
 
@@ -98,16 +98,21 @@ def calibrated(drive: Drive, report: Path | None) -> tuple[dict[str, Any] | None
         return parameter_file.load(out) if written else None, why
 
 
-def one(name: str, variant: int | str, data: Path | None, keep: Path | None) -> str:
-    """Return the row of one drive: of a simulated one by its seed, of a real one by its feed."""
+def one(source: str | Path, variant: int | str, keep: Path | None) -> str:
+    """
+    Return the row of one drive.
+
+    ``source`` is a simulated vehicle, the folder of a real set, or a log; ``variant`` the seed of
+    the first, the feed of the others.
+    """
     if isinstance(variant, int):
-        vehicle = VEHICLES[name]
+        vehicle = VEHICLES[str(source)]
         judge, other = (from_simulation(record(vehicle, seed)) for seed in (variant, variant + 1))
     else:
-        assert data is not None
-        judge = other = load(data / name, variant)
+        path = Path(source)
+        judge = other = load(path, variant) if path.is_dir() else from_log(path, variant)
     default = score(judge, parameters.defaults())
-    report = None if keep is None else keep / f"{name}, {variant}.txt"
+    report = None if keep is None else keep / f"{Path(source).stem}, {variant}.txt"
     values, refused = calibrated(other, report)
     found = default if values is None else score(judge, values)
     return (
@@ -135,14 +140,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     if args.keep is not None:
         args.keep.mkdir(parents=True, exist_ok=True)
-    wanted: list[tuple[str, int | str]] = [(n, seed) for n in VEHICLES for seed in args.seeds]
-    if args.data is not None:
-        wanted += [(name, feed) for name in AGE for feed in FEEDS if name != "car_circles"]
-    runs = [
-        (name, variant, args.data, args.keep)
-        for name, variant in wanted
-        if not args.names or any(part in f"{name}, {variant}" for part in args.names)
+    wanted: list[tuple[str | Path, int | str]] = [
+        (n, seed) for n in VEHICLES for seed in args.seeds
     ]
+    if args.data is not None:
+        real = (args.data / name for name in AGE if name != "car_circles")
+        wanted += [(folder, feed) for folder in real for feed in FEEDS]
+    runs = [
+        (source, variant, args.keep)
+        for source, variant in wanted
+        if not (args.names or args.log)
+        or any(part in f"{Path(source).name}, {variant}" for part in args.names)
+    ]
+    runs += [(path, feed, args.keep) for path in args.log for feed in FEEDS]
     print(HEADER)
     for row in run_parallel(one, runs, args.jobs):
         print(row, flush=True)

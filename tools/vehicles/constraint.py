@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
     args = parser.parse_args(argv)
     print(HEADER)
-    for drive in drives(args.names, args.seeds, args.data):
+    for drive in drives(args.names, args.seeds, args.data, args.log):
         print(row(drive), flush=True)
     return 0
 

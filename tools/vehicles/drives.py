@@ -9,11 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hybrid_ins.core.rotations import rpy_from_quat
+from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
 from hybrid_ins.ros.conversions import SWAP
 from hybrid_ins.ros.trajectory import Array, Stamps
 from hybrid_ins.simulation.vehicles import Recording
 
 EPOCH_NS = 1_000_000_000_000  # added to all times: no stamp is zero
+STEEP = np.radians(60.0)  # of the nose, above which its course says little
+USUAL_AGE = 0.1  # s, of a fix in an autopilot's log, behind its stamp
 AGE = {  # s, of a position behind its stamp, by the data's own README
     "pedestrian_rtk": 0.0,
     "plane_x8": 0.30,
@@ -94,48 +97,97 @@ def load(folder: Path, feed: str) -> Drive:
     """
     imu = np.genfromtxt(folder / "imu.csv.gz", delimiter=",", names=True)
     gnss = np.genfromtxt(folder / "gnss.csv", delimiter=",", names=True)
-    lla = np.stack((np.radians(gnss["lat"]), np.radians(gnss["lon"]), gnss["height"]), axis=1)
-    velocity = np.stack([gnss[n] for n in ("ve", "vn", "vu")], axis=1)
-    age = AGE[folder.name]
-    t = gnss["t"]
     yaw_t, yaw = np.empty(0), np.empty(0)
     if (folder / "attitude.csv.gz").exists():
         attitude = np.genfromtxt(folder / "attitude.csv.gz", delimiter=",", names=True)
         yaw_t, yaw = attitude["t"], np.radians(attitude["yaw"])
-    fresh = np.concatenate(([True], np.diff(t) > 1e-6))
-    t, lla, velocity, gnss = t[fresh], lla[fresh], velocity[fresh], gnss[fresh]
-    if feed == "half":
-        fed = np.arange(len(t)) % 2 == 0
-    elif feed == "1 Hz":
-        fed = np.concatenate(([True], np.floor(t[1:]) > np.floor(t[:-1])))
-    else:
-        fed = np.ones(len(t), bool)
-    withheld = ~fed if feed != "all" else fed
-    speed = np.linalg.norm(velocity[:, :2], axis=1)
-    moving = np.flatnonzero(np.nan_to_num(speed, nan=9.0) > 0.8)
-    motion = t[moving[5]] if len(moving) > 5 else t[0]
-    # A stretch at 3/5 of its run of speed: the last time before it moves for good is not needed.
-    inside = (t - age > imu["t"][0]) & (t - age < imu["t"][-1])
     drive = Drive(
-        f"{folder.name}, {feed}",
+        folder.name,
         _ns(imu["t"]),
-        np.stack([imu[n] for n in ("ax", "ay", "az")], axis=1),
-        np.stack([imu[n] for n in ("gx", "gy", "gz")], axis=1),
-        _ns(t),
-        _ns(t),
-        lla,
-        np.stack([gnss[n] for n in ("sd_e", "sd_n", "sd_u")], axis=1),
-        None if np.all(np.isnan(velocity)) else velocity,
-        np.stack([gnss[n] for n in ("sd_ve", "sd_vn", "sd_vu")], axis=1),
-        _ns(t - age)[withheld & inside & (np.nan_to_num(speed, nan=9.0) > 0.5)],
-        lla[withheld & inside & (np.nan_to_num(speed, nan=9.0) > 0.5)],
+        _columns(imu, "ax", "ay", "az"),
+        _columns(imu, "gx", "gy", "gz"),
+        _ns(gnss["t"]),
+        _ns(gnss["t"]),
+        _columns(gnss, "lat", "lon", "height") * [np.pi / 180.0, np.pi / 180.0, 1.0],
+        _columns(gnss, "sd_e", "sd_n", "sd_u"),
+        _columns(gnss, "ve", "vn", "vu"),
+        _columns(gnss, "sd_ve", "sd_vn", "sd_vu"),
+        np.empty(0, np.int64),
+        np.empty((0, 3)),
         _ns(yaw_t),
         yaw,
-        int(_ns(np.array([motion]))[0]),
-        -age,
+        0,
+        -AGE[folder.name],
         False,
     )
-    return drive.thinned(fed)
+    return _with_some_withheld(drive, feed)
+
+
+def from_log(path: Path, feed: str) -> Drive:
+    """Read an autopilot's log; ``feed`` as for `load`."""
+    imu, gnss = read_logs([path])
+    yaw_t, yaw = np.empty(0), np.empty(0)
+    if (estimate := read_estimate(path)) is not None:
+        _, pitch, yaw = rpy_from_quat(estimate.quat_xyzw).T
+        yaw_t = estimate.t - imu.t[0]
+        has_heading = np.abs(pitch) < STEEP
+        yaw_t, yaw = yaw_t[has_heading], yaw[has_heading]
+    velocity = gnss.velocity_n if gnss.velocity_n is not None else np.full(gnss.lla.shape, np.nan)
+    R = gnss.velocity_covariance_n
+    R = R if R is not None else np.full((len(gnss.t), 3, 3), np.nan)
+    start = imu.t[0]
+    drive = Drive(
+        path.stem,
+        _ns(imu.t - start),
+        imu.specific_force,
+        imu.angular_rate,
+        _ns(gnss.t - start),
+        _ns(gnss.t - start),
+        gnss.lla,
+        np.sqrt(np.diagonal(gnss.covariance_n, axis1=1, axis2=2)) @ np.abs(SWAP),
+        velocity @ SWAP,
+        np.sqrt(np.diagonal(R, axis1=1, axis2=2)) @ np.abs(SWAP),
+        np.empty(0, np.int64),
+        np.empty((0, 3)),
+        _ns(yaw_t),
+        yaw,
+        0,
+        -USUAL_AGE,
+        False,
+    )
+    return _with_some_withheld(drive, feed)
+
+
+def _with_some_withheld(drive: Drive, feed: str) -> Drive:
+    """Return a drive with the fixes of a ``feed``, and the others as its truth."""
+    ns = drive.fix_ns
+    drive = drive.thinned(np.concatenate(([True], np.diff(ns) > 1_000)))
+    ns = drive.fix_ns
+    if feed == "half":
+        fed = np.arange(len(ns)) % 2 == 0
+    elif feed == "1 Hz":
+        fed = np.diff(ns // 1_000_000_000, prepend=-1) > 0
+    else:
+        fed = np.ones(len(ns), bool)
+    assert drive.velocity_enu is not None
+    speed = np.nan_to_num(np.linalg.norm(drive.velocity_enu[:, :2], axis=1), nan=9.0)
+    moving = np.flatnonzero(speed > 0.8)
+    true_ns = ns + round(drive.offset * 1e9)
+    withheld = fed if feed == "all" else ~fed
+    scored = withheld & (speed > 0.5) & (true_ns > drive.imu_ns[0]) & (true_ns < drive.imu_ns[-1])
+    has_velocity = not np.all(np.isnan(drive.velocity_enu))
+    return replace(
+        drive,
+        name=f"{drive.name}, {feed}",
+        velocity_enu=drive.velocity_enu if has_velocity else None,
+        truth_ns=true_ns[scored],
+        truth_lla=drive.fix_lla[scored],
+        motion_ns=int(ns[moving[5]] if len(moving) > 5 else ns[0]),
+    ).thinned(fed)
+
+
+def _columns(table: npt.NDArray[np.void], *names: str) -> Array:
+    return np.stack([table[name] for name in names], axis=1)
 
 
 def _ns(t: Array) -> Stamps:

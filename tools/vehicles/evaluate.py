@@ -1,8 +1,9 @@
 """
 Table of vehicles, real and simulated: accuracy, consistency, share of fixes used, silent errors.
 
-Real sets are read from a folder with one sub-folder per set; every second fix, or all but one a
-second, is withheld and scored. Odd seeds of the simulated vehicles are for tuning, even ones judge.
+Real sets are read from a folder with one sub-folder per set, or are autopilots' logs; every second
+fix, or all but one a second, is withheld and scored. Odd seeds of the simulated vehicles are for
+tuning, even ones judge.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 from hybrid_ins import parameters
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.simulation.vehicles import VEHICLES, record
-from tools.vehicles.drives import AGE, Drive, from_simulation, load
+from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
 from tools.vehicles.judge import score
 
 FEEDS = ("half", "1 Hz")
@@ -25,11 +26,15 @@ HEADER = (
 )
 
 
-def drives(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> Iterator[Drive]:
-    """Generate the drives whose name contains one of ``names``; all where there is none."""
+def drives(
+    names: Sequence[str], seeds: Sequence[int], data: Path | None, logs: Sequence[Path] = ()
+) -> Iterator[Drive]:
+    """Generate ``logs``, and the drives with one of ``names`` in theirs; all without both."""
+    for path in logs:
+        yield from (from_log(path, feed) for feed in FEEDS)
 
     def wanted(name: str) -> bool:
-        return not names or any(part in name for part in names)
+        return not (names or logs) or any(part in name for part in names)
 
     for name, vehicle in VEHICLES.items():
         for seed in seeds:
@@ -47,6 +52,9 @@ def parser_of_drives(description: str | None) -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help="parts of the drives' names")
     parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4], metavar="N")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
+    parser.add_argument(
+        "--log", type=Path, nargs="+", default=[], metavar="FILE", help="logs of autopilots"
+    )
     return parser
 
 
@@ -59,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.params_file is not None:
         values = parameter_file.load(args.params_file)
     print(HEADER)
-    for drive in drives(args.names, args.seeds, args.data):
+    for drive in drives(args.names, args.seeds, args.data, args.log):
         s = score(drive, values)
         print(
             f"| {drive.name} | {s.aligned:.0f} | {100.0 * s.used:.1f} % | {s.rmse:.3f}, "

@@ -93,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser_of_drives(__doc__).parse_args(argv)
     print(HEADER)
     starts = list(STARTS)
-    for drive in drives(args.names, args.seeds, args.data):
+    for drive in drives(args.names, args.seeds, args.data, args.log):
         ours = score(drive, parameters.defaults())
         if not math.isfinite(ours.rmse):
             print(f"| {drive.name} | never aligned |" + " |" * 6, flush=True)

@@ -164,7 +164,7 @@ def score(drive: Drive, values: Mapping[str, Any], log: Any = lambda level, text
     search_ns = np.array([found.t_ns for found in estimator.search], np.int64)
     everything = np.concatenate([*[f.values[None] for f in estimator.search], rows])
     if not drive.absolute and estimator.offsets:
-        drive = replace(drive, truth_ns=_at_offset_in_force(drive, estimator.offsets))
+        drive = replace(drive, truth_ns=at_offset_in_force(drive, estimator.offsets))
         rows, everything = (_of_antenna(some, values) for some in (rows, everything))
     silent = _silently_wrong(drive, np.concatenate((search_ns, t_ns)), everything)
     nan = math.nan
@@ -249,7 +249,7 @@ def _of_antenna(rows: Array, values: Mapping[str, Any]) -> Array:
     return moved
 
 
-def _at_offset_in_force(drive: Drive, offsets: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
+def at_offset_in_force(drive: Drive, offsets: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
     """Return the times of fixes that were withheld, (K,) [ns], by the clock offset in force."""
     since, offset = np.array([t for t, _ in offsets]), np.array([o for _, o in offsets])
     k = np.clip(np.searchsorted(since, drive.truth_ns, side="right") - 1, 0, None)
