@@ -34,6 +34,7 @@ CERTAIN = 4.0  # likewise, from which what was found is one: 3.4 were chance
 NOTICEABLE = 0.005  # s, of the offset at the ends of the longest recording
 SETTLED = 0.1  # standard deviations
 MOST_PASSES = 8
+LONGEST = 4.0  # steps at a time
 
 
 class Drift(NamedTuple):
@@ -76,9 +77,11 @@ def remove_drift(
     given = likelihood.recordings
     longest = max(float(np.ptp(recording.aid_t)) for recording in given)
     total, converged = 0.0, True
+    last: tuple[float, float] | None = None  # a drift, and the step from there
     for _ in range(MOST_PASSES):
         step = _newton_step(likelihood, x, longest, total)
-        moved = total + step.value
+        moved = total + _lengthened(total, step.value, last)
+        last = total, step.value
         shown = abs(moved) > max(SIGNIFICANT * step.std, 2.0 * NOTICEABLE / longest)
         if not total and not shown:
             return x, converged, Drift(0.0, step.std)
@@ -93,6 +96,18 @@ def remove_drift(
         likelihood.use(given)
         return *refit(x), Drift(0.0, math.hypot(total, step.std))
     return x, converged, Drift(total, step.std)
+
+
+def _lengthened(drift: float, step: float, last: tuple[float, float] | None) -> float:
+    """
+    Return the step by the secant through the last one, where that goes further.
+
+    The outer product of the scores contains information that they repeat: steps by it are short.
+    """
+    if last is None or drift == last[0]:
+        return step
+    shortening = (last[1] - step) / (drift - last[0])
+    return step / min(max(shortening, 1.0 / LONGEST), 1.0)
 
 
 def _newton_step(likelihood: Likelihood, x: Array, longest: float, drift: float) -> Drift:
