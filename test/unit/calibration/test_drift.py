@@ -77,14 +77,14 @@ def test_a_clock_without_drift_stays_as_it_is(seed: int) -> None:
 def test_steps_that_are_too_short_lead_there_too(
     share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # GIVEN steps that are a share of the way to a drift of 122 ppm
-    true, std = 122e-6, 10e-6
+    # GIVEN steps that are a share of the way to a drift of 1220 ppm
+    _, likelihood, _ = found(0.0, 4)
+    true, std = 1220e-6, 100e-6
 
     def step(_: Likelihood, __: np.ndarray, ___: float, at: float) -> Drift:
         return Drift(share * (true - at), std)
 
     monkeypatch.setattr("hybrid_ins.calibration.drift._newton_step", step)
-    _, likelihood, _ = found(0.0, 4)
     # WHEN the drift is looked for, THEN it is found to a share of its deviation
     x = np.array([p.mean for p in likelihood.prior])
     _, converged, result = remove_drift(likelihood, x, lambda x: (x, True))
