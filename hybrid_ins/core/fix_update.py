@@ -30,7 +30,7 @@ from hybrid_ins.core.measurements import (
     velocity_model,
 )
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.position_scatter import change_slow_error, residual_variance
+from hybrid_ins.core.position_scatter import change_slow_error, scatter_evidence
 from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
@@ -49,8 +49,8 @@ Array = NDArray[np.float64]
 FULL_WEIGHT = np.array([ORDINARY.get(m, 0.0) for m in range(4)])  # largest NIS, by components
 
 # What is returned, as one flat vector.
-NIS, LOG_DET, WEIGHT, FOUND = 0, 1, 2, 3
-SIGMA, INNOVATION, CORRECTION = slice(4, 7), slice(7, 10), slice(10, 10 + N_ERROR)
+NIS, LOG_DET, WEIGHT, SCATTER = 0, 1, 2, slice(3, 5)
+SIGMA, INNOVATION, CORRECTION = slice(5, 8), slice(8, 11), slice(11, 11 + N_ERROR)
 ATTITUDE = slice(CORRECTION.stop, CORRECTION.stop + 9)
 S_MATRIX = slice(ATTITUDE.stop, ATTITUDE.stop + 9)
 H_MATRIX = slice(S_MATRIX.stop, S_MATRIX.stop + 3 * N_ERROR)
@@ -112,7 +112,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     result : ndarray, shape (N_RESULT,)
         Written: NIS and log det of the innovation, and the standard deviations used for the fix,
         all with the variance of the clock offset considered; the fix's weight; the
-        `residual_variance`; innovation, correction, C_nb after it, S, H and gain; the
+        `scatter_evidence`; innovation, correction, C_nb after it, S, H and gain; the
         `iterated_update.linearisation`; and the `stamp_covariance` of a position.
 
     Returns
@@ -165,7 +165,9 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             packed[DIAGONAL[a]], nav[SLOW_VARIANCE][a] = diagonal[a], slow[a]
         return False
     if is_position and learning:
-        result[FOUND] = share * residual_variance(packed, z, H, white, fix_factor, of_stamp)
+        result[SCATTER][0], result[SCATTER][1] = scatter_evidence(
+            packed, z, H, covariance_n, share * fix_factor, of_stamp
+        )
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]

@@ -49,7 +49,7 @@ from hybrid_ins.core.position_scatter import (
     Split,
     change_slow_error,
     horizontal_variance,
-    residual_variance,
+    scatter_evidence,
 )
 from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.samples import ImuRing
@@ -75,7 +75,7 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 Model = tuple[Array, Array, Array]  # z, H, R
-Fused = tuple[Verdict, bool, float | None]
+Fused = tuple[Verdict, bool, tuple[float, float] | None]
 """Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
 NO_SLOW_ERROR = np.empty(0)
@@ -225,13 +225,13 @@ class MeasurementUpdate:
         clock.on_corrected(fix.t_ns)
         self.corrected_ns = fix.t_ns
         self.scale_errors.end_outage()
-        nis, log_det, weight, found = result[: SIGMA.start].tolist()
+        nis, log_det, weight, total, count = result[: SIGMA.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
             nav, correction_of(fix, result, interval, before, weight, noise, self.scatter.in_force)
         )
-        return verdict, moved, found if self.scatter.learning else None
+        return verdict, moved, (total, count) if self.scatter.learning else None
 
     def _fuse(self, nav: Array, measurement: Measurement, split: Split | None, age: float) -> Fused:
         """
@@ -376,12 +376,12 @@ def _split_position(
     scatter: PositionScatter,
     fix_factor: float,
     by_stamp: Array,
-) -> tuple[Model, float | None]:
+) -> tuple[Model, tuple[float, float] | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
     change_slow_error(nav, split.slow_variance, split.interval)
     white = split.share * claimed
     if not scatter.learning:
         return (z, H, white), None
-    found = residual_variance(nav[COVARIANCE], z, H, white, fix_factor, by_stamp)
-    return (z, H, white), split.share * found
+    factor = split.share * fix_factor
+    return (z, H, white), scatter_evidence(nav[COVARIANCE], z, H, claimed, factor, by_stamp)

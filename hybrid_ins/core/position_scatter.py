@@ -7,9 +7,9 @@ less than they deserve, and its covariance, which averages white errors away, ho
 error less than it claims to. So the claimed variance is split: R is the white part, a share r of
 it, and the rest is the variance B of a slow error, a first-order Gauss-Markov process.
 
-The share r is learned from the residuals e of the fixes that are fused, as the variational filter
-of [2]_ does it: their variance about the true position is e e' + H P H' after the update. What was
-learned fades, and starts as a prior about the given share. A receiver that scatters by more than it
+The share r is learned from the innovations by its likelihood, in steps of the method of scoring,
+[2]_. What was learned fades as new evidence comes in, and starts as a prior about the given share.
+A receiver that scatters by more than it
 claims has a share above 1. The factor on R that the innovations show (`noise_multiple_model`) is
 found sooner and is coarser; the share contains it, so R is multiplied by the larger of the two.
 
@@ -30,8 +30,8 @@ References
 ----------
 .. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
        2nd ed., section 9.3 (correlated errors of GNSS).
-.. [2] S. Särkkä, A. Nummenmaa, "Recursive noise adaptive Kalman filtering by variational Bayesian
-       approximations", IEEE Transactions on Automatic Control 54, 2009.
+.. [2] R. H. Shumway, D. S. Stoffer, *Time Series Analysis and Its Applications*, 4th ed., section
+       6.3 (maximum likelihood estimation of state-space models).
 .. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
        Control Systems 3, 1966.
 """
@@ -53,7 +53,7 @@ from hybrid_ins.core.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
 Array = NDArray[np.float64]
 
 MEMORY = 30.0  # s, over which the scatter is averaged
-PRIOR_COUNT = 20.0  # components, that the given share weighs at the start
+PRIOR_COUNT = 20.0  # components, that the given share weighs at the start, and that are remembered
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.003  # share of the claimed variance
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
@@ -162,19 +162,20 @@ class PositionScatter(ShallowCopy):
         excess = max(share / self._largest_expected, 1.0)
         return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
 
-    def learn(self, found: float | None, m: int, t_ns: int) -> None:
+    def learn(self, evidence: tuple[float, float] | None, m: int, t_ns: int) -> None:
         """
-        Note a fix with ``m`` components that was fused; ``found`` is its `residual_variance`.
+        Note a fix with ``m`` components that was fused; ``evidence`` is its `scatter_evidence`.
 
         That is needed while ``learning`` only.
         """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
         self._t_ns = t_ns
-        if found is None:
+        if evidence is None:
             return
-        fading = math.exp(-interval / MEMORY)
-        self._count = fading * self._count + m
-        self._sum = fading * self._sum + m * min(found, LARGEST_RESIDUAL * max(1.0, self.learned))
+        total, count = evidence
+        fading = max(math.exp(-interval / MEMORY), min(PRIOR_COUNT / self._count, 1.0))
+        self._count = fading * self._count + count
+        self._sum = fading * self._sum + min(total, LARGEST_RESIDUAL * m * max(1.0, self.learned))
         mean = self._sum / self._count
         self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
 
@@ -196,38 +197,49 @@ def uncorrected(claimed_std: float) -> float:
 
 
 @kernel()
-def residual_variance(packed, z, H, claimed, factor, others):  # type: ignore[no-untyped-def]
+def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-untyped-def]
     """
-    Return the variance that a fix shows after its update, relative to the claimed one.
+    Return what an innovation shows of the factor on a position's claimed covariance.
 
-    It is the mean over the components of claimed^-1 E[w w' | z] of the white error w: with
-    R = ``factor`` ``claimed`` that has the mean R S^-1 z and the covariance R - R S^-1 R. Where
-    nothing else is wrong with the fix these are the residual and H P H' after the update, eq. (25)
-    of [2]_.
+    With S = H P H' + f C + D the slope of its log-likelihood by f is
+    (1/2) tr(S^-1 C (S^-1 z z' - 1)), the expected curvature -(1/2) tr(S^-1 C S^-1 C). Since S is
+    linear in f, the step by both from any f is without bias. Where the innovation is mostly the
+    IMU's, it shows little of f.
 
     Parameters
     ----------
     packed : ndarray, shape (120,)
         Upper triangle of P, before the update.
     z, H, claimed : ndarray, shape (m,), (m, 15), (m, m)
-        Innovation, measurement matrix, claimed covariance.
+        Innovation, measurement matrix, claimed covariance C.
     factor : float
-        With which that is fused.
+        f, with which that is fused.
     others : ndarray, shape (m, m)
-        Covariance of the fix's other errors.
+        Covariance D of the fix's other errors.
+
+    Returns
+    -------
+    total, count : float
+        The factor that it shows, times the number of components that would show as much if nothing
+        else were in the innovation; and that number, up to m.
     """
     m = len(z)
     root, _ = innovation_covariance(packed, H, factor * claimed + others)
     factorise(root)
-    y, square, trace = z.copy(), 0.0, 0.0
+    y, square, trace, count = z.copy(), 0.0, 0.0, 0.0
     solve(root, y)
+    shown = np.empty((m, m))  # S^-1 C
     for a in range(m):
         column = claimed[:, a].copy()
         for b in range(m):
             square += y[a] * claimed[a, b] * y[b]
         solve(root, column)
         trace += column[a]
-    return factor + factor * factor * (square - trace) / m
+        shown[:, a] = column
+    for a in range(m):
+        for b in range(m):
+            count += factor * factor * shown[a, b] * shown[b, a]
+    return factor * count + factor * factor * (square - trace), count
 
 
 @kernel()

@@ -4,7 +4,6 @@ import copy
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 
 from hybrid_ins.core import iterated_update
 from hybrid_ins.core.position_scatter import (
@@ -13,7 +12,7 @@ from hybrid_ins.core.position_scatter import (
     REFLECTED_STD,
     PositionScatter,
     change_slow_error,
-    residual_variance,
+    scatter_evidence,
 )
 from hybrid_ins.core.state import (
     COVARIANCE,
@@ -52,10 +51,10 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         pack(P, nav[COVARIANCE])
         offset += rng.normal(0.0, walk, 3)
         z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
-        residual = residual_variance(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
         dx, _ = iterated_update.update(nav, z, H, share * R)
         offset -= dx[DP]
-        found.learn(residual, 3, k * SECOND // 5)
+        found.learn(evidence, 3, k * SECOND // 5)
     return found
 
 
@@ -144,27 +143,36 @@ def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn(9.0, 3, k * SECOND)
+        found.learn((27.0, 3.0), 3, k * SECOND)
     split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
     assert split.share == pytest.approx(9.0, rel=0.05)
     assert split.excess == 1.0
 
 
-def test_residual_variance_is_that_of_the_white_error_given_the_fix() -> None:
+@pytest.mark.parametrize("used", [0.01, 0.3, 2.0])
+def test_evidence_on_the_scatter_is_unbiased_whatever_factor_is_in_use(used: float) -> None:
+    # GIVEN innovations with a factor of 0.3 on what is claimed, among other errors
     rng = np.random.default_rng(5)
     root, other, third = rng.normal(size=(3, 3, 3))
     nav, claimed, others = standing(root @ root.T), other @ other.T + np.eye(3), third @ third.T
-    z, factor = rng.normal(size=3), 0.3
-    joint = block_diag(covariance(nav), factor * claimed, others)
-    of_all = np.hstack((H, np.eye(3), np.eye(3)))
-    gain = joint @ of_all.T @ np.linalg.inv(of_all @ joint @ of_all.T)
-    white, after = (gain @ z)[N_ERROR:-3], joint - gain @ of_all @ joint
-    second_moment = np.outer(white, white) + after[N_ERROR:-3, N_ERROR:-3]
+    true = 0.3
+    S = root @ root.T + true * claimed + others
+    drawn = rng.multivariate_normal(np.zeros(3), S, 4000)
+    # WHEN they are used with another one
+    evidence = [scatter_evidence(nav[COVARIANCE], z, H, claimed, used, others) for z in drawn]
+    totals, counts = np.array(evidence).T
+    # THEN they show the true one, and how much they show is what the information is
+    assert totals.mean() / counts.mean() == pytest.approx(
+        true, abs=4.0 * totals.std() / len(drawn) ** 0.5 / counts.mean()
+    )
+    S_used = S + (used - true) * claimed
+    shown = used * np.linalg.solve(S_used, claimed)
+    assert counts == pytest.approx(np.trace(shown @ shown))
+    assert counts.max() < 3.0
 
-    expected = np.trace(np.linalg.solve(claimed, second_moment)) / 3.0
 
-    found = residual_variance(nav[COVARIANCE], z, H, claimed, factor, others)
-    assert found == pytest.approx(expected)
+def test_a_scatter_far_below_what_the_imu_does_between_fixes_is_learned() -> None:
+    assert learned(0.05, 1.0, 0.1, count=1500).learned < 0.01
 
 
 def test_the_slow_error_is_reported_and_walks() -> None:
