@@ -60,7 +60,8 @@ LINEAR_H = slice(LINEAR_Z.stop, LINEAR_Z.stop + 3 * N_ERROR)
 LINEAR_X = slice(LINEAR_H.stop, LINEAR_H.stop + N_ERROR)
 LINEAR_G = slice(LINEAR_X.stop, LINEAR_X.stop + N_ERROR * N_ERROR)
 OF_STAMP = slice(LINEAR_G.stop, LINEAR_G.stop + 9)
-N_RESULT = OF_STAMP.stop
+NORMALISED = slice(OF_STAMP.stop, OF_STAMP.stop + 3)
+N_RESULT = NORMALISED.stop
 
 
 @kernel()
@@ -165,9 +166,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             packed[DIAGONAL[a]], nav[SLOW_VARIANCE][a] = diagonal[a], slow[a]
         return False
     if is_position and learning:
-        result[SCATTER][0], result[SCATTER][1] = scatter_evidence(
+        total, count, normalised = scatter_evidence(
             packed, z, H, covariance_n, share * fix_factor, of_stamp
         )
+        result[SCATTER][0], result[SCATTER][1] = total, count
+        for a in range(m):
+            result[NORMALISED][a] = normalised[a]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]

@@ -34,7 +34,13 @@ from hybrid_ins.core.events import (
     ScatterInForce,
 )
 from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.fix_update import N_RESULT, SIGMA, correction_of, fuse_ordinary_fix
+from hybrid_ins.core.fix_update import (
+    N_RESULT,
+    NORMALISED,
+    SIGMA,
+    correction_of,
+    fuse_ordinary_fix,
+)
 from hybrid_ins.core.gate import Gate, Verdict
 from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import inject, innovation
@@ -45,6 +51,7 @@ from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.noise_multiple_model import StateCorrection
 from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
+    Evidence,
     PositionScatter,
     Split,
     change_slow_error,
@@ -75,7 +82,7 @@ from hybrid_ins.core.state import (
 
 Array = NDArray[np.float64]
 Model = tuple[Array, Array, Array]  # z, H, R
-Fused = tuple[Verdict, bool, tuple[float, float] | None]
+Fused = tuple[Verdict, bool, Evidence | None]
 """Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
 NO_SLOW_ERROR = np.empty(0)
@@ -173,7 +180,7 @@ class MeasurementUpdate:
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
             if verdict.accepted and split is not None:
-                self.scatter.learn(found, len(verdict.sigma), event.t_ns)
+                self.scatter.learn(found, event.t_ns)
             if isinstance(event, LevelMotion):
                 nav[SLOW_VARIANCE][2] = event.height_variance
         self.noise.consider_scale(self.scale_errors.in_outage)
@@ -231,7 +238,8 @@ class MeasurementUpdate:
         moved = uses_corrections and self._learn_noise(
             nav, correction_of(fix, result, interval, before, weight, noise, self.scatter.in_force)
         )
-        return verdict, moved, (total, count) if self.scatter.learning else None
+        found = (total, count, result[NORMALISED][:m]) if self.scatter.learning else None
+        return verdict, moved, found
 
     def _fuse(self, nav: Array, measurement: Measurement, split: Split | None, age: float) -> Fused:
         """
@@ -376,7 +384,7 @@ def _split_position(
     scatter: PositionScatter,
     fix_factor: float,
     by_stamp: Array,
-) -> tuple[Model, tuple[float, float] | None]:
+) -> tuple[Model, Evidence | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
     change_slow_error(nav, split.slow_variance, split.interval)

@@ -66,7 +66,14 @@ LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
 CORRECTED_STD, UNCORRECTED_STD = 0.3, 1.0  # m: claims with corrections, and without
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
+WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
+SMALLEST_WALK = 0.01
+LONGEST_INTERVAL = 3.0  # s, between two such
 BETTER_SOLUTION = 0.25  # of the slow error's variance
+
+
+Evidence = tuple[float, float, Array]
+"""See `scatter_evidence`."""
 
 
 class Split(NamedTuple):
@@ -112,6 +119,8 @@ class PositionScatter(ShallowCopy):
         self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
         self.learned = given
         self._t_ns = 0  # of the last position
+        self._normalised = np.empty(0)  # its innovation
+        self._walk = 1.0  # factor on the walk of the slow error
         self.in_force = False
         self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
 
@@ -152,7 +161,7 @@ class PositionScatter(ShallowCopy):
         """
         self._usual = min(self._usual, horizontal_variance(claimed))
         share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
-        interval = min(max(since, 0.0), 0.5 * SLOW_TIME)
+        interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
         if share > self._largest_expected:
             share = max(share / fix_factor, self._largest_expected)
         slow = max(1.0 - share, _least_slow(claimed)) * claimed.diagonal()
@@ -162,22 +171,29 @@ class PositionScatter(ShallowCopy):
         excess = max(share / self._largest_expected, 1.0)
         return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
 
-    def learn(self, evidence: tuple[float, float] | None, m: int, t_ns: int) -> None:
+    def learn(self, evidence: Evidence | None, t_ns: int) -> None:
         """
-        Note a fix with ``m`` components that was fused; ``evidence`` is its `scatter_evidence`.
+        Note a fix that was fused, by its `scatter_evidence`, which ``learning`` alone needs.
 
-        That is needed while ``learning`` only.
+        A walk of the slow error that is too large makes the filter follow the scatter, so that
+        successive innovations are of opposite signs, too small a one of the same.
         """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
         self._t_ns = t_ns
         if evidence is None:
             return
-        total, count = evidence
+        total, count, normalised = evidence
         fading = max(math.exp(-interval / MEMORY), min(PRIOR_COUNT / self._count, 1.0))
         self._count = fading * self._count + count
-        self._sum = fading * self._sum + min(total, LARGEST_RESIDUAL * m * max(1.0, self.learned))
+        largest = LARGEST_RESIDUAL * len(normalised) * max(1.0, self.learned)
+        self._sum = fading * self._sum + min(total, largest)
         mean = self._sum / self._count
         self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
+        m = min(len(normalised), len(self._normalised))
+        if m and self.in_force and interval < LONGEST_INTERVAL:
+            alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
+            self._walk = min(max(self._walk * math.exp(WALK_GAIN * alike), SMALLEST_WALK), 1.0)
+        self._normalised = normalised
 
 
 def horizontal_variance(covariance_n: Array) -> float:
@@ -222,9 +238,14 @@ def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-
     total, count : float
         The factor that it shows, times the number of components that would show as much if nothing
         else were in the innovation; and that number, up to m.
+    normalised : ndarray, shape (m,)
+        The innovation by its standard deviations.
     """
     m = len(z)
     root, _ = innovation_covariance(packed, H, factor * claimed + others)
+    normalised = z.copy()
+    for a in range(m):
+        normalised[a] /= np.sqrt(root[a, a])
     factorise(root)
     y, square, trace, count = z.copy(), 0.0, 0.0, 0.0
     solve(root, y)
@@ -239,7 +260,7 @@ def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-
     for a in range(m):
         for b in range(m):
             count += factor * factor * shown[a, b] * shown[b, a]
-    return factor * count + factor * factor * (square - trace), count
+    return factor * count + factor * factor * (square - trace), count, normalised
 
 
 @kernel()
