@@ -19,8 +19,9 @@ errors of a receiver without corrections, from orbits, atmosphere and reflection
 
 The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
 to the covariance of the position that is reported, not to that of the filter. From fix to fix it
-changes, as a random walk of position; where the claimed variance falls by more than a factor,
-the receiver has found a better solution, and the old slow error is left in the state.
+changes, as a random walk of position, of which there is as much as successive innovations show,
+[4]_; where the claimed variance falls by more than a factor, the receiver has found a better
+solution, and the old slow error is left in the state.
 
 A receiver may also claim centimetres and err slowly by a metre. No claim bounds that error, but the
 IMU does: between fixes the positions change by more than the vehicle moved. Its variance is then
@@ -34,6 +35,8 @@ References
        6.3 (maximum likelihood estimation of state-space models).
 .. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
        Control Systems 3, 1966.
+.. [4] R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE
+       Transactions on Automatic Control 15, 1970.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The share of the claimed variance of positions that is white, and the slow rest."""
 
 import copy
+import math
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hybrid_ins.core.position_scatter import (
     LEAST_SEARCHED,
     MARGIN,
     REFLECTED_STD,
+    SLOW_TIME,
     PositionScatter,
     change_slow_error,
     scatter_evidence,
@@ -54,7 +56,7 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
         dx, _ = iterated_update.update(nav, z, H, share * R)
         offset -= dx[DP]
-        found.learn(evidence, 3, k * SECOND // 5)
+        found.learn(evidence, k * SECOND // 5)
     return found
 
 
@@ -143,7 +145,7 @@ def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn((27.0, 3.0), 3, k * SECOND)
+        found.learn((27.0, 3.0, np.zeros(3)), k * SECOND)
     split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
     assert split.share == pytest.approx(9.0, rel=0.05)
     assert split.excess == 1.0
@@ -159,7 +161,7 @@ def test_evidence_on_the_scatter_is_unbiased_whatever_factor_is_in_use(used: flo
     S = root @ root.T + true * claimed + others
     drawn = rng.multivariate_normal(np.zeros(3), S, 4000)
     # WHEN they are used with another one
-    evidence = [scatter_evidence(nav[COVARIANCE], z, H, claimed, used, others) for z in drawn]
+    evidence = [scatter_evidence(nav[COVARIANCE], z, H, claimed, used, others)[:2] for z in drawn]
     totals, counts = np.array(evidence).T
     # THEN they show the true one, and how much they show is what the information is
     assert totals.mean() / counts.mean() == pytest.approx(
@@ -186,6 +188,34 @@ def test_the_slow_error_is_reported_and_walks() -> None:
     unpack_total(nav, P)
     np.testing.assert_allclose(np.diag(P)[DP], [0.819, 0.819, 1.83])
     np.testing.assert_allclose(total_std(nav), np.sqrt(np.diag(P)))
+
+
+@pytest.mark.parametrize(("walks", "least", "most"), [(False, 0.0, 0.1), (True, 0.3, 1.0)])
+def test_the_slow_error_walks_as_successive_innovations_show(
+    walks: bool, least: float, most: float
+) -> None:
+    """
+    GIVEN positions that scatter by 0.1 m about a slow error, which walks as claimed, or does not
+    WHEN a filter believes the walk of a claimed metre
+    THEN it learns from the sign of successive innovations how much of it there is.
+    """
+    rng = np.random.default_rng(4)
+    found, nav = PositionScatter(0.01, learning=True), standing(0.01 * np.eye(3))
+    found.in_force = True
+    claimed, offset = np.eye(3), np.zeros(3)  # offset: slow error minus estimate
+    walk = math.sqrt(2.0 * 0.2 / SLOW_TIME) if walks else 0.0
+    for k in range(1, 1500):
+        split = found.split(claimed, k * SECOND // 5, 0.0)
+        change_slow_error(nav, split.slow_variance, split.interval)
+        offset += rng.normal(0.0, walk, 3)
+        z = offset + rng.normal(0.0, 0.1, 3)
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
+        dx, _ = iterated_update.update(nav, z, H, split.share * claimed)
+        offset -= dx[DP]
+        found.learn(evidence, k * SECOND // 5)
+
+    later = found.split(claimed, 1500 * SECOND // 5, 0.0)
+    assert least <= later.interval / 0.2 <= most
 
 
 def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
