@@ -9,9 +9,12 @@ it, and the rest is the variance B of a slow error, a first-order Gauss-Markov p
 
 The share r is learned from the innovations by its likelihood, in steps of the method of scoring,
 [2]_. What was learned fades as new evidence comes in, and starts as a prior about the given share.
-A receiver that scatters by more than it
-claims has a share above 1. The factor on R that the innovations show (`noise_multiple_model`) is
-found sooner and is coarser; the share contains it, so R is multiplied by the larger of the two.
+A receiver that scatters by more than it claims has a share above 1. The factor on R that the
+innovations show (`noise_multiple_model`) is found sooner and is coarser; the share contains it, so
+R is multiplied by the larger of the two.
+
+A filter that believed in too large an R until now has too large a P as well, and its innovations
+show less than no scatter; what is learned is therefore never less than the smallest share.
 
 Positions that scatter as much as is claimed do not show that nothing else is wrong with them: the
 errors of a receiver without corrections, from orbits, atmosphere and reflections, last for minutes,
@@ -189,9 +192,9 @@ class PositionScatter(ShallowCopy):
         fading = max(math.exp(-interval / MEMORY), min(PRIOR_COUNT / self._count, 1.0))
         self._count = fading * self._count + count
         largest = LARGEST_RESIDUAL * len(normalised) * max(1.0, self.learned)
-        self._sum = fading * self._sum + min(total, largest)
+        self._sum = max(fading * self._sum + min(total, largest), SMALLEST * self._count)
         mean = self._sum / self._count
-        self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS, SMALLEST)
+        self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS)
         m = min(len(normalised), len(self._normalised))
         if m and self.in_force and interval < LONGEST_INTERVAL:
             alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))

@@ -177,6 +177,19 @@ def test_a_scatter_far_below_what_the_imu_does_between_fixes_is_learned() -> Non
     assert learned(0.05, 1.0, 0.1, count=1500).learned < 0.01
 
 
+def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
+    # GIVEN a filter whose P is far too large, so that its innovations show less than no scatter
+    found = PositionScatter(learning=True)
+    found.in_force = True
+    for k in range(200):
+        found.learn((-0.5, 1.8, np.full(3, 0.1)), k * SECOND // 5)
+    assert found.learned < 0.005
+    # WHEN they show a share of 0.09, THEN it is learned as from nothing
+    for k in range(200, 350):
+        found.learn((0.18, 2.0, np.full(3, 0.1)), k * SECOND // 5)
+    assert found.learned > 0.05
+
+
 def test_the_slow_error_is_reported_and_walks() -> None:
     nav, P = standing(0.01 * np.eye(3)), np.empty((N_ERROR, N_ERROR))
     change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 5.0)
