@@ -34,7 +34,7 @@ CERTAIN = 4.0  # likewise, from which what was found is one: 3.4 were chance
 NOTICEABLE = 0.005  # s, of the offset at the ends of the longest recording
 SETTLED = 0.1  # standard deviations
 MOST_PASSES = 8
-LONGEST = 4.0  # steps at a time
+MOST_STEPS = 4.0  # of the method's, that are taken at a time
 
 
 class Drift(NamedTuple):
@@ -107,7 +107,7 @@ def _lengthened(drift: float, step: float, last: tuple[float, float] | None) -> 
     if last is None or drift == last[0]:
         return step
     shortening = (last[1] - step) / (drift - last[0])
-    return step / min(max(shortening, 1.0 / LONGEST), 1.0)
+    return step / min(max(shortening, 1.0 / MOST_STEPS), 1.0)
 
 
 def _newton_step(likelihood: Likelihood, x: Array, longest: float, drift: float) -> Drift:
