@@ -16,6 +16,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -134,7 +135,8 @@ class Gate(ShallowCopy):
     as it was followed, not for ``patience``. One above the threshold has to wait then for another
     one that agrees with it.
 
-    A jump is out of proportion to the innovations before it: a receiver that claims centimetres and
+    A jump is out of proportion to what the measurement claims, even where it scatters by less, and
+    to the innovations before it: a receiver that claims centimetres and
     scatters by decimetres does not jump at every fix. The scale, the mean of NIS / m of those that
     were fused last, is counted from the first above the threshold until it is ordinary again. It
     does not count where two in a row show one error of the state.
@@ -183,11 +185,13 @@ class Gate(ShallowCopy):
         nis: float,
         age: float,
         interval: float = np.inf,
+        claimed: Array | None = None,
     ) -> Verdict:
         """
         Decide by the innovation z (m,), its NIS, and the covariances R and S, (m, m).
 
-        ``interval`` is the time since the last correction [s].
+        ``interval`` is the time since the last correction [s], ``claimed`` the covariance that the
+        measurement claims where R is its scatter, which may be less.
         """
         last = self._rejections.get(measurement.kind)
         rejected_ns = measurement.t_ns - last.first_ns if last else 0  # that is no pause
@@ -203,7 +207,7 @@ class Gate(ShallowCopy):
             log_determinant(S),
             weight=weight(nis, len(R)) if measurement.sensor == GNSS else 1.0,
         )
-        verdict = self._decide(plain, z, R, interval, is_pause)
+        verdict = self._decide(plain, z, R, R if claimed is None else claimed, interval, is_pause)
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
             if is_pause:
@@ -221,7 +225,13 @@ class Gate(ShallowCopy):
         self._scales = {**others, kind: scale} if is_remarkable else others
 
     def _decide(
-        self, plain: Verdict, z: Array, R: Array, interval: float, is_pause: bool
+        self,
+        plain: Verdict,
+        z: Array,
+        R: Array,
+        claimed: Array,
+        interval: float,
+        is_pause: bool,
     ) -> Verdict:
         """Return ``plain``, or what the measurements of its kind before it make of it."""
         measurement = plain.measurement
@@ -239,7 +249,7 @@ class Gate(ShallowCopy):
         elif not is_gnss or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            return self._continue_run(plain, z, R, interval, is_pause, consistent_ns)
+            return self._continue_run(plain, z, R, claimed, interval, is_pause, consistent_ns)
         self._end_run(kind)
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
@@ -253,6 +263,7 @@ class Gate(ShallowCopy):
         plain: Verdict,
         z: Array,
         R: Array,
+        claimed: Array,
         interval: float,
         is_pause: bool,
         consistent_ns: int,
@@ -262,7 +273,8 @@ class Gate(ShallowCopy):
         last = self._rejections.get(kind)
         of_state = last is not None and consistent_ns == last.consistent_ns
         scale = 1.0 if of_state else self._scales.get(kind, 1.0)
-        jump = _is_jump(kind, z, scale * R, interval) or (last is not None and last.jump)
+        expected = max(scale * float(np.trace(R)), float(np.trace(claimed)))
+        jump = _is_jump(kind, z, expected, interval) or (last is not None and last.jump)
         run = _Rejections(
             last.first_ns if last else measurement.t_ns,
             consistent_ns,
@@ -317,10 +329,14 @@ def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
     return size > grown + tolerance and change <= max(0.2 * size, tolerance)
 
 
-def _is_jump(kind: str, z: Array, R: Array, interval: float) -> bool:
-    """Return whether no acceleration error can have made an innovation so large."""
+def _is_jump(kind: str, z: Array, expected: float, interval: float) -> bool:
+    """
+    Return whether no acceleration error can have made an innovation so large.
+
+    ``expected`` is the mean square of the measurement's error.
+    """
     grown = MAX_ACCELERATION_ERROR * interval * (0.5 * interval if kind == "position" else 1.0)
-    return float(np.linalg.norm(z)) > grown + 5.0 * float(np.sqrt(np.trace(R)))
+    return float(np.linalg.norm(z)) > grown + 5.0 * math.sqrt(expected)
 
 
 def _are_consistent(last: Array, z: Array, R: Array) -> bool:

@@ -248,6 +248,7 @@ class MeasurementUpdate:
         ``split`` is that of a position's covariance.
         """
         (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
+        claimed = model[2]
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
         fix_factor = self.noise.fix_factor if measurement.sensor == GNSS else 1.0
@@ -271,7 +272,7 @@ class MeasurementUpdate:
         of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
         S, nis = innovation(nav, z, H, R + of_clock)
         interval = (measurement.t_ns - self.corrected_ns) * 1e-9
-        verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval)
+        verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval, claimed)
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MEMORY = 300.0  # s without a jump, over which it is forgotten: wrong solutions last for minutes
+UNCLAIMED = 2.0  # times what a position claims: less is no jump
 DOUBTED_NS = 10_000_000_000  # after a fault of the IMU: the state may have been wrong
 
 
@@ -65,7 +66,7 @@ class PositionJumps:
 
     def learned(self, z: Array, S: Array, claimed: Array, t_ns: int) -> PositionJumps:
         """
-        Return these and a jump that no error of the state explains.
+        Return these and a jump that no error of the state explains, if the receiver does not claim it.
 
         Parameters
         ----------
@@ -75,7 +76,8 @@ class PositionJumps:
         t_ns : int
             Stamp [ns].
         """
-        if t_ns < self.doubted_ns:
+        size = float(np.linalg.norm(z))
+        if t_ns < self.doubted_ns or size < UNCLAIMED * math.sqrt(np.trace(claimed)):
             return self
         square = np.zeros(3)
         square[: len(z)] = np.maximum(z**2 - S.diagonal(), 0.0)
@@ -84,7 +86,7 @@ class PositionJumps:
         fading = self._fading(t_ns)
         return replace(
             self,
-            size=float(np.linalg.norm(z)),
+            size=size,
             claimed_std=math.sqrt(0.5 * (claimed[0, 0] + claimed[1, 1])),
             count=fading * self.count + 1.0,
             squares=fading * self.squares + square,
