@@ -39,6 +39,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
 APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
 STATUS_FIX, STATUS_NO_FIX = 0, -1
+VERTICAL_RATIO = 2.0  # of a velocity's σ: of a receiver that has one number for all directions
 
 
 def stamp_ns(stamp: Message) -> int:
@@ -201,11 +202,14 @@ class GnssInput:
                 "velocity: absurd",
                 f"{velocity_enu} m/s is too fast for a vehicle: check the driver's unit (m/s)",
             )
-        default = np.eye(3) * self.velocity_std_default**2
+        default = np.diag([1.0, 1.0, VERTICAL_RATIO**2]) * self.velocity_std_default**2
         covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
         if velocity_enu[2] == 0.0 and not covariance[2, 2] > 0.0:
             velocity_enu[2] = math.nan  # of a driver that has no vertical velocity
+        is_one_number = len(set(covariance.diagonal().tolist())) == 1
         covariance = floor_covariance(covariance, self.velocity_std_min, default)
+        if is_one_number and covariance[2, 2] == covariance[0, 0]:
+            covariance[2, 2] *= VERTICAL_RATIO**2
         return VelocityFix(
             t_ns + round(self.time_offset * 1e9),
             np.array([velocity_enu[1], velocity_enu[0], -velocity_enu[2]]),  # up may be NaN
