@@ -222,7 +222,8 @@ GNSS = (
     Parameter(
         "gnss.velocity_std_default",
         0.2,
-        "Standard deviation of GNSS velocities whose covariance is unusable or unknown",
+        "Standard deviation of GNSS velocities whose covariance is unusable or unknown, of each "
+        "horizontal component; of the vertical one it is twice that",
         unit="m/s",
         low=1e-3,
         high=100.0,

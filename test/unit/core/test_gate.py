@@ -52,6 +52,18 @@ def test_large_innovation_that_an_ins_can_make_is_weighted_not_rejected(gate: Ga
     assert verdict.accepted and verdict.reason and 0.1 < verdict.weight < 0.5
 
 
+def test_what_the_fix_claims_is_no_jump_even_where_it_scatters_by_less(gate: Gate) -> None:
+    scatter, z = 0.05**2 * R, np.full(3, 2.0)
+
+    def at_scatter(claimed: np.ndarray | None) -> Verdict:
+        rest = copy.copy(gate)
+        return rest.judge(fix(1.0), z, scatter, 2.0 * scatter, 2400.0, 0.0, INTERVAL, claimed)
+
+    assert not at_scatter(None).accepted and not at_scatter(0.2**2 * R).accepted
+    within = at_scatter(R)
+    assert within.accepted and within.weight < 0.01 and within.sigma == pytest.approx([0.05] * 3)
+
+
 def test_weight_is_one_for_ordinary_innovations_and_falls_without_a_step() -> None:
     nis = np.linspace(0.0, 1000.0, 100_001)
     weights = np.array([weight(float(v), 3) for v in nis])

@@ -50,6 +50,13 @@ def test_what_the_state_explains_is_no_jump() -> None:
     assert found.variance(10 * SECOND) == pytest.approx([0.0, 0.0, 900.0], rel=1e-4)
 
 
+def test_what_a_position_claims_is_no_jump() -> None:
+    sigma = np.sqrt(np.trace(CLAIMED))  # of the distance
+
+    assert _after((10.0, (1.9 * sigma, 0.0, 0.0))).count == 0.0
+    assert _after((10.0, (2.1 * sigma, 0.0, 0.0))).count == 1.0
+
+
 def test_it_fades_while_none_jumps_and_is_none_below_the_claim() -> None:
     found = _after((10.0, (0.5, 0.5)))
 

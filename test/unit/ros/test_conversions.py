@@ -140,6 +140,19 @@ def test_velocity_is_turned_and_an_unknown_climb_leaves_the_rest() -> None:
     assert made[:2] == pytest.approx([2.0, 1.0]) and math.isnan(made[2])
 
 
+def test_one_number_for_all_directions_of_a_velocity_says_less_of_the_vertical() -> None:
+    def std(variances: list[float]) -> np.ndarray:
+        message = velocity()
+        message.twist.covariance = np.diag([*variances, 0.0, 0.0, 0.0]).ravel()
+        return np.sqrt(np.diag(GNSS.velocity(message).covariance_n))
+
+    np.testing.assert_allclose(std([0.04, 0.04, 0.04]), [0.2, 0.2, 0.4])
+    np.testing.assert_allclose(std([0.01, 0.04, 0.05]), np.sqrt([0.04, 0.01, 0.05]))
+    np.testing.assert_allclose(std([0.01, 0.01, 0.01]), [0.1, 0.1, 0.2])
+    default = VALUES["gnss.velocity_std_default"]
+    np.testing.assert_allclose(std([0.0, 0.0, 0.0]), default * np.array([1.0, 1.0, 2.0]))
+
+
 @pytest.mark.parametrize("unknown", [0.0, -1.0, NAN])
 def test_an_unknown_vertical_variance_leaves_the_horizontal_ones(unknown: float) -> None:
     made = GNSS.position(fix(np.diag([0.01, 0.04, unknown])))
