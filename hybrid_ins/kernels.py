@@ -203,6 +203,8 @@ def _compile_output() -> None:
         1.0,
         0.0,
         turn,
+        zero,
+        0.0,
         np.zeros(N_ERROR),
         z,
         H,

@@ -30,7 +30,7 @@ from hybrid_ins.core.measurements import (
     velocity_model,
 )
 from hybrid_ins.core.noise import Correction
-from hybrid_ins.core.position_scatter import change_slow_error, scatter_evidence
+from hybrid_ins.core.position_scatter import Split, change_slow_error, scatter_evidence
 from hybrid_ins.core.stamp_scatter import stamp_covariance
 from hybrid_ins.core.state import (
     CLOCK_VARIANCE,
@@ -204,6 +204,7 @@ def correction_of(
     weight: float,
     noise: FilterNoise,
     scatter_in_force: bool,
+    split: Split | None,
 ) -> Correction:
     """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
     m = len(fix.claimed)
@@ -228,4 +229,6 @@ def correction_of(
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
         fix_factor=noise.fix_factor,
         stamp_std=noise.stamp_std,
+        slow_growth=None if split is None else split.claimed_growth,
+        claimed_std=0.0 if split is None else noise.claimed_std,
     )

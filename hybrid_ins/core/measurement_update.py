@@ -180,7 +180,7 @@ class MeasurementUpdate:
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
             if verdict.accepted and split is not None:
-                self.scatter.learn(found, event.t_ns)
+                self.scatter.learn(split, found, event.t_ns)
             if isinstance(event, LevelMotion):
                 nav[SLOW_VARIANCE][2] = event.height_variance
         self.noise.consider_scale(self.scale_errors.in_outage)
@@ -236,7 +236,10 @@ class MeasurementUpdate:
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
-            nav, correction_of(fix, result, interval, before, weight, noise, self.scatter.in_force)
+            nav,
+            correction_of(
+                fix, result, interval, before, weight, noise, self.scatter.in_force, split
+            ),
         )
         found = (total, count, result[NORMALISED][:m]) if self.scatter.learning else None
         return verdict, moved, found
@@ -300,6 +303,8 @@ class MeasurementUpdate:
             of_stamp=of_stamp if self.scatter.in_force else None,
             fix_factor=fix_factor,
             stamp_std=self.noise.stamp_std,
+            slow_growth=None if split is None else split.claimed_growth,
+            claimed_std=0.0 if split is None else self.noise.claimed_std,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

@@ -72,6 +72,10 @@ class Correction:
         Factor on the covariance of a fix that is in S.
     stamp_std : float
         Standard deviation of the stamps [s] that is in S, times ``of_stamp``.
+    slow_growth : ndarray, shape (3,), optional
+        Variance [m²], NED, by which a position's slow error has changed as claimed since the last.
+    claimed_std : float
+        Standard deviation [m] that a position claims horizontally; 0 of others.
     """
 
     t_ns: int
@@ -90,6 +94,8 @@ class Correction:
     of_stamp: Array | None = None
     fix_factor: float = 1.0
     stamp_std: float = 0.0
+    slow_growth: Array | None = None
+    claimed_std: float = 0.0
 
 
 class NoiseModel(Protocol):

@@ -93,7 +93,7 @@ _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS][:3] = 1.0
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
-_IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
+_IDENTITY, _EXACT, _CONSTANT = np.eye(N_ERROR), np.zeros((3, 3)), np.zeros(3)
 _START[PENDING_G] = _IDENTITY.ravel()
 
 
@@ -194,7 +194,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         values = self._values
         lowest = values[LOWEST].copy()
         of_family = values[OF_FAMILY]
-        add_likelihood(one, values[LOG_LIKELIHOOD], of_family)
+        add_likelihood(one, values[CLAIMED_STD], values[LOG_LIKELIHOOD], of_family)
         weigh(values[LOG_LIKELIHOOD], of_family, values[CLAIMED_STD], values[WEIGHTS])
         average(values[WEIGHTS], values[FACTORS], values[LOWEST])
         values[LOWEST] = lowest  # the state is corrected with the next fix
@@ -257,6 +257,8 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.fix_factor,
             correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
+            _CONSTANT if correction.slow_growth is None else correction.slow_growth,
+            correction.claimed_std,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
@@ -299,6 +301,8 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fix_factor,
     stamp_variance,
     of_stamp,
+    slow_growth,
+    claimed_std,
     dx,
     z_x,
     H_x,
@@ -319,7 +323,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, dx
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_std, dx
         See `NoiseMultipleModelBank.update`.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
@@ -338,8 +342,8 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     for a in range(m):
         for b in range(m):
             R[a, b] -= stamp_variance * of_stamp[a, b]
-    if H[0, 0] != 0.0:  # a position
-        values[CLAIMED_STD] = np.sqrt(max(0.5 * (R[0, 0] + R[1, 1]) / fix_factor, 0.0))
+    if claimed_std > 0.0:
+        values[CLAIMED_STD] = claimed_std
     log_likelihood = np.zeros(before.shape[1])
     factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
     advance(
@@ -352,6 +356,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         psd,
         factors,
         walk,
+        slow_growth,
         hypotheses[STAMP_STD],
         z_x,
         H_x,
@@ -370,6 +375,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
     if not teaches:
         return False
-    add_likelihood(log_likelihood, values[LOG_LIKELIHOOD], values[OF_FAMILY])
-    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], values[CLAIMED_STD], values[WEIGHTS])
+    claimed_std = values[CLAIMED_STD]
+    add_likelihood(log_likelihood, claimed_std, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], claimed_std, values[WEIGHTS])
     return average(values[WEIGHTS], values[FACTORS], values[LOWEST])

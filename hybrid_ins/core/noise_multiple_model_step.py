@@ -67,6 +67,7 @@ def advance(  # type: ignore[no-untyped-def]
     psd,
     factors,
     walk,
+    slow_growth,
     stamp_std,
     z,
     H,
@@ -95,6 +96,8 @@ def advance(  # type: ignore[no-untyped-def]
     factors, walk : ndarray, shape (3, n)
         On the accelerometer's noise, the gyroscope's, and R; density of a random walk of
         position [m²/s].
+    slow_growth : ndarray, shape (3,)
+        Variance [m²] by which all have changed at the least, see `Correction`.
     stamp_std : ndarray, shape (n,)
         Standard deviation of the fix's stamp [s].
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
@@ -113,6 +116,7 @@ def advance(  # type: ignore[no-untyped-def]
     transition, noise = _transition_and_noise(F, T, C, psd)
     _transform(transition, G, estimates, after)
     _add_noise(after, transition, noise, factors, walk, T)
+    _add_slow_growth(after, slow_growth, walk, T)
     padded = m + -m % 3
     PHt, own = np.zeros((padded * N_ERROR, count)), np.empty((m, count))
     HPHt, S, white = np.empty((m * m, count)), np.empty((m, m, count)), np.zeros((padded, count))
@@ -200,6 +204,16 @@ def _add_noise(after, transition, noise, factors, walk, T):  # type: ignore[no-u
             if a != 0.0 or b != 0.0 or c != 0.0:
                 for h in range(first, count):
                     after[place, h] += a * walk[0, h] + b * walk[1, h] + c * walk[2, h]
+
+
+@register_jitable
+def _add_slow_growth(after, slow_growth, walk, T):  # type: ignore[no-untyped-def]
+    """Add the change of the claimed slow error, as far as a hypothesis has none of its own."""
+    for i in range(3):
+        if slow_growth[i] > 0.0:
+            place = PLACES[i, i]
+            for h in range(after.shape[1]):
+                after[place, h] += max(slow_growth[i] - T * walk[i, h], 0.0)
 
 
 @register_jitable

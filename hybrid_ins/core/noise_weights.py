@@ -57,11 +57,12 @@ def fade(T, log_likelihood, of_family):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def add_likelihood(one, log_likelihood, of_family):  # type: ignore[no-untyped-def]
+def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore[no-untyped-def]
     """
     Add the log-likelihoods of an innovation, (COUNT,) or more.
 
-    The largest of a family, and the largest of all families, are 0 afterwards.
+    A position whose claim, ``claimed_std`` horizontally [m], contains the slow error of a family is
+    no evidence on that. The largest of a family, and the largest of all families, are 0 afterwards.
     """
     largest, before = np.full(FAMILIES, -np.inf), np.zeros(FAMILIES)
     for h in range(COUNT):
@@ -73,9 +74,12 @@ def add_likelihood(one, log_likelihood, of_family):  # type: ignore[no-untyped-d
         after[f] += np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h] + one[h] - largest[f])
         log_likelihood[h] += one[h]
         best[f] = max(best[f], log_likelihood[h])
-    most = -np.inf
-    for f in range(FAMILIES):
-        of_family[f] += largest[f] + np.log(max(after[f] / before[f], 1e-300))
+    most, smallest, of_none = -np.inf, smallest_slow_std(claimed_std), 0.0
+    for f in range(FAMILIES):  # the first has none
+        shown = largest[f] + np.log(max(after[f] / before[f], 1e-300))
+        if f == 0:
+            of_none = shown
+        of_family[f] += of_none if FAMILY_STD[f] < smallest else shown
         most = max(most, of_family[f])
     for f in range(FAMILIES):
         of_family[f] = max(of_family[f] - most, UNLIKELIEST_FAMILY)

@@ -66,7 +66,7 @@ class PositionJumps:
 
     def learned(self, z: Array, S: Array, claimed: Array, t_ns: int) -> PositionJumps:
         """
-        Return these and a jump that no error of the state explains, if the receiver does not claim it.
+        Return these and a jump that neither errors of the state nor what is claimed explain.
 
         Parameters
         ----------

@@ -23,8 +23,10 @@ errors of a receiver without corrections, from orbits, atmosphere and reflection
 The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
 to the covariance of the position that is reported, not to that of the filter. From fix to fix it
 changes, as a random walk of position, of which there is as much as successive innovations show,
-[4]_; where the claimed variance falls by more than a factor, the receiver has found a better
-solution, and the old slow error is left in the state.
+[4]_. Where the claimed variance falls or rises by more than a factor, the receiver has found
+another solution: the old slow error is left in the state, or a new one begins. Of a claim that is
+larger than the smallest of this receiver the rest is slow: what is lost are ambiguities, or
+satellites.
 
 A receiver may also claim centimetres and err slowly by a metre. No claim bounds that error, but the
 IMU does: between fixes the positions change by more than the vehicle moved. Its variance is then
@@ -48,6 +50,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -75,7 +78,7 @@ SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gi
 WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
 SMALLEST_WALK = 0.01
 LONGEST_INTERVAL = 3.0  # s, between two such
-BETTER_SOLUTION = 0.25  # of the slow error's variance
+NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 
 
 Evidence = tuple[float, float, Array]
@@ -88,6 +91,8 @@ class Split(NamedTuple):
     share: float  # of it that is white; above 1: positions scatter by more than they claim
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
+    claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
+    claimed_growth: Array = np.zeros(3)  # m², by which the state's variance grows by that
     unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
     excess: float = 1.0  # factor by which positions scatter more than is claimed and given
 
@@ -125,6 +130,7 @@ class PositionScatter(ShallowCopy):
         self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
         self.learned = given
         self._t_ns = 0  # of the last position
+        self._claimed_slow = np.empty(0)  # m², of its slow error
         self._normalised = np.empty(0)  # its innovation
         self._walk = 1.0  # factor on the walk of the slow error
         self.in_force = False
@@ -170,14 +176,18 @@ class PositionScatter(ShallowCopy):
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
         if share > self._largest_expected:
             share = max(share / fix_factor, self._largest_expected)
-        slow = max(1.0 - share, _least_slow(claimed)) * claimed.diagonal()
+        lost = 1.0 - self._usual / horizontal_variance(claimed)
+        slow = claimed_slow = max(1.0 - share, _least_slow(claimed), lost) * claimed.diagonal()
+        growth = np.zeros(3)
+        for i in range(min(len(slow), len(self._claimed_slow))):
+            growth[i] = slow_error_growth(self._claimed_slow[i], slow[i], interval)
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
-        unclaimed = slow_std**2 > horizontal_variance(claimed)
+        unclaimed = slow_std if slow_std**2 > horizontal_variance(claimed) else 0.0
         excess = max(share / self._largest_expected, 1.0)
-        return Split(share, slow, interval, slow_std if unclaimed else 0.0, excess)
+        return Split(share, slow, interval, claimed_slow, growth, unclaimed, excess)
 
-    def learn(self, evidence: Evidence | None, t_ns: int) -> None:
+    def learn(self, split: Split, evidence: Evidence | None, t_ns: int) -> None:
         """
         Note a fix that was fused, by its `scatter_evidence`, which ``learning`` alone needs.
 
@@ -185,7 +195,7 @@ class PositionScatter(ShallowCopy):
         successive innovations are of opposite signs, too small a one of the same.
         """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
-        self._t_ns = t_ns
+        self._t_ns, self._claimed_slow = t_ns, split.claimed_slow
         if evidence is None:
             return
         total, count, normalised = evidence
@@ -269,6 +279,20 @@ def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-
     return factor * count + factor * factor * (square - trace), count, normalised
 
 
+@register_jitable
+def slow_error_growth(before, after, interval):  # type: ignore[no-untyped-def]
+    """
+    Return the variance [m²] by which a slow error has changed over an interval [s].
+
+    Its own was ``before`` and is ``after``. An interval of 0 has no fix before it.
+    """
+    if before > NEW_SOLUTION * after:
+        return before
+    if interval > 0.0 and after > NEW_SOLUTION * before:
+        return after
+    return 2.0 * before * interval / SLOW_TIME
+
+
 @kernel()
 def change_slow_error(nav, variance, interval):  # type: ignore[no-untyped-def]
     """
@@ -278,8 +302,5 @@ def change_slow_error(nav, variance, interval):  # type: ignore[no-untyped-def]
     """
     for i in range(len(variance)):
         slow = nav[SLOW_VARIANCE][i]
-        grown = 2.0 * slow * interval / SLOW_TIME
-        if variance[i] < BETTER_SOLUTION * slow:
-            grown = slow
-        nav[COVARIANCE][DIAGONAL[i]] += grown
+        nav[COVARIANCE][DIAGONAL[i]] += slow_error_growth(slow, variance[i], interval)
         nav[SLOW_VARIANCE][i] = variance[i]

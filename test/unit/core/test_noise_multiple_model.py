@@ -106,6 +106,8 @@ def correction_of(
         of_stamp,
         fix_factor,
         stamp_std,
+        rng.uniform(0.0, 0.01, 3) if is_position else None,
+        0.05 if is_position else 0.0,
     )
 
 
@@ -117,7 +119,7 @@ class Readable:
         self.stamp_variance = hypothesis[STAMP_STD] ** 2
         self.P, self.offset = covariance(nav), np.zeros(N_ERROR)
 
-    def predict(self, F: Array, C: Array, T: float) -> None:
+    def predict(self, F: Array, C: Array, T: float, slow_growth: Array) -> None:
         A = np.eye(N_ERROR) + T * F + T**2 / 2.0 * F @ F + T**3 / 6.0 * F @ F @ F
         half = np.eye(N_ERROR) + T / 2.0 * F + T**2 / 8.0 * F @ F
         D = np.zeros((N_ERROR, N_ERROR))
@@ -127,6 +129,7 @@ class Readable:
         P = self.P.copy()
         P[:3, :3] += T * np.diag(self.walk)
         self.P = A @ P @ A.T + T / 6.0 * (D + 4.0 * half @ D @ half.T + A @ D @ A.T)
+        self.P[:3, :3] += np.diag(np.maximum(slow_growth - T * self.walk, 0.0))
         self.offset = A @ self.offset
 
     def correct(self, z: Array, H: Array, R: Array, of_stamp: Array, dx: Array, G: Array) -> float:
@@ -171,8 +174,9 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         z, H, dx, G = correction.linear or plain
         iterated += not np.array_equal(G, np.eye(N_ERROR))
         log_likelihood *= np.exp(-T / MEMORY)
+        growth = np.zeros(3) if correction.slow_growth is None else correction.slow_growth
         for h, one in enumerate(readable):
-            one.predict(F, C, T)
+            one.predict(F, C, T, growth)
             log_likelihood[h] += one.correct(z, H, R, of_stamp, dx, G)
         for f in range(FAMILIES):
             log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()

@@ -26,6 +26,7 @@ from hybrid_ins.core.noise_weights import (
 from hybrid_ins.core.state import Array
 
 SLOW = HYPOTHESES[SLOW_STD]
+CENTIMETRE = 0.01  # m, claimed
 
 
 def weighed(found: Array, of_family: Array, claimed_std: float) -> Array:
@@ -39,7 +40,7 @@ def test_without_fading_the_weights_are_those_of_bayes_rule() -> None:
     found, of_family, plain = np.zeros(COUNT), np.zeros(FAMILIES), HYPOTHESES[LOG_PRIOR].copy()
     for _ in range(6):
         one = rng.normal(0.0, 0.5, COUNT)
-        add_likelihood(one, found, of_family)
+        add_likelihood(one, CENTIMETRE, found, of_family)
         plain = plain + one
 
     expected = np.exp(plain - logsumexp(plain))
@@ -48,13 +49,26 @@ def test_without_fading_the_weights_are_those_of_bayes_rule() -> None:
 
 def test_that_fixes_have_a_slow_error_is_remembered_longer_than_what_the_noise_is() -> None:
     found, of_family = np.zeros(COUNT), np.zeros(FAMILIES)
-    add_likelihood(-5.0 * (FAMILY == 0) - 3.0 * (np.arange(COUNT) % 2), found, of_family)
+    one = -5.0 * (FAMILY == 0) - 3.0 * (np.arange(COUNT) % 2)
+    add_likelihood(one, CENTIMETRE, found, of_family)
     before = of_family.copy()
 
     fade(60.0, found, of_family)
 
     np.testing.assert_allclose(of_family, before * np.exp(-60.0 / SLOW_MEMORY))
     assert found.min() == pytest.approx(-3.0 * np.exp(-60.0 / MEMORY))
+
+
+def test_a_claim_that_contains_a_slow_error_is_no_evidence_on_it() -> None:
+    found, of_family = np.zeros(COUNT), np.zeros(FAMILIES)
+
+    add_likelihood(-5.0 * (FAMILY == 0), 0.3, found, of_family)
+
+    contained = (FAMILY_STD > 0.0) & (smallest_slow_std(0.3) > FAMILY_STD)
+    assert contained.any() and (smallest_slow_std(0.3) < FAMILY_STD).any()
+    np.testing.assert_allclose(of_family[contained], of_family[0])
+    np.testing.assert_allclose(of_family[smallest_slow_std(0.3) < FAMILY_STD], 0.0)
+    assert of_family[0] == pytest.approx(-5.0)
 
 
 def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:

@@ -13,6 +13,7 @@ from hybrid_ins.core.position_scatter import (
     REFLECTED_STD,
     SLOW_TIME,
     PositionScatter,
+    Split,
     change_slow_error,
     scatter_evidence,
 )
@@ -31,6 +32,7 @@ from hybrid_ins.core.state import (
 
 SECOND = 1_000_000_000
 H = np.eye(3, N_ERROR)
+ANY = Split(1.0, np.zeros(3), 0.2)
 
 
 def standing(P: Array) -> Array:
@@ -56,7 +58,7 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
         dx, _ = iterated_update.update(nav, z, H, share * R)
         offset -= dx[DP]
-        found.learn(evidence, k * SECOND // 5)
+        found.learn(ANY, evidence, k * SECOND // 5)
     return found
 
 
@@ -145,7 +147,7 @@ def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn((27.0, 3.0, np.zeros(3)), k * SECOND)
+        found.learn(ANY, (27.0, 3.0, np.zeros(3)), k * SECOND)
     split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
     assert split.share == pytest.approx(9.0, rel=0.05)
     assert split.excess == 1.0
@@ -182,18 +184,18 @@ def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
     found = PositionScatter(learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn((-0.5, 1.8, np.full(3, 0.1)), k * SECOND // 5)
+        found.learn(ANY, (-0.5, 1.8, np.full(3, 0.1)), k * SECOND // 5)
     assert found.learned < 0.005
     # WHEN they show a share of 0.09, THEN it is learned as from nothing
     for k in range(200, 350):
-        found.learn((0.18, 2.0, np.full(3, 0.1)), k * SECOND // 5)
+        found.learn(ANY, (0.18, 2.0, np.full(3, 0.1)), k * SECOND // 5)
     assert found.learned > 0.05
 
 
 def test_the_slow_error_is_reported_and_walks() -> None:
     nav, P = standing(0.01 * np.eye(3)), np.empty((N_ERROR, N_ERROR))
-    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 5.0)
-    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # there was none before
+    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 0.0)
+    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # no fix was before
 
     change_slow_error(nav, np.array([0.8, 0.8, 1.8]), 0.5)
 
@@ -225,7 +227,7 @@ def test_the_slow_error_walks_as_successive_innovations_show(
         evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
         dx, _ = iterated_update.update(nav, z, H, split.share * claimed)
         offset -= dx[DP]
-        found.learn(evidence, k * SECOND // 5)
+        found.learn(split, evidence, k * SECOND // 5)
 
     later = found.split(claimed, 1500 * SECOND // 5, 0.0)
     assert least <= later.interval / 0.2 <= most
@@ -240,6 +242,28 @@ def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
 
     np.testing.assert_allclose(np.diag(covariance(nav))[DP], [0.91, 0.91, 0.01])
     np.testing.assert_allclose(nav[SLOW_VARIANCE], [0.0, 0.0, 2.0])
+
+
+def test_a_poorer_solution_has_a_slow_error_of_its_own() -> None:
+    # GIVEN a receiver that has claimed centimetres, which are its scatter
+    found, nav = PositionScatter(), standing(1e-4 * np.eye(3))
+    fixed, lost = (std**2 * np.diag([1.0, 1.0, 3.0]) for std in (0.02, 0.4))
+    split = found.split(fixed, SECOND, 0.0)
+    found.learn(split, None, SECOND)
+    change_slow_error(nav, split.slow_variance, split.interval)
+    assert not split.slow_variance.any()
+    # WHEN it claims decimetres
+    split = found.split(lost, 2 * SECOND, 0.0)
+    change_slow_error(nav, split.slow_variance, split.interval)
+    # THEN what they claim beyond the centimetres is a slow error, to which the state can move
+    new = lost.diagonal() - 0.02**2 / 0.4**2 * lost.diagonal()
+    np.testing.assert_allclose(split.slow_variance, new)
+    np.testing.assert_allclose(split.claimed_growth, new)
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], 1e-4 + new)
+    # AND it counts as one only once
+    found.learn(split, None, 2 * SECOND)
+    later = found.split(lost, 3 * SECOND, 0.0).claimed_growth
+    np.testing.assert_allclose(later, 2.0 * new / SLOW_TIME)
 
 
 def test_a_slow_error_that_innovations_show_is_added_where_it_is_not_claimed() -> None:
