@@ -129,9 +129,8 @@ class FilterNoise:
         """
         Whether it is, and clearly more than positions claim: the receiver is wrong.
 
-        The published covariance contains any. But the hypotheses compare it with the white part of
-        the claim alone, and that of a receiver without corrections is mostly slow: one of them may
-        explain an honest metre for a while.
+        The published covariance contains any. But the slow error of an honest metre may change
+        faster than is assumed, which one of the hypotheses may explain for a while.
         """
         known = self.unclaimed_std > 0.0 and self.slow_is_probable
         return known and self.unclaimed_std > clear_slow_std(self.claimed_std)

@@ -14,12 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hybrid_ins import parameters
 from hybrid_ins.core import earth
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
 from tools.parallel import run_parallel
-from tools.vehicles.drives import from_simulation
+from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import Score, score
 
 MOTIONS = (
@@ -33,6 +34,7 @@ MOTIONS = (
 SHAPE = np.array([1.0, 1.0, 1.5])  # north, east, down
 NAMED = "drift by", "stamps of fixes scatter"  # in the log
 LATEST = 0.3  # s, of a stamp
+BETWEEN_LOSSES, LOSS = 40.0, (5.0, 25.0)  # s, of ambiguities: mean time between, shortest, longest
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Claim:
     wave: float = 0.0  # m, amplitude of a multipath wave
     period: float = 60.0  # s, of that
     late: float = 0.0  # s, mean of the time by which stamps are late, exponentially distributed
+    lost: float = 0.0  # m, what is claimed besides, and true, while the ambiguities are lost
 
 
 RECEIVERS = {
@@ -69,6 +72,8 @@ RIGHT = {
     "right: 0.02 m": Claim(5.0, 0.02, 0.0, 100.0, 0.02),
     "right: 0.1 m": Claim(1.0, 0.1, 0.0, 100.0, 0.1),
     "right: 0.3 m": Claim(5.0, 0.3, 0.0, 100.0, 0.3),
+    "right: 0.02 m, at times 0.4 m, 5 Hz": Claim(5.0, 0.02, 0.0, 30.0, 0.02, lost=0.4),
+    "right: 0.02 m, at times 0.4 m, 1 Hz": Claim(1.0, 0.02, 0.0, 30.0, 0.02, lost=0.4),
 }
 
 
@@ -90,6 +95,25 @@ def recorded(motion: str, claim: Claim, seed: int) -> Recording:
     return replace(made, fix_lla=made.fix_lla + wave / scale, fix_stamp=made.fix_stamp + late)
 
 
+def losing_ambiguities(drive: Drive, claim: Claim, seed: int) -> Drive:
+    """Return the drive with float solutions at times: a slow error, which is claimed."""
+    rng, t = np.random.default_rng([seed, 43]), drive.fix_ns * 1e-9
+    lost, at = np.zeros(len(t), bool), t[0] + rng.exponential(BETWEEN_LOSSES)
+    while at < t[-1]:
+        until = at + rng.uniform(*LOSS)
+        lost |= (t > at) & (t < until)
+        at = until + rng.exponential(BETWEEN_LOSSES)
+    kept = np.exp(-1.0 / (claim.rate * claim.slow_time))
+    error = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=(len(t), 3)), axis=0)
+    std = claim.lost * SHAPE * lost[:, None]
+    scale = np.array([earth.curvature_scale(place) for place in drive.fix_lla])
+    return replace(
+        drive,
+        fix_lla=drive.fix_lla + std * error / scale,
+        fix_std=np.hypot(drive.fix_std, std[:, [1, 0, 2]]),
+    )
+
+
 def one(motion: str, name: str, seed: int) -> tuple[str, str, int, Score, int]:
     """Return a run's motion, receiver, seed, score, and how often its error was named."""
     named = 0
@@ -100,6 +124,8 @@ def one(motion: str, name: str, seed: int) -> tuple[str, str, int, Score, int]:
 
     claim = {**RECEIVERS, **RIGHT}[name]
     drive = from_simulation(recorded(motion, claim, seed), LATEST if claim.late else 0.0)
+    if claim.lost:
+        drive = losing_ambiguities(drive, claim, seed)
     found = score(drive, parameters.defaults(), log)
     return motion, name, seed, found, named
 
