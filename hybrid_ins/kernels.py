@@ -155,7 +155,7 @@ def _compile_filter() -> None:
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
     position_scatter.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), 1.0, np.eye(3))
-    position_scatter.change_slow_error(nav, np.zeros(3), 0.0)
+    position_scatter.change_slow_error(nav, np.zeros(3), 0.0, position_scatter.NO_GROWTH)
     clock = clock_offset.ClockOffsetObserver(0.1).values
     fix_update.fuse_ordinary_fix(
         nav,
@@ -166,6 +166,7 @@ def _compile_filter() -> None:
         1.0,
         np.zeros(3),
         0.0,
+        position_scatter.NO_GROWTH,
         False,
         1.0,
         0.0,

@@ -30,7 +30,7 @@ from hybrid_ins.core.iterated_update import update
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.linalg import factorise, whiten
 from hybrid_ins.core.measurements import position_model, velocity_model
-from hybrid_ins.core.position_scatter import change_slow_error
+from hybrid_ins.core.position_scatter import NO_GROWTH, change_slow_error
 from hybrid_ins.core.propagation import propagate_covariance, step
 from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
 
@@ -132,7 +132,7 @@ def innovations(  # type: ignore[no-untyped-def]
         propagate_covariance(nav)
         is_position = aid_kind[k] == POSITION
         if is_position:
-            change_slow_error(nav, slow[k], now - last_fix)
+            change_slow_error(nav, slow[k], now - last_fix, NO_GROWTH)
             last_fix = now
             residual, H = position_model(nav, aid[k], lever_b)
         else:

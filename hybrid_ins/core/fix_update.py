@@ -74,6 +74,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     share,
     slow_variance,
     slow_interval,
+    claimed_growth,
     learning,
     fix_factor,
     stamp_variance,
@@ -94,7 +95,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         See `measurements.PositionFix` and `VelocityFix`; m is 2 where the fix lacks the vertical.
     is_position : bool
         Otherwise the fix is a velocity.
-    share, slow_variance, slow_interval : float, ndarray, shape (m,), float
+    share, slow_variance, slow_interval, claimed_growth
         See `position_scatter.Split`; 1 and 0 of a velocity.
     learning : bool
         The scatter of positions is learned.
@@ -140,7 +141,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             white[a, b] = share * covariance_n[a, b]
             R[a, b] = white[a, b] * fix_factor
     if is_position:
-        change_slow_error(nav, slow_variance, slow_interval)
+        change_slow_error(nav, slow_variance, slow_interval, claimed_growth)
     h, change = sensitivities(nav, H)
     of_stamp = np.zeros((m, m))
     if is_position:

@@ -136,10 +136,10 @@ class Gate(ShallowCopy):
     one that agrees with it.
 
     A jump is out of proportion to what the measurement claims, even where it scatters by less, and
-    to the innovations before it: a receiver that claims centimetres and
-    scatters by decimetres does not jump at every fix. The scale, the mean of NIS / m of those that
-    were fused last, is counted from the first above the threshold until it is ordinary again. It
-    does not count where two in a row show one error of the state.
+    to the innovations before it: a receiver that claims centimetres and scatters by decimetres does
+    not jump at every fix. The scale, the mean of NIS / m of those that were fused last, is counted
+    from the first above the threshold until it is ordinary again. It does not count where two in a
+    row show one error of the state.
 
     Parameters
     ----------

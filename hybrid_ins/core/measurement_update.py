@@ -51,6 +51,7 @@ from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.noise_multiple_model import StateCorrection
 from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
+    NO_GROWTH,
     Evidence,
     PositionScatter,
     Split,
@@ -199,9 +200,10 @@ class MeasurementUpdate:
         if isinstance(fix, PositionFix):
             assert split is not None
             measured, share = fix.lla, split.share
-            slow, slow_interval = split.slow_variance, split.interval
+            slow, slow_interval, growth = split.slow_variance, split.interval, split.claimed_growth
         elif isinstance(fix, VelocityFix):
-            measured, share, slow, slow_interval = fix.velocity_n, 1.0, NO_SLOW_ERROR, 0.0
+            measured, share = fix.velocity_n, 1.0
+            slow, slow_interval, growth = NO_SLOW_ERROR, 0.0, NO_GROWTH
         else:
             return None
         claimed = fix.claimed
@@ -219,6 +221,7 @@ class MeasurementUpdate:
             share,
             slow,
             slow_interval,
+            growth,
             self.scatter.learning,
             noise.fix_factor,
             noise.stamp_std**2,
@@ -393,7 +396,7 @@ def _split_position(
 ) -> tuple[Model, Evidence | None]:
     """Return a position's model with the white part of R, and what its scatter teaches."""
     z, H, claimed = model
-    change_slow_error(nav, split.slow_variance, split.interval)
+    change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
     white = split.share * claimed
     if not scatter.learning:
         return (z, H, white), None

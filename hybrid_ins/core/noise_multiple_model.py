@@ -60,6 +60,7 @@ from hybrid_ins.core.noise_weights import (
     fade,
     weigh,
 )
+from hybrid_ins.core.position_scatter import NO_GROWTH
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.strapdown import rotation
@@ -93,7 +94,7 @@ _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS][:3] = 1.0
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
-_IDENTITY, _EXACT, _CONSTANT = np.eye(N_ERROR), np.zeros((3, 3)), np.zeros(3)
+_IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
 _START[PENDING_G] = _IDENTITY.ravel()
 
 
@@ -257,7 +258,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.fix_factor,
             correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
-            _CONSTANT if correction.slow_growth is None else correction.slow_growth,
+            NO_GROWTH if correction.slow_growth is None else correction.slow_growth,
             correction.claimed_std,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),

@@ -78,6 +78,7 @@ SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gi
 WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
 SMALLEST_WALK = 0.01
 LONGEST_INTERVAL = 3.0  # s, between two such
+NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 
 
@@ -92,7 +93,7 @@ class Split(NamedTuple):
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
     claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
-    claimed_growth: Array = np.zeros(3)  # m², by which the state's variance grows by that
+    claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
     unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
     excess: float = 1.0  # factor by which positions scatter more than is claimed and given
 
@@ -179,8 +180,9 @@ class PositionScatter(ShallowCopy):
         lost = 1.0 - self._usual / horizontal_variance(claimed)
         slow = claimed_slow = max(1.0 - share, _least_slow(claimed), lost) * claimed.diagonal()
         growth = np.zeros(3)
-        for i in range(min(len(slow), len(self._claimed_slow))):
-            growth[i] = slow_error_growth(self._claimed_slow[i], slow[i], interval)
+        for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
+            is_new = after > NEW_SOLUTION * before
+            growth[i] = after if is_new else slow_error_growth(before, after, interval)
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
         unclaimed = slow_std if slow_std**2 > horizontal_variance(claimed) else 0.0
@@ -281,26 +283,19 @@ def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-
 
 @register_jitable
 def slow_error_growth(before, after, interval):  # type: ignore[no-untyped-def]
-    """
-    Return the variance [m²] by which a slow error has changed over an interval [s].
-
-    Its own was ``before`` and is ``after``. An interval of 0 has no fix before it.
-    """
-    if before > NEW_SOLUTION * after:
-        return before
-    if interval > 0.0 and after > NEW_SOLUTION * before:
-        return after
-    return 2.0 * before * interval / SLOW_TIME
+    """Return the variance [m²] that a slow error leaves in the state over an interval [s]."""
+    return before if before > NEW_SOLUTION * after else 2.0 * before * interval / SLOW_TIME
 
 
 @kernel()
-def change_slow_error(nav, variance, interval):  # type: ignore[no-untyped-def]
+def change_slow_error(nav, variance, interval, claimed_growth):  # type: ignore[no-untyped-def]
     """
     Let the slow error of fixes change over an interval [s], to a new variance [m²], NED.
 
-    ``variance``, shape (m,), may lack the height. Overwrites P and B of the flat state ``nav``.
+    ``variance``, shape (m,), may lack the height. P grows by ``claimed_growth`` at the least, see
+    `Split`. Overwrites P and B of the flat state ``nav``.
     """
     for i in range(len(variance)):
-        slow = nav[SLOW_VARIANCE][i]
-        nav[COVARIANCE][DIAGONAL[i]] += slow_error_growth(slow, variance[i], interval)
+        grown = slow_error_growth(nav[SLOW_VARIANCE][i], variance[i], interval)
+        nav[COVARIANCE][DIAGONAL[i]] += max(grown, claimed_growth[i])
         nav[SLOW_VARIANCE][i] = variance[i]

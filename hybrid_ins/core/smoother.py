@@ -34,7 +34,7 @@ from hybrid_ins.core.backward_propagation import run_backward
 from hybrid_ins.core.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.kalman import innovation
 from hybrid_ins.core.measurements import GNSS, Measurement
-from hybrid_ins.core.position_scatter import change_slow_error
+from hybrid_ins.core.position_scatter import NO_GROWTH, change_slow_error
 from hybrid_ins.core.smoothed_lever_arm import (
     MOST_PASSES,
     N_SENSITIVITY,
@@ -158,7 +158,7 @@ class Smoother:
         nav[LAST_F], nav[LAST_W] = self._start.sample[:3], self._start.sample[3:]
         nav[PSD] = self._start.psd
         if self._start.slow_variance is not None:
-            change_slow_error(nav, self._start.slow_variance, 0.0)
+            change_slow_error(nav, self._start.slow_variance, 0.0, NO_GROWTH)
         self._corrected_ns = self._start.t_ns
         self._spans.clear()
         self._fused.clear()
@@ -331,7 +331,8 @@ def _inflate(nav: Array, update: Update) -> None:
     if update.inflation is not None:
         inflate(nav, update.inflation.std, update.inflation.lever_b)
     if update.split is not None:
-        change_slow_error(nav, update.split.slow_variance, update.split.interval)
+        split = update.split
+        change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
 
 
 def _bridge(nav: Array, dt: float, reading: Array, interval: float) -> tuple[Any, ...]:

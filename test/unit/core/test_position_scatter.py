@@ -10,6 +10,7 @@ from hybrid_ins.core import iterated_update
 from hybrid_ins.core.position_scatter import (
     LEAST_SEARCHED,
     MARGIN,
+    NO_GROWTH,
     REFLECTED_STD,
     SLOW_TIME,
     PositionScatter,
@@ -194,10 +195,10 @@ def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
 
 def test_the_slow_error_is_reported_and_walks() -> None:
     nav, P = standing(0.01 * np.eye(3)), np.empty((N_ERROR, N_ERROR))
-    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 0.0)
-    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # no fix was before
+    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 5.0, NO_GROWTH)
+    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # there was none before
 
-    change_slow_error(nav, np.array([0.8, 0.8, 1.8]), 0.5)
+    change_slow_error(nav, np.array([0.8, 0.8, 1.8]), 0.5, NO_GROWTH)
 
     np.testing.assert_allclose(np.diag(covariance(nav))[DP], 0.01 + np.array([0.009, 0.009, 0.02]))
     unpack_total(nav, P)
@@ -221,7 +222,7 @@ def test_the_slow_error_walks_as_successive_innovations_show(
     walk = math.sqrt(2.0 * 0.2 / SLOW_TIME) if walks else 0.0
     for k in range(1, 1500):
         split = found.split(claimed, k * SECOND // 5, 0.0)
-        change_slow_error(nav, split.slow_variance, split.interval)
+        change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
         offset += rng.normal(0.0, walk, 3)
         z = offset + rng.normal(0.0, 0.1, 3)
         evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
@@ -238,7 +239,7 @@ def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
     nav = standing(0.01 * np.eye(3))
     nav[SLOW_VARIANCE] = 0.9, 0.9, 2.0
 
-    change_slow_error(nav, np.zeros(2), 0.2)  # a fix without height
+    change_slow_error(nav, np.zeros(2), 0.2, NO_GROWTH)  # a fix without height
 
     np.testing.assert_allclose(np.diag(covariance(nav))[DP], [0.91, 0.91, 0.01])
     np.testing.assert_allclose(nav[SLOW_VARIANCE], [0.0, 0.0, 2.0])
@@ -250,11 +251,11 @@ def test_a_poorer_solution_has_a_slow_error_of_its_own() -> None:
     fixed, lost = (std**2 * np.diag([1.0, 1.0, 3.0]) for std in (0.02, 0.4))
     split = found.split(fixed, SECOND, 0.0)
     found.learn(split, None, SECOND)
-    change_slow_error(nav, split.slow_variance, split.interval)
+    change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
     assert not split.slow_variance.any()
     # WHEN it claims decimetres
     split = found.split(lost, 2 * SECOND, 0.0)
-    change_slow_error(nav, split.slow_variance, split.interval)
+    change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
     # THEN what they claim beyond the centimetres is a slow error, to which the state can move
     new = lost.diagonal() - 0.02**2 / 0.4**2 * lost.diagonal()
     np.testing.assert_allclose(split.slow_variance, new)
