@@ -51,7 +51,6 @@ from hybrid_ins.core.noise import Correction, NoiseEstimate
 from hybrid_ins.core.noise_multiple_model import StateCorrection
 from hybrid_ins.core.nonholonomic import NonHolonomic
 from hybrid_ins.core.position_scatter import (
-    NO_GROWTH,
     Evidence,
     PositionScatter,
     Split,
@@ -86,7 +85,7 @@ Model = tuple[Array, Array, Array]  # z, H, R
 Fused = tuple[Verdict, bool, Evidence | None]
 """Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
-NO_SLOW_ERROR = np.empty(0)
+UNSPLIT = Split(1.0, np.empty(0), 0.0)  # of a velocity's covariance
 
 
 class Outcome(NamedTuple):
@@ -198,16 +197,13 @@ class MeasurementUpdate:
     ) -> Fused | None:
         """Do what `_fuse` does with a fix that its NIS alone decides on; None for others."""
         if isinstance(fix, PositionFix):
-            assert split is not None
-            measured, share = fix.lla, split.share
-            slow, slow_interval, growth = split.slow_variance, split.interval, split.claimed_growth
+            measured = fix.lla
         elif isinstance(fix, VelocityFix):
-            measured, share = fix.velocity_n, 1.0
-            slow, slow_interval, growth = NO_SLOW_ERROR, 0.0, NO_GROWTH
+            measured = fix.velocity_n
         else:
             return None
         claimed = fix.claimed
-        m, noise, clock = len(claimed), self.noise, self.clock
+        m, noise, clock, parts = len(claimed), self.noise, self.clock, split or UNSPLIT
         uses_corrections = noise.uses_corrections
         interval = (fix.t_ns - self.corrected_ns) * 1e-9
         before = np.empty(len(nav) if uses_corrections else 0)
@@ -218,10 +214,10 @@ class MeasurementUpdate:
             fix.lever_b,
             claimed,
             split is not None,
-            share,
-            slow,
-            slow_interval,
-            growth,
+            parts.share,
+            parts.slow_variance,
+            parts.interval,
+            parts.claimed_growth,
             self.scatter.learning,
             noise.fix_factor,
             noise.stamp_std**2,

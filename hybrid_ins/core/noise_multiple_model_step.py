@@ -211,9 +211,8 @@ def _add_slow_growth(after, slow_growth, walk, T):  # type: ignore[no-untyped-de
     """Add the change of the claimed slow error, as far as a hypothesis has none of its own."""
     for i in range(3):
         if slow_growth[i] > 0.0:
-            place = PLACES[i, i]
             for h in range(after.shape[1]):
-                after[place, h] += max(slow_growth[i] - T * walk[i, h], 0.0)
+                after[PLACES[i, i], h] += max(slow_growth[i] - T * walk[i, h], 0.0)
 
 
 @register_jitable
