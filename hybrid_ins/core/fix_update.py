@@ -205,7 +205,7 @@ def correction_of(
     weight: float,
     noise: FilterNoise,
     scatter_in_force: bool,
-    split: Split | None,
+    split: Split,
 ) -> Correction:
     """Return the correction by a fix from the result of `fuse_ordinary_fix`."""
     m = len(fix.claimed)
@@ -230,6 +230,6 @@ def correction_of(
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
         fix_factor=noise.fix_factor,
         stamp_std=noise.stamp_std,
-        slow_growth=None if split is None else split.claimed_growth,
-        claimed_std=0.0 if split is None else noise.claimed_std,
+        slow_growth=split.claimed_growth,
+        claimed_std=split.claimed_std,
     )

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,16 @@ class _Rejections:
     began_with_jump: bool
 
 
+class _Innovation(NamedTuple):
+    """An innovation, and what it is compared with."""
+
+    z: Array
+    R: Array
+    claimed: Array  # covariance that the measurement claims
+    interval: float  # s, since the last correction
+    is_pause: bool
+
+
 class Gate(ShallowCopy):
     """
     Weight of a measurement by its innovation, with a limit on the duration of disagreement.
@@ -207,7 +218,8 @@ class Gate(ShallowCopy):
             log_determinant(S),
             weight=weight(nis, len(R)) if measurement.sensor == GNSS else 1.0,
         )
-        verdict = self._decide(plain, z, R, R if claimed is None else claimed, interval, is_pause)
+        claimed = R if claimed is None else claimed
+        verdict = self._decide(plain, _Innovation(z, R, claimed, interval, is_pause))
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
             if is_pause:
@@ -224,17 +236,9 @@ class Gate(ShallowCopy):
         is_remarkable = scale > UNREMARKABLE and not verdict.inflated
         self._scales = {**others, kind: scale} if is_remarkable else others
 
-    def _decide(
-        self,
-        plain: Verdict,
-        z: Array,
-        R: Array,
-        claimed: Array,
-        interval: float,
-        is_pause: bool,
-    ) -> Verdict:
+    def _decide(self, plain: Verdict, seen: _Innovation) -> Verdict:
         """Return ``plain``, or what the measurements of its kind before it make of it."""
-        measurement = plain.measurement
+        measurement, (z, R, *_) = plain.measurement, seen
         kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
         last = self._rejections.get(kind)
         first_ns = last.first_ns if last else t_ns
@@ -249,7 +253,7 @@ class Gate(ShallowCopy):
         elif not is_gnss or (
             t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
         ):
-            return self._continue_run(plain, z, R, claimed, interval, is_pause, consistent_ns)
+            return self._continue_run(plain, seen, consistent_ns)
         self._end_run(kind)
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
@@ -258,17 +262,9 @@ class Gate(ShallowCopy):
         jumped = jumped and self._was_believed(first_ns)
         return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
 
-    def _continue_run(
-        self,
-        plain: Verdict,
-        z: Array,
-        R: Array,
-        claimed: Array,
-        interval: float,
-        is_pause: bool,
-        consistent_ns: int,
-    ) -> Verdict:
+    def _continue_run(self, plain: Verdict, seen: _Innovation, consistent_ns: int) -> Verdict:
         """Note one more measurement above the threshold; return its weight or its rejection."""
+        z, R, claimed, interval, is_pause = seen
         measurement, kind = plain.measurement, plain.measurement.kind
         last = self._rejections.get(kind)
         of_state = last is not None and consistent_ns == last.consistent_ns

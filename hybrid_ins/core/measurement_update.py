@@ -7,7 +7,6 @@ clock offset and the place of the antenna.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +54,6 @@ from hybrid_ins.core.position_scatter import (
     PositionScatter,
     Split,
     change_slow_error,
-    horizontal_variance,
     scatter_evidence,
 )
 from hybrid_ins.core.rotations import matrix_from_quat
@@ -85,7 +83,7 @@ Model = tuple[Array, Array, Array]  # z, H, R
 Fused = tuple[Verdict, bool, Evidence | None]
 """Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
-UNSPLIT = Split(1.0, np.empty(0), 0.0)  # of a velocity's covariance
+UNSPLIT = Split(1.0, np.empty(0), 0.0)  # the covariance of what is no position
 
 
 class Outcome(NamedTuple):
@@ -174,8 +172,8 @@ class MeasurementUpdate:
             if isinstance(event, PositionFix):
                 noise, claimed = self.noise, event.claimed
                 split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
-                noise.claimed_std = math.sqrt(horizontal_variance(claimed))
-                noise.unclaimed_std, noise.excess = split.unclaimed_std, split.excess
+                noise.claimed_std, noise.unclaimed_std = split.claimed_std, split.unclaimed_std
+                noise.excess = split.excess
             fused = self._fuse_ordinary(nav, event, split, age)
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
@@ -237,7 +235,7 @@ class MeasurementUpdate:
         moved = uses_corrections and self._learn_noise(
             nav,
             correction_of(
-                fix, result, interval, before, weight, noise, self.scatter.in_force, split
+                fix, result, interval, before, weight, noise, self.scatter.in_force, parts
             ),
         )
         found = (total, count, result[NORMALISED][:m]) if self.scatter.learning else None
@@ -250,7 +248,7 @@ class MeasurementUpdate:
         ``split`` is that of a position's covariance.
         """
         (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
-        claimed = model[2]
+        claimed, parts = model[2], split or UNSPLIT
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
         fix_factor = self.noise.fix_factor if measurement.sensor == GNSS else 1.0
@@ -302,8 +300,8 @@ class MeasurementUpdate:
             of_stamp=of_stamp if self.scatter.in_force else None,
             fix_factor=fix_factor,
             stamp_std=self.noise.stamp_std,
-            slow_growth=None if split is None else split.claimed_growth,
-            claimed_std=0.0 if split is None else self.noise.claimed_std,
+            slow_growth=parts.claimed_growth,
+            claimed_std=parts.claimed_std,
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

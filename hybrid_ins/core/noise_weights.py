@@ -74,12 +74,10 @@ def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore
         after[f] += np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h] + one[h] - largest[f])
         log_likelihood[h] += one[h]
         best[f] = max(best[f], log_likelihood[h])
-    most, smallest, of_none = -np.inf, smallest_slow_std(claimed_std), 0.0
-    for f in range(FAMILIES):  # the first has none
-        shown = largest[f] + np.log(max(after[f] / before[f], 1e-300))
-        if f == 0:
-            of_none = shown
-        of_family[f] += of_none if FAMILY_STD[f] < smallest else shown
+    most, smallest, shown = -np.inf, smallest_slow_std(claimed_std), np.empty(FAMILIES)
+    for f in range(FAMILIES):  # the first has no slow error
+        shown[f] = largest[f] + np.log(max(after[f] / before[f], 1e-300))
+        of_family[f] += shown[0] if FAMILY_STD[f] < smallest else shown[f]
         most = max(most, of_family[f])
     for f in range(FAMILIES):
         of_family[f] = max(of_family[f] - most, UNLIKELIEST_FAMILY)

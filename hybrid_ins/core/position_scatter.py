@@ -92,6 +92,7 @@ class Split(NamedTuple):
     share: float  # of it that is white; above 1: positions scatter by more than they claim
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
+    claimed_std: float = 0.0  # m, horizontally; 0: no position
     claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
     claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
     unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
@@ -172,12 +173,13 @@ class PositionScatter(ShallowCopy):
         fix_factor : float
             On the white part, by the innovations: the split is made for it.
         """
-        self._usual = min(self._usual, horizontal_variance(claimed))
+        horizontal = horizontal_variance(claimed)
+        self._usual = min(self._usual, horizontal)
         share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
         if share > self._largest_expected:
             share = max(share / fix_factor, self._largest_expected)
-        lost = 1.0 - self._usual / horizontal_variance(claimed)
+        lost = 1.0 - self._usual / horizontal
         slow = claimed_slow = max(1.0 - share, _least_slow(claimed), lost) * claimed.diagonal()
         growth = np.zeros(3)
         for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
@@ -185,9 +187,10 @@ class PositionScatter(ShallowCopy):
             growth[i] = after if is_new else slow_error_growth(before, after, interval)
         if slow_std > 0.0:
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
-        unclaimed = slow_std if slow_std**2 > horizontal_variance(claimed) else 0.0
+        claimed_std = math.sqrt(horizontal)
+        unclaimed = slow_std if slow_std > claimed_std else 0.0
         excess = max(share / self._largest_expected, 1.0)
-        return Split(share, slow, interval, claimed_slow, growth, unclaimed, excess)
+        return Split(share, slow, interval, claimed_std, claimed_slow, growth, unclaimed, excess)
 
     def learn(self, split: Split, evidence: Evidence | None, t_ns: int) -> None:
         """

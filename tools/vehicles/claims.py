@@ -9,15 +9,16 @@ for tuning, even ones judge.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from hybrid_ins import parameters
 from hybrid_ins.core import earth
+from hybrid_ins.simulation.sensors import gauss_markov, in_outage
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
 from tools.parallel import run_parallel
 from tools.vehicles.drives import Drive, from_simulation
@@ -98,14 +99,13 @@ def recorded(motion: str, claim: Claim, seed: int) -> Recording:
 def losing_ambiguities(drive: Drive, claim: Claim, seed: int) -> Drive:
     """Return the drive with float solutions at times: a slow error, which is claimed."""
     rng, t = np.random.default_rng([seed, 43]), drive.fix_ns * 1e-9
-    lost, at = np.zeros(len(t), bool), t[0] + rng.exponential(BETWEEN_LOSSES)
+    losses, at = [], t[0] + rng.exponential(BETWEEN_LOSSES)
     while at < t[-1]:
-        until = at + rng.uniform(*LOSS)
-        lost |= (t > at) & (t < until)
-        at = until + rng.exponential(BETWEEN_LOSSES)
-    kept = np.exp(-1.0 / (claim.rate * claim.slow_time))
-    error = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=(len(t), 3)), axis=0)
-    std = claim.lost * SHAPE * lost[:, None]
+        losses.append((at, rng.uniform(*LOSS)))
+        at += losses[-1][1] + rng.exponential(BETWEEN_LOSSES)
+    decay = math.exp(-1.0 / (claim.rate * claim.slow_time))
+    error = gauss_markov(1.0, decay, len(t), rng)
+    std = claim.lost * SHAPE * in_outage(t, losses)[:, None]
     scale = np.array([earth.curvature_scale(place) for place in drive.fix_lla])
     return replace(
         drive,
