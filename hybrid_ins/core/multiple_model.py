@@ -55,6 +55,7 @@ from hybrid_ins.core.state import (
     NavState,
     pack,
 )
+from hybrid_ins.core.turning_on_the_spot import TurningOnTheSpot
 from hybrid_ins.core.unexplained import Unexplained
 
 Array = NDArray[np.float64]
@@ -178,6 +179,7 @@ class MultipleModelBank:
         self._decided: list[dict[tuple[str, int], Verdict]] = [{} for _ in states]
         self._nis_scale, self._unexplained = 1.0, Unexplained()
         self.motion = MotionEvidence()
+        self._turns = TurningOnTheSpot(settings.antenna_is_placed)
         self._told: set[tuple[str, int]] = set()  # of those that wait: their verdicts are known
         self._since: dict[object, int] = {}  # ns, when a condition became true that still is
 
@@ -185,6 +187,11 @@ class MultipleModelBank:
     def best(self) -> InsFilter:
         """The likeliest hypothesis."""
         return self.filters[self._best]
+
+    @property
+    def is_misled(self) -> bool:
+        """The filters were moved by an antenna that turns about the vehicle on the spot."""
+        return self._turns.misleads
 
     @property
     def _best(self) -> int:
@@ -282,7 +289,8 @@ class MultipleModelBank:
                 weighed.append(verdict)
             if not self.motion.shown and self.motion.observe(verdict.measurement, self.best):
                 _restore_cells(self.filters, self._lever_b)
-            if self.motion.moves or not self.heading_open:
+            self._turns.observe(verdict.measurement, self.best)
+            if not self.heading_open or (self.motion.moves and not self._turns.hides_heading):
                 self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]

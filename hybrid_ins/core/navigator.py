@@ -27,6 +27,7 @@ from hybrid_ins.core.navigator_events import (
     GapBridged,
     RestartCause,
     Restarted,
+    TurnedOnTheSpot,
 )
 from hybrid_ins.core.phase_machine import PhaseMachine
 from hybrid_ins.core.phases import Aligning, FilterParts, Phase, Searching, speed
@@ -218,6 +219,9 @@ class Navigator:
             self.phases.try_to_align()
             return
         self.phases.follow_imu(t_ns)
+        if isinstance(self.phase, Searching) and self.phase.bank.is_misled:
+            self._events.append(TurnedOnTheSpot())
+            self.realign().forget_parameter()
         self.check_imu()
         self.phases.include_clock(self.monitor.may_stand, self.monitor.calm)
         if isinstance(self.phase, Searching) and self.phases.decide():

@@ -48,6 +48,11 @@ class Restarted:
 
 
 @dataclass(frozen=True, slots=True)
+class TurnedOnTheSpot:
+    """What was seen of the motion shows no heading: alignment restarted."""
+
+
+@dataclass(frozen=True, slots=True)
 class FaultFound:
     """The IMU began to show a fault, or shows another one."""
 
@@ -87,6 +92,7 @@ Event = (
     Verdict
     | GapBridged
     | Restarted
+    | TurnedOnTheSpot
     | FaultFound
     | ClockOffsetFound
     | HeadingCorrected

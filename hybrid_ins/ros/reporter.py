@@ -23,6 +23,7 @@ from hybrid_ins.core.navigator_events import (
     GapBridged,
     HeadingCorrected,
     Restarted,
+    TurnedOnTheSpot,
 )
 from hybrid_ins.core.stamp_check import PUBLISHED_AGAIN
 from hybrid_ins.core.state import DV, QUAT, VELOCITY, total_std
@@ -127,6 +128,9 @@ class Reporter:
             counts[name] += 1
             if counts[name] <= RESTARTS_LOGGED or is_logged(counts[name]):
                 log("warn", f"{wording.describe_restart(event)}: aligning anew")
+        elif isinstance(event, TurnedOnTheSpot):
+            refused = Refused("gnss: turns on the spot", wording.TURNS_ON_THE_SPOT)
+            self._inputs.count_and_warn("gnss/fix", refused)
         elif isinstance(event, HeadingCorrected):
             counts["heading corrected"] += 1
             log("warn", wording.describe_correction(event))

@@ -122,6 +122,13 @@ def describe_restart(restarted: Restarted) -> str:
     return "repeated covariance resets: the heading is probably wrong"
 
 
+TURNS_ON_THE_SPOT = (
+    "the vehicle only turns on the spot, and nobody has said where the antenna is: the fixes may "
+    "show the motion of the antenna about the vehicle, which tells no heading: travel, or set "
+    "gnss.antenna_position"
+)
+
+
 def describe_contradiction(found: Contradiction) -> str:
     """Return how velocities contradict the positions, and the remedy."""
     moved, summed = _in_words(found.moved_n), _in_words(found.summed_n)
