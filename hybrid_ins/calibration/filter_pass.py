@@ -39,6 +39,7 @@ class Nominal:
 
     time_offset: float  # s
     lever_b: Array  # (3,) m, antenna relative to the IMU
+    lever_std: float  # m, of each component
     psd_a: float  # (m/s²)²/Hz
     psd_g: float  # (rad/s)²/Hz
     walk_a: float  # m/s²/√s

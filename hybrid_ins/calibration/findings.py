@@ -30,12 +30,14 @@ from hybrid_ins.calibration.derived import (
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import CONFIRMED, KEPT, Fit, OnStage, filter_passes, fit
+from hybrid_ins.calibration.likelihood import LEVER
 from hybrid_ins.calibration.loudness import ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
+from hybrid_ins.core.lever_arm_observer import PRIOR_STD
 from hybrid_ins.core.position_scatter import SLOW_TIME
 from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.ros import conversions
@@ -57,7 +59,11 @@ NOT_IDENTIFIABLE = {  # smallest σ
     "lever_y": 0.4,
     "lever_z": 0.4,
 }
+GIVEN_STD = 1.0  # m, of each component of a lever arm that was given
+UNKNOWN = 0.8 * PRIOR_STD  # m: of a lever arm that was not given nothing is known
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
+AT_IMU = "taken to be at the IMU"
+WEAK = 2.0  # times σ, which is of a model that is only nearly right
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
@@ -153,9 +159,11 @@ def calibrate(
     """
     period = float(np.median([recording.period for recording in recordings]))
     lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
+    is_given = bool(lever_b.any())
     nominal = Nominal(
         values["gnss.time_offset.value"],
         lever_b,
+        GIVEN_STD if is_given else PRIOR_STD,
         values["noise.q_accelerometer"] * period,
         values["noise.q_gyroscope"] * period,
         max(values["imu.accelerometer_bias_walk"], 1e-6),
@@ -168,12 +176,10 @@ def calibrate(
         nominal,
         own_offsets=own_offsets,
         search=search,
-        largest_std=NOT_IDENTIFIABLE,
+        largest_std=NOT_IDENTIFIABLE | ({} if is_given else dict.fromkeys(LEVER, UNKNOWN)),
         identified_std=IDENTIFIED,
         held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
-        probable=dict.fromkeys(
-            ("lever_x", "lever_y", "lever_z"), MEASURED if lever_b.any() else NOT_GIVEN
-        ),
+        probable=dict.fromkeys(LEVER, MEASURED if is_given else NOT_GIVEN),
         on_stage=on_stage,
     )
     before = filter_passes(fitted, nominal, fitted.nominal_x)
@@ -267,8 +273,13 @@ def _set_mount(found: Findings, fitted: Fit, C_new_old: Array, spread: float, no
 
 
 def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_base: bool) -> None:
-    """Add the antenna in the base frame, or the IMU where the antenna is the frame's origin."""
-    lever_b = np.array([fitted.value(f"lever_{axis}") for axis in "xyz"])
+    """
+    Add the antenna in the base frame, or the IMU where the antenna is the frame's origin.
+
+    What was given is exact where it is kept.
+    """
+    lever_b = np.array([fitted.value(name) for name in LEVER])
+    is_given = any(prior.mean for prior in fitted.prior if prior.name in LEVER)
     arm = FLIP @ C_new_old @ lever_b
     if antenna_is_base:
         sensor, parameter, position = "IMU", "imu.position", -arm
@@ -276,18 +287,19 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         sensor, parameter = "antenna", "gnss.antenna_position"
         position = np.add(found.values["imu.position"], arm)
     position = np.round(position, 3) + 0.0  # which leaves no negative zero
-    comments = []
-    for k, axis in enumerate("xyz"):
-        name = f"lever_{axis}"
+    comments, std = [], np.zeros(3)
+    for k, (axis, name) in enumerate(zip("xyz", LEVER, strict=True)):
         sigma = fitted.sigma(name)
+        if name not in fitted.frozen or not is_given:
+            std[k] = sigma if sigma <= IDENTIFIED[name] else min(WEAK * sigma, PRIOR_STD)
         label = f"{sensor} {AXES[k]}"
         if name in fitted.frozen and sigma > NOT_IDENTIFIABLE[name]:
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
         elif name in fitted.frozen and sigma > IDENTIFIED[name]:
-            verdict, note = "weak", KEPT
+            verdict, note = "weak", KEPT if is_given else AT_IMU
         elif name in fitted.frozen:
-            verdict, note = "identified", CONFIRMED
+            verdict, note = "identified", CONFIRMED if is_given else AT_IMU
         elif sigma <= IDENTIFIED[name]:
             verdict, note = "identified", ""
         else:
@@ -296,6 +308,9 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         comments.append(f"{label} {position[k]:+.3f} ± {sigma:.3f} ({verdict})")
     found.values[parameter] = position.tolist()
     found.notes[parameter] = "; ".join(comments)
+    if not antenna_is_base and position.any():
+        in_base = np.sqrt((FLIP @ C_new_old) ** 2 @ std**2)
+        found.values["gnss.antenna_position_std"] = [float(f"{s:.2g}") for s in in_base]
 
 
 def add_biases(

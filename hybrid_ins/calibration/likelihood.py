@@ -98,12 +98,12 @@ class Likelihood:
         self.nominal = nominal
         self.yaws = [0.0] * len(recordings)
         offsets = [f"offset_{k}" for k in range(len(recordings))] if own_offsets else ["offset"]
-        lever = nominal.lever_b
+        lever, std = nominal.lever_b, nominal.lever_std
         self.period = max(recording.period for recording in recordings)
         step = self.period * math.ceil(OFFSET_STEP / self.period)
         self.prior = (
             *(Prior(name, nominal.time_offset, 1.0, step) for name in offsets),
-            *(Prior(name, float(lever[k]), 1.0, 0.01) for k, name in enumerate(LEVER)),
+            *(Prior(n, x, std, 0.01) for n, x in zip(LEVER, lever.tolist(), strict=True)),
             Prior("psd_a", math.log(nominal.psd_a), 2.0 * LN10, 0.1),
             Prior("psd_g", math.log(nominal.psd_g), 2.0 * LN10, 0.1),
             Prior("walk_a", math.log(nominal.walk_a), 0.7 * LN10, 0.2),

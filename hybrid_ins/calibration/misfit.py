@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration.derived import next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.likelihood import LEVER
 from hybrid_ins.core import chi_square
 
 Array = NDArray[np.float64]
@@ -18,7 +19,7 @@ SHARE = 0.85  # of the innovations: a receiver's outliers are rarer than the res
 EXCESS = 2.5  # times the chi-square quantile of that share
 BIAS = 5.0  # prior standard deviations
 NOISE = 1e3  # times what the regressor reads
-LEVER = 3.0  # prior standard deviations
+LONGEST_WAY = 3.0  # m, of an antenna from where it was said to be
 
 
 def misfits(
@@ -69,12 +70,11 @@ def misfits(
         times = np.exp(fitted.value(name)) / period / max(float(np.max(levels[axes])), 1e-300)
         if times > NOISE:
             found.append(f"the {sensor}'s noise would be {times:.0e} times what its readings show")
-    for k, axis in enumerate("xyz"):
-        prior = next(p for p in fitted.prior if p.name == f"lever_{axis}")
-        away_m = fitted.value(prior.name) - prior.mean
-        if abs(away_m) > LEVER * prior.std:
-            label = ("forward", "left", "up")[k]
-            found.append(f"the antenna is {abs(away_m):.1f} m from the given place, {label}")
+    given_b = nominal.lever_b
+    for label, name, given in zip(("forward", "left", "up"), LEVER, given_b.tolist(), strict=True):
+        away_m = abs(fitted.value(name) - given)
+        if away_m > LONGEST_WAY and given_b.any():
+            found.append(f"the antenna is {away_m:.1f} m from the given place, {label}")
     if not fitted.converged:
         found.append("the fit did not converge")
     return found

@@ -47,6 +47,7 @@ from hybrid_ins.core.kalman import covariances_at_full_weight
 from hybrid_ins.core.linalg import factorise, mean_square, regress, whiten
 from hybrid_ins.core.noise import Correction
 from hybrid_ins.core.noise_multiple_model_step import mean_system
+from hybrid_ins.core.rotations import matrix_from_quat
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.state import (
     BIAS_G,
@@ -108,7 +109,7 @@ class LeverArmObserver(ShallowCopy):
     Parameters
     ----------
     found_std : ndarray, shape (3,)
-        Standard deviation of a lever arm that was found from motion [m], b; zeros: it is given.
+        Standard deviation of a lever arm that was found from motion [m], b; zeros: it is exact.
     is_placed : bool
         Somebody has said where the antenna is: no large error is to be expected.
     """
@@ -129,14 +130,21 @@ class LeverArmObserver(ShallowCopy):
         found = values[ERROR].copy(), np.sqrt(variance), values.item(DISTANCE)
         return LeverArmError(*found, bool(values[CERTAIN]))
 
-    @property
-    def considered(self) -> Array:
-        """What is added to the covariance of the position that is reported, (3,) [m²], NED."""
+    def considered(self, nav: Array) -> Array:
+        """
+        Return what is added to the covariance of the reported position, (3,) [m²], NED.
+
+        Where the heading of the flat state ``nav`` is not known, north and east get both.
+        """
         remains_of_antenna = self._values[CORRECTED].any()  # the odometry
-        if self._is_found and not remains_of_antenna:
-            error, std = self.estimate[:2]
-            return np.full(3, float(np.max(error**2 + std**2)))
-        return self._values[CONSIDERED]
+        if remains_of_antenna or not self._is_found:
+            return self._values[CONSIDERED]
+        error_b, std = self.estimate[:2]
+        C = matrix_from_quat(nav[QUAT])
+        variance: Array = (C @ error_b) ** 2 + C**2 @ std**2
+        if nav[HEADING_VARIANCE] > MAX_HEADING_STD**2:
+            variance[:2] = variance[:2].sum()
+        return variance
 
     @property
     def has_begun(self) -> bool:

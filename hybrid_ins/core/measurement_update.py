@@ -185,7 +185,7 @@ class MeasurementUpdate:
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
-        nav[ANTENNA_VARIANCE] = self.lever_arm.considered
+        nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
         nav[SCALE_COVARIANCE] = self.scale_errors.considered
         nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)

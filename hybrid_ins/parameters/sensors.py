@@ -129,6 +129,16 @@ GNSS = (
         high=200.0,
     ),
     Parameter(
+        "gnss.antenna_position_std",
+        [0.0, 0.0, 0.0],
+        "Standard deviation of that position (forward, left, up), as ins_calibrate writes it: the "
+        "covariance of the odometry contains it until the motion has shown the place better; 0: "
+        "exact",
+        unit="m",
+        low=0.0,
+        high=20.0,
+    ),
+    Parameter(
         "gnss.time_offset.value",
         0.0,
         "Added to the stamps of fixes to express them in the IMU's clock",

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 PARAMETERS = {
     "imu/data": ("imu.position", "imu.mount_rpy"),
-    "gnss/fix": ("gnss.antenna_position",),
+    "gnss/fix": ("gnss.antenna_position", "gnss.antenna_position_std"),
 }
 """Parameters that place the sensor of a topic; all zero: ``/tf_static`` does."""
 
@@ -46,7 +46,8 @@ class SensorPlacement:
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b.
     antenna_error_b, antenna_std : ndarray, shape (3,)
-        What it contains besides what is given [m], b, as the motion has shown; its σ.
+        What it contains besides what is given [m], b, as the motion has shown; its σ, or of the
+        place that is given.
     """
 
     def __init__(self, values: Mapping[str, Any], inputs: InputLog) -> None:
@@ -56,6 +57,7 @@ class SensorPlacement:
         self._mount_rpy = values["imu.mount_rpy"]
         self._position = values["imu.position"]
         self._antenna = values["gnss.antenna_position"]
+        self._antenna_std = np.array(values["gnss.antenna_position_std"])
         self.is_given = {
             topic: any(any(values[name]) for name in names) for topic, names in PARAMETERS.items()
         }
@@ -75,7 +77,7 @@ class SensorPlacement:
     @property
     def antenna_is_placed(self) -> bool:
         """Whether parameters or ``/tf_static`` say where the antenna is relative to the IMU."""
-        by_parameters = any(self._antenna) or any(self._position)
+        by_parameters = self.is_given["gnss/fix"] or any(self._position)
         return by_parameters or self._is_placed_by_transform("gnss/fix")
 
     @property
@@ -162,8 +164,8 @@ class SensorPlacement:
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
         given_b = FLIP @ np.subtract(antenna, position)
         if not np.array_equal(given_b, self._given_b):  # what was found is of the place before
-            self._given_b = given_b
-            self.antenna_error_b = self.antenna_std = self._imu_error_b = np.zeros(3)
+            self._given_b, self.antenna_std = given_b, self._antenna_std
+            self.antenna_error_b = self._imu_error_b = np.zeros(3)
         self.arm_b: Array = FLIP @ np.array(position) + self._imu_error_b
         self.lever_b: Array = given_b + self.antenna_error_b
 

@@ -26,6 +26,7 @@ from hybrid_ins.calibration.innovations import (
     innovations,
     log_likelihood,
 )
+from hybrid_ins.calibration.likelihood import LEVER
 from hybrid_ins.calibration.loudness import ordinary_levels, read_levels
 from hybrid_ins.calibration.placement import antenna_is_base
 from hybrid_ins.calibration.recording import Recording
@@ -224,7 +225,7 @@ def test_smoothing_sharpens_the_direction_of_travel() -> None:
     fitted = found.fitted
     # WHEN its states are smoothed
     biases = first_biases(parameters.defaults())
-    nominal = Nominal(0.0, np.zeros(3), 4e-6, 4e-8, 1e-3, 1e-5, *biases)
+    nominal = Nominal(0.0, np.zeros(3), 1.0, 4e-6, 4e-8, 1e-3, 1e-5, *biases)
     smoothed = smoothed_pass(fitted, nominal, 0, found.after[0])
     # THEN the directions of travel in the vehicle scatter less, and their mean is nearer to zero
     before, after = courses(found.after[0]), courses(smoothed)
@@ -333,3 +334,26 @@ def test_standing_still_tells_nothing_and_says_so() -> None:
 def test_a_bag_that_is_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main([str(tmp_path / "none.mcap")]) == 2
     assert "ins_calibrate: error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", [[0.0, 0.0, 0.0], [0.3, 0.2, 0.5]])
+def test_the_uncertainty_of_an_antenna_is_written_unless_it_was_given(
+    found: Calibration, given: list[float]
+) -> None:
+    # GIVEN a fit in which the antenna's height is weak, and its other axes are identified
+    mean = FLIP @ np.array(given)
+    prior = tuple(
+        replace(p, mean=float(mean["xyz".index(p.name[-1])])) if p.name in LEVER else p
+        for p in found.fitted.prior
+    )
+    std = found.fitted.std.copy()
+    for name, sigma in zip(LEVER, (0.01, 0.02, 0.2), strict=True):
+        std[found.fitted.names.index(name)] = sigma
+    frozen = found.fitted.frozen | {"lever_z"}
+    fitted = replace(found.fitted, prior=prior, std=std, frozen=frozen)
+    report = Findings(dict(parameters.defaults()))
+    # WHEN the lever arm is added
+    add_lever_arm(report, fitted, np.eye(3), antenna_is_base=False)
+    # THEN a weak axis counts for less than its σ says, and one that was given and kept is exact
+    height = 0.0 if any(given) else 0.4
+    assert report.values["gnss.antenna_position_std"] == pytest.approx([0.01, 0.02, height])

@@ -17,7 +17,7 @@ from hybrid_ins.core.state import N_NAV, NavState
 PERIOD = 0.01
 LEVELS = np.repeat([1e-2, 1e-5], 3)
 NOMINAL = Nominal(
-    0.0, np.zeros(3), 1e-4, 1e-7, 1e-3, 1e-4,
+    0.0, np.array([0.1, 0.0, 0.0]), 1.0, 1e-4, 1e-7, 1e-3, 1e-4,
     np.zeros(3), np.full(3, 0.3), np.zeros(3), np.full(3, 0.01),
 )  # fmt: skip
 FITTED = Fit(
@@ -86,3 +86,5 @@ def test_an_antenna_off_the_vehicle_and_a_fit_without_end() -> None:
         "the antenna is 3.5 m from the given place, left",
         "the fit did not converge",
     ]
+    not_given = replace(NOMINAL, lever_b=np.zeros(3))
+    assert not misfits(replace(FITTED, x=x), [a_pass()], not_given, LEVELS, PERIOD)

@@ -14,10 +14,11 @@ from hybrid_ins.core.events import AntennaFound, AntennaShift
 from hybrid_ins.core.ins_filter import InsFilter
 from hybrid_ins.core.lever_arm_observer import P_PARAMETERS, SENSITIVITIES, LeverArmObserver
 from hybrid_ins.core.measurements import VelocityFix
-from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.core.state import (
     ANTENNA_VARIANCE,
     CLOCK_VARIANCE,
+    HEADING_VARIANCE,
     N_ERROR,
     QUAT,
     covariance,
@@ -142,7 +143,7 @@ def test_after_a_correction_what_is_left_is_considered_or_all_of_it(moves_odomet
     assert considered < 0.8 * distance if moves_odometry else considered > 0.9 * distance
     # AND a filter that begins later, with the lever arm that was found, considers as much
     begun = LeverArmObserver(found.std).or_earlier(ins.update.lever_arm)
-    later = np.sqrt(np.max(begun.considered))
+    later = np.sqrt(np.max(begun.considered(ins.nav)))
     assert later < 0.8 * distance if moves_odometry else later > 0.9 * distance
 
 
@@ -194,3 +195,16 @@ def test_an_earlier_finding_comes_too_late_for_a_filter_that_has_its_own() -> No
 
     np.testing.assert_array_equal(running.lever_arm.error_b, own)
     assert not running.lever_arm.is_certain
+
+
+def test_the_uncertainty_of_a_place_counts_in_its_own_direction() -> None:
+    observer, nav = LeverArmObserver(np.array([0.1, 0.01, 0.5])), begin(draw(FLIGHT, 1)).nav.copy()
+    nav[QUAT] = quat_from_rpy(0.0, 0.0, 0.5 * np.pi)  # it heads east
+    nav[HEADING_VARIANCE] = 1e-4
+    north, east, down = np.sqrt(observer.considered(nav))
+    nav[HEADING_VARIANCE] = 1.0
+    anywhere = np.sqrt(observer.considered(nav))
+
+    assert (east / north, down / north) == pytest.approx((10.0, 50.0))
+    assert anywhere[0] == anywhere[1] == pytest.approx(np.hypot(north, east))
+    assert anywhere[2] == down
