@@ -62,7 +62,6 @@ NOT_IDENTIFIABLE = {  # smallest σ
 GIVEN_STD = 1.0  # m, of each component of a lever arm that was given
 UNKNOWN = 0.8 * PRIOR_STD  # m: of a lever arm that was not given nothing is known
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
-AT_IMU = "taken to be at the IMU"
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
@@ -283,8 +282,9 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
     arm = FLIP @ C_new_old @ lever_b
     if antenna_is_base:
         sensor, parameter, position = "IMU", "imu.position", -arm
+        together = "taken to be at the antenna"
     else:
-        sensor, parameter = "antenna", "gnss.antenna_position"
+        sensor, parameter, together = "antenna", "gnss.antenna_position", "taken to be at the IMU"
         position = np.add(found.values["imu.position"], arm)
     position = np.round(position, 3) + 0.0  # which leaves no negative zero
     comments, std = [], np.zeros(3)
@@ -297,9 +297,9 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
         elif name in fitted.frozen and sigma > IDENTIFIED[name]:
-            verdict, note = "weak", KEPT if is_given else AT_IMU
+            verdict, note = "weak", KEPT if is_given else together
         elif name in fitted.frozen:
-            verdict, note = "identified", CONFIRMED if is_given else AT_IMU
+            verdict, note = "identified", CONFIRMED if is_given else together
         elif sigma <= IDENTIFIED[name]:
             verdict, note = "identified", ""
         else:
