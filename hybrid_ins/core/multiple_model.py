@@ -289,8 +289,8 @@ class MultipleModelBank:
                 weighed.append(verdict)
             if not self.motion.shown and self.motion.observe(verdict.measurement, self.best):
                 _restore_cells(self.filters, self._lever_b)
-            self._turns.observe(verdict.measurement, self.best)
-            if not self.heading_open or (self.motion.moves and not self._turns.hides_heading):
+            hidden = self.heading_open and self._turns.observe(verdict.measurement, self.best)
+            if (self.motion.moves or not self.heading_open) and not hidden:
                 self._weigh(verdicts)
         for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]

@@ -66,12 +66,20 @@ class TurningOnTheSpot:
         self._fixes: deque[PositionFix] = deque()
         self._yaws: deque[tuple[int, float]] = deque()  # stamps, and yaw [rad] from the first one
 
-    def observe(self, fix: Measurement, follower: InsFilter) -> None:
-        """Use a measurement, and a filter that has followed the IMU beyond it."""
-        if not (self._is_needed and isinstance(fix, PositionFix)):
-            return
-        if self._fixes and fix.t_ns - self._fixes[-1].t_ns < SPACING_NS:
-            return
+    def observe(self, measurement: Measurement, follower: InsFilter) -> bool:
+        """
+        Use a measurement, and a filter that has followed the IMU beyond it.
+
+        Returns whether it is no evidence on the heading.
+        """
+        if self._is_needed and isinstance(measurement, PositionFix):
+            last_ns = self._fixes[-1].t_ns if self._fixes else 0
+            if measurement.t_ns - last_ns >= SPACING_NS:
+                self._compare(measurement, follower)
+        return self.hides_heading
+
+    def _compare(self, fix: PositionFix, follower: InsFilter) -> None:
+        """Compare the last fixes, and this one, with the turns."""
         self._fixes.append(fix)
         self._follow(follower, fix.t_ns - LAGS_NS[-1])
         while fix.t_ns - self._fixes[0].t_ns > WINDOW_NS:

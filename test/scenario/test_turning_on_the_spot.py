@@ -60,4 +60,5 @@ def test_the_heading_waits_for_the_drive_and_is_right(seed: int) -> None:
     assert any("only turns on the spot" in line for line in lines)
     assert not known[seconds < SPINS].any()
     assert known[seconds > 160.0].mean() > 0.9
-    assert np.all(off[known] < 4.0 * std[known])
+    assert np.all(off[known] < 3.0 * judge.FAR * std[known])
+    assert np.degrees(off[known].max()) < 10.0
