@@ -39,7 +39,6 @@ class Nominal:
 
     time_offset: float  # s
     lever_b: Array  # (3,) m, antenna relative to the IMU
-    lever_std: float  # m, of each component
     psd_a: float  # (m/s²)²/Hz
     psd_g: float  # (rad/s)²/Hz
     walk_a: float  # m/s²/√s
@@ -48,6 +47,11 @@ class Nominal:
     bias_a_std: Array  # (3,) m/s²
     bias_g: Array  # (3,) rad/s, b
     bias_g_std: Array  # (3,) rad/s
+
+    @property
+    def antenna_is_given(self) -> bool:
+        """Somebody has said where the antenna is."""
+        return bool(self.lever_b.any())
 
 
 @dataclass(frozen=True, eq=False)

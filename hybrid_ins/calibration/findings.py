@@ -59,7 +59,6 @@ NOT_IDENTIFIABLE = {  # smallest σ
     "lever_y": 0.4,
     "lever_z": 0.4,
 }
-GIVEN_STD = 1.0  # m, of each component of a lever arm that was given
 UNKNOWN = 0.8 * PRIOR_STD  # m: of a lever arm that was not given nothing is known
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
@@ -158,17 +157,16 @@ def calibrate(
     """
     period = float(np.median([recording.period for recording in recordings]))
     lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
-    is_given = bool(lever_b.any())
     nominal = Nominal(
         values["gnss.time_offset.value"],
         lever_b,
-        GIVEN_STD if is_given else PRIOR_STD,
         values["noise.q_accelerometer"] * period,
         values["noise.q_gyroscope"] * period,
         max(values["imu.accelerometer_bias_walk"], 1e-6),
         max(values["imu.gyroscope_bias_walk"], 1e-8),
         *conversions.first_biases(values),
     )
+    is_given = nominal.antenna_is_given
     read = [read_levels(recording, values, log) for recording in recordings]
     fitted = fit(
         with_loudness(recordings, read),

@@ -35,10 +35,12 @@ from hybrid_ins.calibration.filter_pass import (
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD
+from hybrid_ins.core.lever_arm_observer import PRIOR_STD
 
 Array = NDArray[np.float64]
 
 LEVER = ("lever_x", "lever_y", "lever_z")
+GIVEN_STD = 1.0  # m, of each component of a lever arm that was given
 VELOCITY_AGE = "velocity_age"  # s, how much younger velocities are than positions with their stamp
 VELOCITY_AGES = np.linspace(-0.4, 0.2, 13)
 FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
@@ -98,7 +100,7 @@ class Likelihood:
         self.nominal = nominal
         self.yaws = [0.0] * len(recordings)
         offsets = [f"offset_{k}" for k in range(len(recordings))] if own_offsets else ["offset"]
-        lever, std = nominal.lever_b, nominal.lever_std
+        lever, std = nominal.lever_b, GIVEN_STD if nominal.antenna_is_given else PRIOR_STD
         self.period = max(recording.period for recording in recordings)
         step = self.period * math.ceil(OFFSET_STEP / self.period)
         self.prior = (

@@ -70,10 +70,10 @@ def misfits(
         times = np.exp(fitted.value(name)) / period / max(float(np.max(levels[axes])), 1e-300)
         if times > NOISE:
             found.append(f"the {sensor}'s noise would be {times:.0e} times what its readings show")
-    given_b = nominal.lever_b
-    for label, name, given in zip(("forward", "left", "up"), LEVER, given_b.tolist(), strict=True):
+    places = zip(("forward", "left", "up"), LEVER, nominal.lever_b.tolist(), strict=True)
+    for label, name, given in places:
         away_m = abs(fitted.value(name) - given)
-        if away_m > LONGEST_WAY and given_b.any():
+        if away_m > LONGEST_WAY and nominal.antenna_is_given:
             found.append(f"the antenna is {away_m:.1f} m from the given place, {label}")
     if not fitted.converged:
         found.append("the fit did not converge")

@@ -225,7 +225,7 @@ def test_smoothing_sharpens_the_direction_of_travel() -> None:
     fitted = found.fitted
     # WHEN its states are smoothed
     biases = first_biases(parameters.defaults())
-    nominal = Nominal(0.0, np.zeros(3), 1.0, 4e-6, 4e-8, 1e-3, 1e-5, *biases)
+    nominal = Nominal(0.0, np.zeros(3), 4e-6, 4e-8, 1e-3, 1e-5, *biases)
     smoothed = smoothed_pass(fitted, nominal, 0, found.after[0])
     # THEN the directions of travel in the vehicle scatter less, and their mean is nearer to zero
     before, after = courses(found.after[0]), courses(smoothed)

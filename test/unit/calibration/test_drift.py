@@ -37,7 +37,7 @@ def found(drift: float, seed: int) -> tuple[Drift, Likelihood, int]:
     )
     noise = 4e-4 / RATE, 4e-6 / RATE
     biases = first_biases(parameters.defaults())
-    nominal = Nominal(0.0, np.zeros(3), 1.0, *noise, 1e-3, 1e-5, *biases)
+    nominal = Nominal(0.0, np.zeros(3), *noise, 1e-3, 1e-5, *biases)
     likelihood = Likelihood([recording.with_measurements_between(1.0, 58.0)], nominal, False)
     likelihood.frozen = frozenset(likelihood.names) - {"offset"}
     likelihood.yaws = [seen.yaw(1.0)]

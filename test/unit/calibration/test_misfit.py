@@ -17,7 +17,7 @@ from hybrid_ins.core.state import N_NAV, NavState
 PERIOD = 0.01
 LEVELS = np.repeat([1e-2, 1e-5], 3)
 NOMINAL = Nominal(
-    0.0, np.array([0.1, 0.0, 0.0]), 1.0, 1e-4, 1e-7, 1e-3, 1e-4,
+    0.0, np.array([0.1, 0.0, 0.0]), 1e-4, 1e-7, 1e-3, 1e-4,
     np.zeros(3), np.full(3, 0.3), np.zeros(3), np.full(3, 0.01),
 )  # fmt: skip
 FITTED = Fit(
