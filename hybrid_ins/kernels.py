@@ -17,29 +17,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hybrid_ins import kernel_cache
-from hybrid_ins.core import (
+from hybrid_ins.core.filter import fix_update
+from hybrid_ins.core.imu import health as imu_health
+from hybrid_ins.core.imu import standstill
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu_axes import fit as imu_axes_fit
+from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.state import COVARIANCE, N_ERROR, N_NAV, NavState
+from hybrid_ins.core.noise import multiple_model as noise_multiple_model
+from hybrid_ins.core.noise import multiple_model_step as noise_multiple_model_step
+from hybrid_ins.core.noise import position_scatter
+from hybrid_ins.core.sensor_errors import (
     clock_offset,
     clock_sensitivity,
-    fix_update,
-    imu_axes_fit,
-    imu_health,
-    iterated_update,
-    kalman,
-    lever_arm_observer,
-    linalg,
-    measurements,
-    noise_multiple_model,
-    noise_multiple_model_step,
-    position_scatter,
-    propagation,
     scale_errors,
     scale_sensitivity,
-    standstill,
 )
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.state import COVARIANCE, N_ERROR, N_NAV, NavState
+from hybrid_ins.core.sensor_errors import lever_arm as lever_arm_observer
+from hybrid_ins.core.update import iterated_update, kalman, linalg, measurements
 from hybrid_ins.noise_regressor import window
-from hybrid_ins.ros import imu_admission, odom_frame, output
+from hybrid_ins.ros.estimator import imu_admission
+from hybrid_ins.ros.output import odom_frame, output
 
 COMPILING = "compiling the filter for this machine, once: 10 to 60 s"
 WAITING = "another process compiles the filter for this machine; waiting for it: up to 60 s"
@@ -269,8 +267,8 @@ def _compile_output() -> None:
 
 
 def _compile_smoothing() -> None:
-    from hybrid_ins.core.smoother import Smoother
-    from hybrid_ins.core.smoother_segments import Start, Update
+    from hybrid_ins.core.smoothing.segments import Start, Update
+    from hybrid_ins.core.smoothing.smoother import Smoother
 
     samples = np.zeros(40, SAMPLE_DTYPE)
     samples["t_ns"] = np.arange(40) * 10_000_000

@@ -30,17 +30,17 @@ from hybrid_ins.bags.messages import (
 )
 from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import aiding_sources
-from hybrid_ins.ros.cdr import OdometryEncoder
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.gps_fix_input import GpsFixInput
-from hybrid_ins.ros.imu_admission import NO_READING
-from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.message_types import OUTPUTS, encode
-from hybrid_ins.ros.rate_limiter import RateLimiter
-from hybrid_ins.ros.reports import Report
+from hybrid_ins.ros.aids import aiding_sources
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
+from hybrid_ins.ros.estimator.imu_admission import NO_READING
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages.cdr import OdometryEncoder
+from hybrid_ins.ros.output.message_types import OUTPUTS, encode
+from hybrid_ins.ros.output.rate_limiter import RateLimiter
+from hybrid_ins.ros.reporting.reports import Report
 from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
 
 SMOOTHED = ("odometry", "gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
@@ -301,7 +301,7 @@ class _Replay:
     def smooth(self, record: RunRecord) -> None:
         """Write the smoothed run, after `filter`."""
         # Its kernels are compiled here only: a node that filters does not wait for them.
-        from hybrid_ins.ros.smoothed import smoothed_run, smoothed_verdicts
+        from hybrid_ins.ros.estimator.smoothed import smoothed_run, smoothed_verdicts
 
         for log_ns, report in smoothed_verdicts(record, self._verdicts):
             self._write_report(report, log_ns)

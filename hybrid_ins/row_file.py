@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 class RowFile:
     """
-    Rows of numbers by index, see `hybrid_ins.core.smoother.Store`.
+    Rows of numbers by index, see `hybrid_ins.core.smoothing.smoother.Store`.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class RowFile:
 
 class BlockFile:
     """
-    Arrays of one type one after the other, see `hybrid_ins.core.samples.Blocks`.
+    Arrays of one type one after the other, see `hybrid_ins.core.imu.samples.Blocks`.
 
     Parameters
     ----------

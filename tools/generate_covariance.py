@@ -1,5 +1,5 @@
 """
-Write ``hybrid_ins/core/_covariance_step.py``: one covariance step, unrolled.
+Write ``hybrid_ins/core/inertial/_covariance_step.py``: one covariance step, unrolled.
 
 The zero pattern of F is read off ``error_model.system_matrix``; P <- Phi P Phi' + Q^d is then
 written over what is not zero, on the upper triangle of P. Run it after changing F:
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_ins.core import error_model, state
+from hybrid_ins.core.inertial import error_model, state
 
 ROOT = Path(__file__).resolve().parent.parent
-TARGET = ROOT / "hybrid_ins" / "core" / "_covariance_step.py"
+TARGET = ROOT / "hybrid_ins" / "core" / "inertial" / "_covariance_step.py"
 
 HEADER = '''"""
 One covariance step, P <- Phi P Phi' + Q^d, unrolled over the non-zero elements of F.

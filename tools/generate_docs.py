@@ -2,8 +2,8 @@
 Write the parts of the documentation that are made from declarations and reports, or check them.
 
 `config/default.yaml` and `docs/parameters.md` are made from `hybrid_ins.parameters`;
-the tables in `docs/ros_interface.md` from `hybrid_ins.ros.interface`; `docs/figures.md` and the
-figures in `README.md` from the reports that `tools.figures` names. A test runs the check.
+the tables in `docs/ros_interface.md` from `hybrid_ins.ros.messages.interface`; `docs/figures.md`
+and the figures in `README.md` from the reports that `tools.figures` names. A test runs the check.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hybrid_ins import parameters  # noqa: E402
 from hybrid_ins.parameters import parameter_file  # noqa: E402
 from hybrid_ins.parameters.declared import PARAMETERS  # noqa: E402
 from hybrid_ins.parameters.parameter import Parameter  # noqa: E402
-from hybrid_ins.ros import interface  # noqa: E402
+from hybrid_ins.ros.messages import interface  # noqa: E402
 from tools import figures  # noqa: E402
 
 FIRST_TO_SET = (

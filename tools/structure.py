@@ -14,14 +14,15 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 NAME = "hybrid_ins"
-GENERATED = (f"{NAME}.core._covariance_step",)
+GENERATED = (f"{NAME}.core.inertial._covariance_step",)
 LONG_FILE, LONG_CLASS = 400, 250  # lines
 TRACE = "trace"  # the argument of the process that is traced
 
@@ -84,9 +85,9 @@ def is_below(name: str, package: str) -> bool:
     return name == package or name.startswith(package + ".")
 
 
-def in_cycles(modules: Mapping[str, Module]) -> set[str]:
-    """Return the modules that import each other in a circle, and those that import from one."""
-    left = {name: (m.imports & modules.keys()) - {name} for name, m in modules.items()}
+def in_cycles(imports: Mapping[str, Collection[str]]) -> set[str]:
+    """Return the names that import each other in a circle, and those that import from one."""
+    left = {name: imports.keys() & needed - {name} for name, needed in imports.items()}
     while leaves := {name for name, needed in left.items() if not needed & left.keys()}:
         left = {name: needed for name, needed in left.items() if name not in leaves}
     return set(left)
@@ -111,19 +112,27 @@ def long_classes(modules: Mapping[str, Module]) -> dict[str, int]:
     }
 
 
-def part_of(module: str) -> str:
-    """Return the part of the package that a module belongs to: its folder, or itself."""
-    return ".".join(module.split(".")[:2])
+class Part(NamedTuple):
+    """A folder of the package, without those in it, or a file that lies beside the folders."""
+
+    files: int
+    lines: int
+    imports: frozenset[str]  # other parts
 
 
-def parts(modules: Mapping[str, Module]) -> dict[str, tuple[int, int, list[str]]]:
-    """Return files, lines and imported parts of each part of the package."""
-    found: dict[str, tuple[int, int, list[str]]] = {}
-    for part in sorted({part_of(name) for name in modules}):
-        mine = {name: m for name, m in modules.items() if part_of(name) == part}
-        others = {part_of(n) for m in mine.values() for n in m.imports if is_below(n, NAME)}
-        lines = sum(m.lines for m in mine.values())
-        found[part] = len(mine), lines, sorted(others - {part, NAME})
+def parts(modules: Mapping[str, Module]) -> dict[str, Part]:
+    """Return every part of the package, by its full name."""
+    folders = {name.rpartition(".")[0] for name in modules} - {"", NAME}
+
+    def part_of(module: str) -> str:
+        folder = module.rpartition(".")[0]
+        return folder if folder in folders and module not in folders else module
+
+    found: dict[str, Part] = {}
+    for name, module in modules.items():
+        files, lines, imports = found.get(part_of(name), Part(0, 0, frozenset()))
+        others = {part_of(other) for other in module.imports & modules.keys()} - {part_of(name)}
+        found[part_of(name)] = Part(files + 1, lines + module.lines, imports | others)
     return found
 
 
@@ -161,9 +170,9 @@ def _trace() -> None:
     """Print the functions that are active in the covariance's step of a filter that runs."""
     from hybrid_ins import parameters
     from hybrid_ins.bags.messages import new_message
-    from hybrid_ins.ros.cdr import ImuFields
-    from hybrid_ins.ros.conversions import set_stamp
-    from hybrid_ins.ros.estimator import Estimator
+    from hybrid_ins.ros.estimator.estimator import Estimator
+    from hybrid_ins.ros.messages.cdr import ImuFields
+    from hybrid_ins.ros.messages.conversions import set_stamp
 
     given = {"alignment.heading_source": "parameter", "noise.mode": "constant"}
     estimator = Estimator(parameters.check_all(given), lambda level, text: None)
@@ -209,9 +218,9 @@ def main() -> int:
     lines = sum(m.lines for m in modules.values())
     print(f"{len(modules)} files, {lines} lines\n")
     print("part, files, lines, what it imports of the others")
-    for part, (files, count, others) in parts(modules).items():
-        short = " ".join(other.removeprefix(f"{NAME}.") for other in others)
-        print(f"  {part.removeprefix(f'{NAME}.'):18} {files:3} {count:6}  {short}")
+    for name, part in parts(modules).items():
+        short = " ".join(other.removeprefix(f"{NAME}.") for other in sorted(part.imports))
+        print(f"  {name.removeprefix(f'{NAME}.'):20} {part.files:3} {part.lines:6}  {short}")
     for title, found in (
         (f"files over {LONG_FILE} lines", long_files(modules)),
         (f"classes over {LONG_CLASS} lines", long_classes(modules)),
@@ -219,7 +228,9 @@ def main() -> int:
         print(f"\n{title}: {len(found)}")
         for name, count in sorted(found.items(), key=lambda item: -item[1]):
             print(f"  {count:5} {name}")
-    print(f"\nmodules in import cycles: {len(in_cycles(modules))}")
+    for title, names in (("modules", modules), ("parts", parts(modules))):
+        cycles = in_cycles({name: node.imports for name, node in names.items()})
+        print(f"\n{title} in import cycles: {len(cycles)}")
     print("\nfrom an IMU message to the covariance equation:")
     for step in imu_road():
         print(f"  {step}")

@@ -33,9 +33,9 @@ import numpy as np
 from hybrid_ins import progress
 from hybrid_ins.bags.messages import FIX, IMU, ODOMETRY, VELOCITY, Message, new_message
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.core.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import (
+from hybrid_ins.ros.messages.conversions import (
     DIAGONAL,
     FLIP,
     STATUS_FIX,
@@ -44,7 +44,7 @@ from hybrid_ins.ros.conversions import (
     quat_nb_from_enu,
     set_stamp,
 )
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 # 2023-01-01T00:00:00Z. Files and simulations count from zero, which ROS takes for an unset stamp.
 EPOCH_NS = 1_672_531_200_000_000_000

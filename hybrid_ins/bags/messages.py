@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hybrid_ins.ros import gps_fix, interface
+from hybrid_ins.ros.messages import gps_fix, interface
 
 Message: TypeAlias = Any  # its class depends on the topic
 

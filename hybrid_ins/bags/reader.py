@@ -29,10 +29,10 @@ from hybrid_ins.bags.messages import (
     absolute,
     is_standard,
 )
-from hybrid_ins.core.samples import BlockList, Blocks
+from hybrid_ins.core.imu.samples import BlockList, Blocks
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.cdr import ImuDecoder, imu_records
-from hybrid_ins.ros.conversions import imu_fields
+from hybrid_ins.ros.messages.cdr import ImuDecoder, imu_records
+from hybrid_ins.ros.messages.conversions import imu_fields
 
 if TYPE_CHECKING:
     from typing_extensions import Self

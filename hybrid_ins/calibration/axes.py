@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.imu_axes import ImuAxesCheck
-from hybrid_ins.core.imu_axes_faults import AxesFault
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.ros.conversions import FLIP, mount_matrix
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu_axes.faults import AxesFault
+from hybrid_ins.core.imu_axes.monitor import ImuAxesCheck
+from hybrid_ins.ros.messages.conversions import FLIP, mount_matrix
 
 STEP = 0.1  # s, between two shares of the check's work
 FIRST = 1.0  # s, the stamp of a recording's first sample: no stamp is zero

@@ -13,9 +13,9 @@ from hybrid_ins.calibration.drift import SIGNIFICANT
 from hybrid_ins.calibration.fit import KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.clock_prior import UNKNOWN_DRIFT, ClockDrift
+from hybrid_ins.core.sensor_errors.clock_prior import UNKNOWN_DRIFT, ClockDrift
 from hybrid_ins.parameters import PARAMETERS
-from hybrid_ins.ros.conversions import clock_drift
+from hybrid_ins.ros.messages.conversions import clock_drift
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str, str, str]  # label, value, sigma, verdict, note

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core import state
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial import state
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_from_matrix,

@@ -16,15 +16,15 @@ from hybrid_ins.calibration.innovations import (
     log_likelihood,
 )
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.clock_sensitivity import initial_sensitivity
-from hybrid_ins.core.earth import curvature_scale, normal_gravity
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial.earth import curvature_scale, normal_gravity
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
     quat_from_rpy,
 )
-from hybrid_ins.core.state import N_ERROR, PSD, SENSITIVITY, NavState
+from hybrid_ins.core.inertial.state import N_ERROR, PSD, SENSITIVITY, NavState
+from hybrid_ins.core.sensor_errors.clock_sensitivity import initial_sensitivity
 
 Array = NDArray[np.float64]
 

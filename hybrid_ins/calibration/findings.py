@@ -37,11 +37,11 @@ from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
-from hybrid_ins.core.lever_arm_observer import PRIOR_STD
-from hybrid_ins.core.position_scatter import SLOW_TIME
-from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
+from hybrid_ins.core.noise.position_scatter import SLOW_TIME
+from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
 
 Array = NDArray[np.float64]
 

@@ -20,26 +20,26 @@ from math import lgamma, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.clock_sensitivity import (
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.inertial.propagation import propagate_covariance, step
+from hybrid_ins.core.inertial.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
+from hybrid_ins.core.noise.position_scatter import NO_GROWTH, change_slow_error
+from hybrid_ins.core.sensor_errors.clock_sensitivity import (
     correct_sensitivities,
     noise_information,
     sensitivities,
 )
-from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.iterated_update import update
-from hybrid_ins.core.kalman import innovation
-from hybrid_ins.core.linalg import factorise, whiten
-from hybrid_ins.core.measurements import position_model, velocity_model
-from hybrid_ins.core.position_scatter import NO_GROWTH, change_slow_error
-from hybrid_ins.core.propagation import propagate_covariance, step
-from hybrid_ins.core.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
+from hybrid_ins.core.update.iterated_update import update
+from hybrid_ins.core.update.kalman import innovation
+from hybrid_ins.core.update.linalg import factorise, whiten
+from hybrid_ins.core.update.measurements import position_model, velocity_model
 
 Array = NDArray[np.float64]
 
 POSITION, VELOCITY = 0, 1
 INFORMATION, OF_NOISE = range(2)
 """What an innovation says of the clock offset [1/s²], and how much of that is noise of the INS; see
-`hybrid_ins.core.clock_sensitivity`."""
+`hybrid_ins.core.sensor_errors.clock_sensitivity`."""
 
 N_SAID = 2
 
@@ -80,7 +80,7 @@ def innovations(  # type: ignore[no-untyped-def]
         [m/s, NED]; a component that is NaN is left out.
     slow : ndarray, shape (M, 3)
         Variance of a slow error of the positions [m²], NED: it is in the position of the state, and
-        changes from one to the next, see `hybrid_ins.core.position_scatter`.
+        changes from one to the next, see `hybrid_ins.core.noise.position_scatter`.
     lever_b : ndarray, shape (3,)
         Antenna relative to the IMU [m], b.
     interval : float

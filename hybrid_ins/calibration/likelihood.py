@@ -34,8 +34,8 @@ from hybrid_ins.calibration.filter_pass import (
 )
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.clock_offset import VELOCITY_AGE_STD
-from hybrid_ins.core.lever_arm_observer import PRIOR_STD
+from hybrid_ins.core.sensor_errors.clock_offset import VELOCITY_AGE_STD
+from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
 
 Array = NDArray[np.float64]
 

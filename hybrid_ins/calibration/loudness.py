@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.noise_regressor.reader import NoiseReader
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from hybrid_ins.calibration.derived import next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import LEVER
-from hybrid_ins.core import chi_square
+from hybrid_ins.core.update import chi_square
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ the INS at other times. Where a vehicle cruises and its IMU is shaken, that comp
 other stretches of the IMU's noise: one of these fits best by chance, and by so much that the
 likelihood's curvature and the scatter of its scores make it certain to milliseconds. So the
 information on the offset counts by the share of motion in it, as for the running filter,
-`hybrid_ins.core.clock_offset` and [1]_.
+`hybrid_ins.core.sensor_errors.clock_offset` and [1]_.
 
 References
 ----------
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.clock_offset import MARGIN, SHARE_TIME
+from hybrid_ins.core.sensor_errors.clock_offset import MARGIN, SHARE_TIME
 
 Array = NDArray[np.float64]
 

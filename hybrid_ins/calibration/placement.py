@@ -10,11 +10,11 @@ import numpy as np
 
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.core.rotations import quat_from_matrix, rpy_from_quat
+from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.input_log import InputLog
-from hybrid_ins.ros.sensor_placement import PARAMETERS, SensorPlacement
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.placement.sensor_placement import PARAMETERS, SensorPlacement
+from hybrid_ins.ros.reporting.input_log import InputLog
 
 NAMES = ("imu.position", "imu.mount_rpy", "gnss.antenna_position")
 

@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
-from hybrid_ins.core.aiding_measurements import BodyVelocity
-from hybrid_ins.core.earth import LocalFrame, curvature_scale
-from hybrid_ins.core.gap import LONG_GAP
-from hybrid_ins.core.measurements import PositionFix, VelocityFix
-from hybrid_ins.core.repeated_fixes import RepetitionCheck
-from hybrid_ins.core.samples import sample_period
-from hybrid_ins.core.velocity_check import VelocityCheck
+from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.filter.gap import LONG_GAP
+from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
+from hybrid_ins.core.fix_checks.velocity_check import VelocityCheck
+from hybrid_ins.core.imu.samples import sample_period
+from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import conversions, gps_fix
-from hybrid_ins.ros.aiding_conversions import AidingMessages
-from hybrid_ins.ros.conversions import FLIP, SWAP, GnssInput, Refused
-from hybrid_ins.ros.fix_refusals import describe_clocks
-from hybrid_ins.ros.wording import describe_contradiction
+from hybrid_ins.ros.messages import conversions, gps_fix
+from hybrid_ins.ros.messages.aiding_conversions import AidingMessages
+from hybrid_ins.ros.messages.conversions import FLIP, SWAP, GnssInput, Refused
+from hybrid_ins.ros.reporting.wording import describe_contradiction
+from hybrid_ins.ros.review.fix_refusals import describe_clocks
 
 Array = NDArray[np.float64]
 

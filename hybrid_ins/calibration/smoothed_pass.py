@@ -31,12 +31,12 @@ from hybrid_ins.calibration.filter_pass import (
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
-from hybrid_ins.core.measurements import PositionFix, VelocityFix
-from hybrid_ins.core.position_scatter import Split
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.smoother import Smoother
-from hybrid_ins.core.smoother_segments import Start, Update
-from hybrid_ins.core.state import NavState
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.inertial.state import NavState
+from hybrid_ins.core.noise.position_scatter import Split
+from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.smoother import Smoother
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader, InputTopics
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.ros import gps_fix
-from hybrid_ins.ros.conversions import SWAP, GnssInput, Refused
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import gps_fix
+from hybrid_ins.ros.messages.conversions import SWAP, GnssInput, Refused
 
 Array = NDArray[np.float64]
 

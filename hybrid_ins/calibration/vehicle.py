@@ -13,9 +13,9 @@ from hybrid_ins.calibration import wheels
 from hybrid_ins.calibration.derived import courses
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.constraint_observer import ConstraintObserver, ConstraintSettings
-from hybrid_ins.core.nonholonomic import Nose
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.constraints.nonholonomic import Nose
+from hybrid_ins.ros.messages.conversions import FLIP
 
 Array = NDArray[np.float64]
 

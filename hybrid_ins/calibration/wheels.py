@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.aiding import VelocitySensor
-from hybrid_ins.core.aiding_measurements import BodyVelocity
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_matrix
-from hybrid_ins.core.state import (
+from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.aiding.sensors import VelocitySensor
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_matrix
+from hybrid_ins.core.inertial.state import (
     B_A,
     B_G,
     BIAS_A,
@@ -26,7 +26,7 @@ from hybrid_ins.core.state import (
     covariance,
     pack,
 )
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.messages.conversions import FLIP
 
 Array = NDArray[np.float64]
 Row = tuple[tuple[str, str, str, str, str], dict[str, Any]]

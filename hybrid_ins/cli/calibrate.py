@@ -26,7 +26,7 @@ from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.replay import log_message
-from hybrid_ins.ros.axes_monitor import describe
+from hybrid_ins.ros.review.axes_monitor import describe
 from hybrid_ins.worker_processes import worker_processes
 
 DESCRIPTION = """\

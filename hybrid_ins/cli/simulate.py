@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation.sensors import RTK_STD, ImuErrors
 from hybrid_ins.simulation.simulate import MOTIONS, Scenario, simulate
 

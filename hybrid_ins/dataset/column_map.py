@@ -16,10 +16,10 @@ import numpy as np
 
 from hybrid_ins import yaml_reader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
-from hybrid_ins.core.rotations import UNKNOWN_ANGLE_STD
+from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.dataset.csv_table import CsvFormat
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 DELIMITERS = {"tab": "\t", "space": " "}
 DEFAULT_EPOCH = EPOCH_NS * 1e-9

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags import flight_bag
 from hybrid_ins.bags.flight_bag import GnssRecord, ImuRecord, TruthRecord, stamps
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.rotations import matrix_from_quat, skew
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, skew
 from hybrid_ins.dataset.column_map import ColumnMap
 from hybrid_ins.dataset.csv_flight import (
     AttitudeSeries,
@@ -30,7 +30,7 @@ from hybrid_ins.dataset.csv_flight import (
 )
 from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 from hybrid_ins.simulation.sensors import RTK_STD, in_outage
 
 DEFAULT_MAP = "config/datasets/quadrotor.yaml"

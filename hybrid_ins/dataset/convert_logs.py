@@ -26,8 +26,8 @@ from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
 from hybrid_ins.dataset.logs.plausibility import check_clocks, check_imu, check_velocity
 from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import SWAP, datum_fix
-from hybrid_ins.ros.trajectory import Array, Trajectory
+from hybrid_ins.ros.messages.conversions import SWAP, datum_fix
+from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
 UNKNOWN_VARIANCE = 1e6

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import LocalFrame, displacement
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial.earth import LocalFrame, displacement
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_from_rpy,
@@ -33,8 +33,8 @@ from hybrid_ins.dataset.column_map import (
 )
 from hybrid_ins.dataset.csv_table import Faults, Table, read_table
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP, SWAP, quat_nb_from_enu
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.conversions import FLIP, SWAP, quat_nb_from_enu
+from hybrid_ins.ros.messages.trajectory import Array
 
 MOST_SPECIFIC_FORCE = 1000.0  # m/s2, a hundred g: no vehicle's accelerometer reads that
 MOST_ANGULAR_RATE = 100.0  # rad/s

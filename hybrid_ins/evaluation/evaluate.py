@@ -22,7 +22,7 @@ from hybrid_ins.evaluation.matching import after, match
 from hybrid_ins.evaluation.result import Errors, FixCount, Outage, Result, Scoring, TimeOffset
 from hybrid_ins.evaluation.run import Run, Verdicts
 from hybrid_ins.evaluation.statistics import Consistency, nees
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 _WHITE = 0.5  # share of independent NIS values below which they are reported as correlated
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import rotations
+from hybrid_ins.core.inertial import rotations
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.result import Epochs, Errors, Scoring
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 _SAME_EPOCH_NS = 100_000  # stamps of one epoch may differ by the rounding of float seconds
 _LOW_COVERAGE = 0.95

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.evaluation.statistics import Consistency
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 
 @dataclass(frozen=True)

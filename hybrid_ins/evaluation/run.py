@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from hybrid_ins import progress
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Topics, Verdicts
-from hybrid_ins.ros.conversions import stamp_ns as ns_of
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
+from hybrid_ins.ros.messages.conversions import stamp_ns as ns_of
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _FIX = "sensor_msgs/msg/NavSatFix"

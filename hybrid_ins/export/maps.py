@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.track import QUALITIES, Part, parts, utc
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 _HEIGHTS = "Heights are above the WGS-84 ellipsoid."
 

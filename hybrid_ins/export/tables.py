@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hybrid_ins.core.rotations import rpy_from_quat
+from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.track import lat_lon_height
-from hybrid_ins.ros.trajectory import Array, Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
 # Columns of the CSV file with their number of decimals. Time: UNIX time of the IMU's clock. Height
 # above the WGS-84 ellipsoid. Position in the map (ENU at the datum), its standard deviations along

@@ -9,9 +9,9 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Array, Trajectory
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
 INTERVAL_NS = 100_000_000  # between the points of a map: viewers are slow with more
 LONGEST_GAP_NS = 2_000_000_000  # a line is not drawn over more

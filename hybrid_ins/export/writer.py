@@ -10,7 +10,7 @@ from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.export.maps import geojson, gpx, kml
 from hybrid_ins.export.tables import csv, tum
 from hybrid_ins.output_file import check_output, replacing
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 FORMATS: dict[str, Callable[[Trajectory, str], Iterator[str]]] = {
     ".tum": tum,

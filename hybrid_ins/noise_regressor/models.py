@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import noise_spectral
+from hybrid_ins.core.noise import spectral as noise_spectral
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.onnx_model import OnnxModel
 
@@ -46,7 +46,7 @@ class NoiseRegressor(Protocol):
 
 class SpectralRegressor:
     """
-    The fallback that needs no model: the plateau of `hybrid_ins.core.noise_spectral`.
+    The fallback that needs no model: the plateau of `hybrid_ins.core.noise.spectral`.
 
     Parameters
     ----------

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.noise import NoiseEstimate
-from hybrid_ins.core.samples import ImuRing, as_numbers
+from hybrid_ins.core.imu.samples import ImuRing, as_numbers
+from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
 from hybrid_ins.noise_regressor.window import (

@@ -20,8 +20,8 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.nonholonomic import Nose
-from hybrid_ins.core.samples import ImuRing, as_numbers
+from hybrid_ins.core.constraints.nonholonomic import Nose
+from hybrid_ins.core.imu.samples import ImuRing, as_numbers
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.onnx_model import OnnxModel
 from hybrid_ins.noise_regressor.window import find_fault, own_axes

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.samples import sample_period
+from hybrid_ins.core.imu.samples import sample_period
 
 Array = NDArray[np.float64]
 

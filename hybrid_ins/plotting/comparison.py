@@ -34,7 +34,7 @@ from hybrid_ins.plotting.style import (
     thin_path,
 )
 from hybrid_ins.plotting.view import RunView
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

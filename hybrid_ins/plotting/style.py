@@ -15,7 +15,7 @@ import numpy as np
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, replacing
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

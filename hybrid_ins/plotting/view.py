@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.evaluation.result import Result
 from hybrid_ins.evaluation.run import Run
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, enu_from_lla
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, enu_from_lla
 
 
 class RunView:

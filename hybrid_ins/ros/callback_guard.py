@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hybrid_ins.resources import shortened
-from hybrid_ins.ros.conversions import Refused
-from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.messages.conversions import Refused
+from hybrid_ins.ros.reporting.input_log import InputLog
 
 
 class CallbackGuard:

@@ -22,8 +22,8 @@ except ImportError:
     FromLL = None
 
 from hybrid_ins.ros.callback_guard import CallbackGuard
-from hybrid_ins.ros.conversions import MapFrame
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages.conversions import MapFrame
 
 Array = NDArray[np.float64]
 Message = Any

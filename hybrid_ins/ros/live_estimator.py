@@ -45,22 +45,23 @@ except ImportError:
     GPSFix = None
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros import aiding_sources, conversions, interface
+from hybrid_ins.ros.aids import aiding_sources
 from hybrid_ins.ros.callback_guard import CallbackGuard
-from hybrid_ins.ros.cdr import ImuDecoder, ImuFields
-from hybrid_ins.ros.crowded_topics import CrowdedTopics
-from hybrid_ins.ros.diagnostics import status
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.gps_fix_input import ABSENT, GpsFixInput
 from hybrid_ins.ros.geographic_services import GeographicServices
-from hybrid_ins.ros.gps_fix_input import ABSENT, GpsFixInput
-from hybrid_ins.ros.memory import HypothesesHeap
-from hybrid_ins.ros.message_types import OUTPUTS, fill_transforms
+from hybrid_ins.ros.messages import conversions, interface
+from hybrid_ins.ros.messages.cdr import ImuDecoder, ImuFields
+from hybrid_ins.ros.messages.node_messages import MESSAGES, new_message
 from hybrid_ins.ros.node_arguments import reason_of
-from hybrid_ins.ros.node_messages import MESSAGES, new_message
-from hybrid_ins.ros.output_topics import OutputTopics
-from hybrid_ins.ros.rate_limiter import RateLimiter
-from hybrid_ins.ros.static_transforms import without_tf2
-from hybrid_ins.ros.warm_start import WarmStart
+from hybrid_ins.ros.output.message_types import OUTPUTS, fill_transforms
+from hybrid_ins.ros.output.output_topics import OutputTopics
+from hybrid_ins.ros.output.rate_limiter import RateLimiter
+from hybrid_ins.ros.placement.static_transforms import without_tf2
+from hybrid_ins.ros.reporting.diagnostics import status
+from hybrid_ins.ros.review.crowded_topics import CrowdedTopics
+from hybrid_ins.ros.start.memory import HypothesesHeap
+from hybrid_ins.ros.start.warm_start import WarmStart
 
 TRANSFORM_RATE = 50.0  # Hz, on /tf
 LAST_MESSAGES = Duration(seconds=0.2)  # of a publisher, to arrive before it is given up

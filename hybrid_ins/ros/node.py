@@ -46,11 +46,11 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.reader import find_regressor
 from hybrid_ins.ros import node_arguments, node_parameters
 from hybrid_ins.ros.callback_guard import CallbackGuard
-from hybrid_ins.ros.input_log import InputLog
 from hybrid_ins.ros.live_estimator import LiveEstimator
-from hybrid_ins.ros.memory import release_memory_of_start
-from hybrid_ins.ros.node_messages import new_message
-from hybrid_ins.ros.warm_up import warm_up
+from hybrid_ins.ros.messages.node_messages import new_message
+from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.start.memory import release_memory_of_start
+from hybrid_ins.ros.start.warm_up import warm_up
 
 
 class InsNode(LifecycleNode):

@@ -15,9 +15,9 @@ except ModuleNotFoundError as error:
         raise
     rclpy = None
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.output_topics import prefix_of
-from hybrid_ins.ros.reports import Status
-from hybrid_ins.ros.status_view import NodeStatus
+from hybrid_ins.ros.output.output_topics import prefix_of
+from hybrid_ins.ros.reporting.reports import Status
+from hybrid_ins.ros.reporting.status_view import NodeStatus
 
 OURS = "hybrid_ins: "
 STEP = 0.1  # s, between two checks of the clock

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hybrid_ins.core import earth
+from hybrid_ins.core.inertial import earth
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

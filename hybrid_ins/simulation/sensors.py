@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hybrid_ins.core import earth
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial import earth
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.motions import Motion
 
 MPU9250_ACCELEROMETER_STD = 0.02  # m/s2 per sample, the paper's Table I

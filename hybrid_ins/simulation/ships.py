@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

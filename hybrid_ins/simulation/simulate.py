@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from hybrid_ins.bags import flight_bag
 from hybrid_ins.bags.flight_bag import Entry, GnssRecord, ImuRecord, TruthRecord, stamps
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.rotations import quat_from_rpy, quat_multiply
+from hybrid_ins.core.inertial.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.messages.trajectory import Trajectory
 from hybrid_ins.simulation.motions import (
     Motion,
     aircraft_flight,

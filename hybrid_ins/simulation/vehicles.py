@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hybrid_ins.core import earth
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial import earth
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

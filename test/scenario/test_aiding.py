@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.outage_drives import calibrated, drive, recording
 
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
 from tools.vehicles.aiding import Aiding, barometer, compass, in_order, wheels
 from tools.vehicles.drives import Drive
 from tools.vehicles.judge import run

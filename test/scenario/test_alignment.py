@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from support.scenes import heading_std, make_navigator, play, scene
 
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.measurements import PositionFix, position_model
-from hybrid_ins.core.multiple_model import HEADING_STD, N_HEADINGS
-from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.rotations import rpy_from_quat
-from hybrid_ins.core.state import (
+from hybrid_ins.core.alignment.multiple_model import HEADING_STD, N_HEADINGS
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import rpy_from_quat
+from hybrid_ins.core.inertial.state import (
     BIAS_A,
     BIAS_G,
     COVARIANCE,
@@ -24,7 +22,9 @@ from hybrid_ins.core.state import (
     pack,
     total_std,
 )
-from hybrid_ins.ros.wording import state_of, waiting_for
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.update.measurements import PositionFix, position_model
+from hybrid_ins.ros.reporting.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
     START_LLA,
     aircraft_flight,

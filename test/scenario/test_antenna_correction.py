@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.ros.sensor_placement import SensorPlacement
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.vehicles import judge
 from tools.vehicles.drives import Drive, from_simulation

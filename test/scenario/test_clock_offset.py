@@ -10,10 +10,10 @@ from support.clock_searches import until
 from support.long_stand import assert_standing_shows_nothing_of_the_clock
 from support.runs import begin, fly, stamped_early, through_estimator
 
-from hybrid_ins.core.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.clock_prior import ClockPrior
-from hybrid_ins.core.events import ClockInflation, ClockShift
-from hybrid_ins.core.state import N_NAV
+from hybrid_ins.core.filter.events import ClockInflation, ClockShift
+from hybrid_ins.core.inertial.state import N_NAV
+from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from tools.paper.runs import Run, Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)

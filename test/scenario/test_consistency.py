@@ -17,9 +17,9 @@ from support.consistency import (
     standard_errors,
 )
 
-from hybrid_ins.core import propagation
-from hybrid_ins.core.iterated_update import update
-from hybrid_ins.core.state import N_ERROR, N_NAV, PSD, NavState, covariance
+from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.state import N_ERROR, N_NAV, PSD, NavState, covariance
+from hybrid_ins.core.update.iterated_update import update
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import sample
 

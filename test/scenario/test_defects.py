@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybrid_ins.core import earth
+from hybrid_ins.core.inertial import earth
 from hybrid_ins.simulation.vehicles import VEHICLES, Recording, record
 from tools.vehicles.defects import DEFECTS, draw
 

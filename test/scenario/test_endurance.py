@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.endurance import assert_clock_is_within_three_sigma
 
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.reports import Report
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.reporting.reports import Report
 from tools.robustness import endurance
 
 MINUTE = 60.0

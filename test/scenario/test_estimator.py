@@ -10,8 +10,8 @@ from support.drive import GIVEN, KNOWN, Drive
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.rotations import quat_from_rpy
-from hybrid_ins.ros.reports import Diagnostics
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
+from hybrid_ins.ros.reporting.reports import Diagnostics
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from support.runs import through_estimator
 
-from hybrid_ins.core.earth import displacement
-from hybrid_ins.core.missing_height import UNKNOWN_HEIGHT_STD
-from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
-from hybrid_ins.core.state import LLA, QUAT, total_std
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.core.filter.missing_height import UNKNOWN_HEIGHT_STD
+from hybrid_ins.core.inertial.earth import displacement
+from hybrid_ins.core.inertial.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from hybrid_ins.core.inertial.state import LLA, QUAT, total_std
+from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.simulation.motions import START_LLA, Motion, car_drive, motion_through, time_grid
 from tools.paper.runs import Run, Scenario, draw
 

@@ -16,9 +16,9 @@ from hybrid_ins.calibration.recording import read_recording
 from hybrid_ins.calibration.trial import run_trial
 from hybrid_ins.cli import convert, replay, simulate
 from hybrid_ins.parameters import check_all
-from hybrid_ins.ros.conversions import stamp_ns
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.gps_fix_input import GpsFixInput
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
+from hybrid_ins.ros.messages.conversions import stamp_ns
 
 RADIANS_FROM_EAST = "is an angle in radians, from east"
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from support.scenes import Scene, heading_std, make_navigator, play, scene, stamp
 
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import GNSS
-from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
-from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import HeadingCorrected
-from hybrid_ins.core.phases import Running, Searching
-from hybrid_ins.core.state import HEADING_DOUBT, total_std
+from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.inertial.state import HEADING_DOUBT, total_std
+from hybrid_ins.core.navigator.events import HeadingCorrected
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.phases import Running, Searching
+from hybrid_ins.core.update.measurements import GNSS
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight, static
 from hybrid_ins.simulation.vehicles import slow_rover
 

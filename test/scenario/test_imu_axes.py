@@ -10,11 +10,11 @@ import pytest
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import convert
-from hybrid_ins.core.imu_axes import ImuAxesCheck
-from hybrid_ins.core.imu_axes_faults import AxesFault
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.ros.axes_monitor import describe
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu_axes.faults import AxesFault
+from hybrid_ins.core.imu_axes.monitor import ImuAxesCheck
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.review.axes_monitor import describe
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

@@ -20,9 +20,8 @@ from support.clock_searches import (
 from support.runs import stamped_early, through_estimator
 
 from hybrid_ins import parameters
-from hybrid_ins.core import clock_search, multiple_model
-from hybrid_ins.core.clock_prior import ClockPrior
-from hybrid_ins.core.clock_search import (
+from hybrid_ins.core.alignment import clock_search, multiple_model
+from hybrid_ins.core.alignment.clock_search import (
     OFFSETS_NS,
     SPEED_STD,
     TILT_STD,
@@ -30,16 +29,17 @@ from hybrid_ins.core.clock_search import (
     probabilities,
     state_at_offset,
 )
-from hybrid_ins.core.earth import LocalFrame, curvature_scale
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.kalman import inject
-from hybrid_ins.core.multiple_model import N_HEADINGS, MultipleModelBank
-from hybrid_ins.core.phases import Searching, search_clock
-from hybrid_ins.core.rotations import quat_from_rpy
-from hybrid_ins.core.state import DP, DV, EPS, NAVIGATION, NavState, covariance
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.filter_factory import FilterFactory
+from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
+from hybrid_ins.core.inertial.state import DP, DV, EPS, NAVIGATION, NavState, covariance
+from hybrid_ins.core.navigator.phases import Searching, search_clock
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
+from hybrid_ins.core.update.kalman import inject
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.filter_factory import FilterFactory
+from hybrid_ins.ros.messages.conversions import SWAP
 from tools.paper.runs import Run, draw
 
 AUTO = {"alignment.heading_source": "auto"}

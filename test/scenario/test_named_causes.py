@@ -9,7 +9,7 @@ import pytest
 from support.drive import KNOWN, Drive
 
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.ros.conversions import set_stamp
+from hybrid_ins.ros.messages.conversions import set_stamp
 
 
 class Spoiled(Drive):

@@ -8,15 +8,22 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from support.scenes import Parts, make_navigator, play, scene, stamp
 
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.imu_health import FaultKind, ImuFault, find_fault
-from hybrid_ins.core.ins_filter import NOT_MEASURED
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.navigator_events import GapBridged, RestartCause, Restarted
-from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.stamp_check import StampFault
-from hybrid_ins.core.state import ANTENNA_VARIANCE, COVARIANCE, DIAGONAL, LLA, VELOCITY, covariance
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.ins_filter import NOT_MEASURED
+from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.inertial.state import (
+    ANTENNA_VARIANCE,
+    COVARIANCE,
+    DIAGONAL,
+    LLA,
+    VELOCITY,
+    covariance,
+)
+from hybrid_ins.core.navigator.events import GapBridged, RestartCause, Restarted
+from hybrid_ins.core.navigator.stamp_check import StampFault
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.runs import Q, fly, moved
 
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.rotations import quat_from_rotvec, quat_multiply
-from hybrid_ins.core.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import quat_from_rotvec, quat_multiply
+from hybrid_ins.core.inertial.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw

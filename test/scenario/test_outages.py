@@ -9,14 +9,14 @@ import pytest
 from support.outage_drives import calibrated, drive, recording
 
 from hybrid_ins import parameters
-from hybrid_ins.core.constraint_observer import ConstraintObserver
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.fix_watch import OUTAGE_NS
-from hybrid_ins.core.near_standstill import NearStandstillDetector
-from hybrid_ins.core.nonholonomic import NonHolonomic, Nose
-from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver
+from hybrid_ins.core.constraints.near_standstill import NearStandstillDetector
+from hybrid_ins.core.constraints.nonholonomic import NonHolonomic, Nose
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.navigator.fix_watch import OUTAGE_NS
 from hybrid_ins.noise_regressor.slip import SlipReader
-from hybrid_ins.ros.vehicle_input import VehicleInput
+from hybrid_ins.ros.aids.vehicle_input import VehicleInput
 from hybrid_ins.simulation.road_vehicles import MEASURED, MEMS, ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import VEHICLES, Vehicle, record
 from tools.robustness.endurance import smooth_drive

@@ -10,7 +10,7 @@ import pytest
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
-from hybrid_ins.ros.conversions import stamp_ns
+from hybrid_ins.ros.messages.conversions import stamp_ns
 
 DUE = "/imu/bias", "/q/accelerometer", "/q/gyroscope", "/gnss/filtered", "/diagnostics"
 

@@ -12,12 +12,12 @@ from support.runs import through_estimator
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import simulate
-from hybrid_ins.core.forward_record import RunRecord
+from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.replay import replay_bag
-from hybrid_ins.ros.smoothed import smoothed_run
+from hybrid_ins.ros.estimator.smoothed import smoothed_run
 from hybrid_ins.row_file import ObjectFile, RowFile
 from tools.paper.runs import Run, Scenario, draw
 

@@ -9,9 +9,9 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.core.standstill import FixMotion
-from hybrid_ins.core.state import total_std
-from hybrid_ins.ros.conversions import stamp_ns
+from hybrid_ins.core.imu.standstill import FixMotion
+from hybrid_ins.core.inertial.state import total_std
+from hybrid_ins.ros.messages.conversions import stamp_ns
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, record
 from tools.vehicles import calibrated, campaign
 from tools.vehicles.drives import from_simulation

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import earth
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_matrix, quat_from_rpy
-from hybrid_ins.core.state import (
+from hybrid_ins.core.inertial import earth
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_matrix, quat_from_rpy
+from hybrid_ins.core.inertial.state import (
     BIAS_A,
     BIAS_G,
     LAST_F,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.runs import stamped_early, through_estimator
 
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, LLA
+from hybrid_ins.ros.estimator.estimator import Estimator
 from tools.paper.runs import Run, Scenario, draw
 
 SCENE = Scenario("flight", rate=100.0, duration=45.0)

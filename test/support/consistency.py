@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from hybrid_ins.core.state import Array
+from hybrid_ins.core.inertial.state import Array
 from hybrid_ins.simulation.sensors import ImuErrors
 from tools.paper.montecarlo import Method, fly_all
 from tools.paper.runs import Scenario

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import strategies as st
 from support.analytic_motion import EARTH_RATE_E
 
-from hybrid_ins.core.kalman import inject
-from hybrid_ins.core.rotations import quat_from_rpy
-from hybrid_ins.core.state import LAST_W, N_ERROR, Array, NavState
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
+from hybrid_ins.core.inertial.state import LAST_W, N_ERROR, Array, NavState
+from hybrid_ins.core.update.kalman import inject
 
 STEP = np.repeat([30.0, 1.0, 1e-4, 0.1, 0.01], 3)  # m, m/s, rad, m/s², rad/s
 

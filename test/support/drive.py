@@ -9,10 +9,10 @@ from support.scenes import scene
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.ros.cdr import ImuFields
-from hybrid_ins.ros.conversions import FLIP, set_stamp
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.conversions import FLIP, set_stamp
+from hybrid_ins.ros.messages.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, quadrotor_flight
 
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -13,7 +13,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
-from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder
+from hybrid_ins.ros.messages.cdr import ImuDecoder, OdometryEncoder
 
 
 class EchoNode(Node):  # type: ignore[misc]

@@ -10,11 +10,11 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.state import covariance
-from hybrid_ins.ros.cdr import ImuFields
-from hybrid_ins.ros.conversions import set_stamp
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.reports import Diagnostics, Report, Status
+from hybrid_ins.core.inertial.state import covariance
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.conversions import set_stamp
+from hybrid_ins.ros.reporting.reports import Diagnostics, Report, Status
 
 EPOCH_NS = 1_700_000_000_000_000_000
 ODD = np.array(

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from support.runs import begin
 
-from hybrid_ins.core.measurements import Standstill
+from hybrid_ins.core.update.measurements import Standstill
 from hybrid_ins.simulation.motions import START_LLA, Motion
 from tools.paper.runs import Scenario, draw
 

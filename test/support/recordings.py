@@ -14,12 +14,12 @@ import pytest
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli.evaluate import main
-from hybrid_ins.core import rotations
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial import rotations
+from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Verdicts
-from hybrid_ins.ros.cdr import OdometryEncoder
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.cdr import OdometryEncoder
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 START_NS = 1_700_000_000_000_000_000
 DATUM = np.array([np.radians(32.1), np.radians(34.8), 0.0])

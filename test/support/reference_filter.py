@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from support.analytic_motion import Series, Truth, Wave, travel
 
-from hybrid_ins.core import propagation
-from hybrid_ins.core.error_model import system_matrix
-from hybrid_ins.core.state import (
+from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.error_model import system_matrix
+from hybrid_ins.core.inertial.state import (
     B_A,
     B_G,
     BIAS_A,
@@ -31,7 +31,7 @@ from hybrid_ins.core.state import (
     Array,
     covariance,
 )
-from hybrid_ins.core.strapdown import mechanise
+from hybrid_ins.core.inertial.strapdown import mechanise
 
 NO_ROWS = np.empty((0, N_NAV))
 PSD_MEMS = np.repeat([4e-6, 4e-8, 1e-6, 1e-10], 3)

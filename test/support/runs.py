@@ -9,20 +9,20 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.events import ScatterInForce
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.forward_record import RunRecord
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
-from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
-from hybrid_ins.core.position_jumps import PositionJumps
-from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.core.filter.events import ScatterInForce
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.noise.position_jumps import PositionJumps
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.smoothing.forward_record import RunRecord
+from hybrid_ins.core.update.gate import Gate
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
 from tools.paper.runs import Run
 
 Q = np.repeat([4e-4, 4e-6], 3)

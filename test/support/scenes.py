@@ -8,19 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hybrid_ins.core.alignment import AlignmentSettings, yaw_of
-from hybrid_ins.core.chi_square import quantile
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.fix_speed import SpeedCheck
-from hybrid_ins.core.gate import Gate, Verdict
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.navigator import Navigator
-from hybrid_ins.core.navigator_events import Event
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
-from hybrid_ins.core.rotations import rpy_from_quat
-from hybrid_ins.core.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
+from hybrid_ins.core.alignment.alignment import AlignmentSettings, yaw_of
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import rpy_from_quat
+from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
+from hybrid_ins.core.navigator.events import Event
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.update.chi_square import quantile
+from hybrid_ins.core.update.gate import Gate, Verdict
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import Motion
 from hybrid_ins.simulation.sensors import (
     RTK_STD,
@@ -37,7 +37,7 @@ Q = np.repeat([4e-4, 4e-6], 3)
 
 
 class Parts:
-    """Filter parts with constant noise, see `hybrid_ins.core.phases.FilterParts`."""
+    """Filter parts with constant noise, see `hybrid_ins.core.navigator.phases.FilterParts`."""
 
     def __init__(self, lever_b: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.settings = FilterSettings(lever_b=np.asarray(lever_b))

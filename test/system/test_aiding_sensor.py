@@ -11,9 +11,9 @@ import pytest
 from support.paths import ROOT
 
 from hybrid_ins import parameters
-from hybrid_ins.core.aiding_measurements import BarometricHeight
-from hybrid_ins.ros.conversions import Refused
-from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.core.aiding.measurements import BarometricHeight
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages.conversions import Refused
 
 BLOCKS = 5
 

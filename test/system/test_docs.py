@@ -23,8 +23,8 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.parameters import parameter_file
-from hybrid_ins.ros.interface import SUBSCRIBED
-from hybrid_ins.ros.message_types import OUTPUTS
+from hybrid_ins.ros.messages.interface import SUBSCRIBED
+from hybrid_ins.ros.output.message_types import OUTPUTS
 from tools import generate_docs, tutorial
 from tools.processes import program
 

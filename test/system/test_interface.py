@@ -13,7 +13,7 @@ from support.ros_nodes import ENVIRONMENT, Client, start_node
 
 from hybrid_ins.parameters.declared import PARAMETERS
 from hybrid_ins.parameters.parameter import Parameter
-from hybrid_ins.ros import interface
+from hybrid_ins.ros.messages import interface
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

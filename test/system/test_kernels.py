@@ -25,7 +25,7 @@ LOADED = """
 import numpy as np
 from hybrid_ins import kernel_cache
 kernel_cache.enable()
-from hybrid_ins.ros import imu_admission
+from hybrid_ins.ros.estimator import imu_admission
 imu_admission.end_of_stretch(np.arange(1), np.ones((1, 3)), np.ones((1, 3)), 0, 0, 1, 2, 9.0, 9.0)
 stats = imu_admission.end_of_stretch.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
@@ -152,7 +152,8 @@ def test_importing_kernels_touches_no_file(tmp_path: Path) -> None:
     package = tmp_path / "hybrid_ins"
     shutil.copytree(ROOT / "hybrid_ins", package, ignore=shutil.ignore_patterns("__pycache__"))
     before = sorted(tmp_path.rglob("*"))
-    code = "import hybrid_ins.kernels, hybrid_ins.core.navigator, hybrid_ins.ros.estimator"
+    modules = ("kernels", "core.navigator.navigator", "ros.estimator.estimator")
+    code = "import " + ", ".join(f"hybrid_ins.{module}" for module in modules)
 
     subprocess.run(
         [sys.executable, "-B", "-c", code],

@@ -19,7 +19,7 @@ import pytest
 from support import interfaces
 from support.ros_nodes import ENVIRONMENT, Client, start_node
 
-from hybrid_ins.core.earth import LocalFrame, lla_to_ecef
+from hybrid_ins.core.inertial.earth import LocalFrame, lla_to_ecef
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

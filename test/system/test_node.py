@@ -20,8 +20,8 @@ from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, start_pl
 
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
-from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
-from hybrid_ins.ros.static_transforms import NOT_PLACED
+from hybrid_ins.core.inertial.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from hybrid_ins.ros.placement.static_transforms import NOT_PLACED
 from tools.processes import Processes
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

@@ -230,9 +230,9 @@ import math
 from sensor_msgs.msg import NavSatFix
 import hybrid_ins.ros.node
 from hybrid_ins import kernels, parameters
-from hybrid_ins.ros.cdr import ImuFields
-from hybrid_ins.ros.conversions import set_stamp
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.conversions import set_stamp
+from hybrid_ins.ros.estimator.estimator import Estimator
 
 kernels.prepare()
 given = {"alignment.heading_source": "parameter"}

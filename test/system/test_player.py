@@ -17,7 +17,7 @@ from hybrid_ins.bags.messages import IMU, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import play as program
-from hybrid_ins.ros.cdr import ImuDecoder
+from hybrid_ins.ros.messages.cdr import ImuDecoder
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

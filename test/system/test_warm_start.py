@@ -11,7 +11,7 @@ import pytest
 from support.ros_nodes import ENVIRONMENT, Client, start_node, until
 
 from hybrid_ins.cli import simulate
-from hybrid_ins.ros.saved_state import SavedState
+from hybrid_ins.ros.start.saved_state import SavedState
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

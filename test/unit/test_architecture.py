@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -32,11 +33,15 @@ NOT_FOR_EVERYONE = {
 }
 
 
-LONG_FILES = {"hybrid_ins.parameters.declared"}
+Nodes = Mapping[str, structure.Module] | Mapping[str, structure.Part]
 
 
 def imports(module: str) -> frozenset[str]:
     return MODULES[module].imports
+
+
+def cycles(names: Nodes) -> set[str]:
+    return structure.in_cycles({name: node.imports for name, node in names.items()})
 
 
 @pytest.mark.parametrize("module", sorted(CORE))
@@ -81,8 +86,9 @@ def test_nothing_but_programs_imports_a_program() -> None:
     assert all(floor(m) == FLOORS["cli"] for m in users), users
 
 
-def test_no_import_goes_in_a_circle() -> None:
-    assert not structure.in_cycles(MODULES)
+@pytest.mark.parametrize("names", [MODULES, structure.parts(MODULES)], ids=["modules", "folders"])
+def test_no_import_goes_in_a_circle(names: Nodes) -> None:
+    assert not cycles(names)
 
 
 def test_no_more_files_and_classes_are_long() -> None:
@@ -94,7 +100,7 @@ def test_an_imu_message_is_a_few_steps_from_the_covariance_equation() -> None:
     road = structure.imu_road()
 
     assert road[0] == "ros/live_estimator.py: _on_imu"
-    assert road[-1] == "core/_covariance_step.py: covariance_step"
+    assert road[-1] == "core/inertial/_covariance_step.py: covariance_step"
     assert len({step.partition(":")[0] for step in road[:-1]}) <= 5
     assert len(road) <= 7
 
@@ -114,9 +120,28 @@ def test_a_cycle_and_what_is_too_long_are_found(tmp_path: Path) -> None:
 
     modules = structure.read_modules(tmp_path, "some")
 
-    assert structure.in_cycles(modules) == {"some.a", "some.b", "some.c", "some.d"}
+    assert cycles(modules) == {"some.a", "some.b", "some.c", "some.d"}
     assert structure.long_files(modules) == {"some.d": 401}
     assert structure.long_classes(modules) == {"some.e.Long": 251}
+
+
+def test_folders_that_import_each_other_are_found(tmp_path: Path) -> None:
+    for name, text in {
+        "hybrid_ins/x/a": "from hybrid_ins.y import b",
+        "hybrid_ins/x/c": "",
+        "hybrid_ins/y/b": "",
+        "hybrid_ins/y/d": "import hybrid_ins.x.c",
+        "hybrid_ins/e": "import hybrid_ins.y.b",
+        "hybrid_ins/y/f": "import hybrid_ins.g",
+        "hybrid_ins/g": "",
+    }.items():
+        path = tmp_path / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    modules = structure.read_modules(tmp_path)
+
+    assert not cycles(modules)
+    assert cycles(structure.parts(modules)) == {f"hybrid_ins.{part}" for part in "xye"}
 
 
 def test_dictionary_imports_nothing() -> None:

@@ -13,19 +13,19 @@ import numpy as np
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import N_SAID, POSITION, empty_states, innovations
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
-from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
-from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.state import PSD
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.state import PSD
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.update.gate import Gate
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.noise_regressor.reader import NoiseReader
-from hybrid_ins.ros.cdr import ImuDecoder, OdometryEncoder, StampedEncoder
-from hybrid_ins.ros.conversions import set_stamp
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages.cdr import ImuDecoder, OdometryEncoder, StampedEncoder
+from hybrid_ins.ros.messages.conversions import set_stamp
 from tools.benchmark.contenders import (
     FIX_RATE,
     LEVER,

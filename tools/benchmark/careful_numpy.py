@@ -13,7 +13,7 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import earth
+from hybrid_ins.core.inertial import earth
 
 Array = NDArray[np.float64]
 

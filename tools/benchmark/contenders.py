@@ -8,12 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import propagation
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.iterated_update import update
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.state import LAST_F, LAST_W, LLA, N_NAV, PSD, covariance
+from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.state import LAST_F, LAST_W, LLA, N_NAV, PSD, covariance
+from hybrid_ins.core.update.iterated_update import update
+from hybrid_ins.core.update.measurements import PositionFix
 from tools.benchmark.careful_numpy import CarefulFilter
 from tools.paper.runs import Run
 

@@ -31,8 +31,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
-from hybrid_ins.ros.cdr import StampedEncoder
-from hybrid_ins.ros.conversions import DIAGONAL, set_stamp
+from hybrid_ins.ros.messages.cdr import StampedEncoder
+from hybrid_ins.ros.messages.conversions import DIAGONAL, set_stamp
 
 FIX_PERIOD_NS, AIDING_PERIOD_NS = 200_000_000, 20_000_000
 NOISE = np.array([0.002] * 3 + [0.02] * 3)  # rad/s, m/s²: an MPU-9250

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.core.earth import curvature_scale, lla_to_ecef
+from hybrid_ins.core.inertial.earth import curvature_scale, lla_to_ecef
 from tools.benchmark.calls import measure_calls
 from tools.benchmark.contenders import (
     FIX_RATE,

@@ -8,16 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.iterated_update import update as correct
-from hybrid_ins.core.kalman import inject
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.smoother import Smoother
-from hybrid_ins.core.smoother_segments import Start, Update
-from hybrid_ins.core.smoother_step import run_and_keep
-from hybrid_ins.core.state import (
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.state import (
     B_A,
     B_G,
     BIAS_A,
@@ -37,6 +31,12 @@ from hybrid_ins.core.state import (
     NavState,
     covariance,
 )
+from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.smoother import Smoother
+from hybrid_ins.core.smoothing.step import run_and_keep
+from hybrid_ins.core.update.iterated_update import update as correct
+from hybrid_ins.core.update.kalman import inject
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 

@@ -10,7 +10,7 @@ from matplotlib import ticker
 from scipy import signal
 
 from hybrid_ins.plotting.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
-from hybrid_ins.ros.trajectory import enu_from_lla
+from hybrid_ins.ros.messages.trajectory import enu_from_lla
 from tools.field.flights import Fixes, Flight, Flown
 from tools.paper.figures import _axes, _save
 

@@ -18,14 +18,14 @@ from hybrid_ins.bags.flight_bag import GnssRecord, stamps
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.forward_record import RunRecord
-from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.hindsight import clock_offsets
-from hybrid_ins.core.measurements import clock_offset_ns
-from hybrid_ins.core.navigator_events import Event
-from hybrid_ins.core.noise import NoiseEstimate
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.core.samples import ImuRing
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.navigator.events import Event
+from hybrid_ins.core.noise.process_noise import NoiseEstimate
+from hybrid_ins.core.smoothing.forward_record import RunRecord
+from hybrid_ins.core.smoothing.hindsight import clock_offsets
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import clock_offset_ns
 from hybrid_ins.dataset.column_map import load_map
 from hybrid_ins.dataset.convert import DEFAULT_MAP, make_fixes, make_truth
 from hybrid_ins.dataset.csv_flight import read_attitude, read_imu, read_position
@@ -35,12 +35,12 @@ from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run import Verdicts
 from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.resources import share_path
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.smoothed import smoothed_run
-from hybrid_ins.ros.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.estimator.smoothed import smoothed_run
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 from hybrid_ins.simulation.sensors import RTK_STD
 
 SESSIONS = {"first": (2, 3, 4, 5, 6, 7), "second": (16, 17, 18, 19, 20, 21)}

@@ -16,12 +16,12 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.cli import options, program
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.noise import ProcessNoise
-from hybrid_ins.core.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
-from hybrid_ins.core.smoother import Smoother
-from hybrid_ins.core.smoother_segments import Start, Update
-from hybrid_ins.core.state import DP, DV, EPS, LLA, QUAT, VELOCITY, covariance
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from hybrid_ins.core.inertial.state import DP, DV, EPS, LLA, QUAT, VELOCITY, covariance
+from hybrid_ins.core.noise.process_noise import ProcessNoise
+from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.smoother import Smoother
 from hybrid_ins.evaluation.result import Errors, Result
 from hybrid_ins.evaluation.statistics import nees
 from hybrid_ins.plotting.style import BLUE, ORANGE

@@ -16,7 +16,7 @@ from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation.sensors import ImuErrors
 from tools.field.flights import Fixes, Flight, as_recording, fixes, fly, load
 from tools.field.methods import (

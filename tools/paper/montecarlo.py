@@ -25,29 +25,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import parameters
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.events import NoiseChange
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.noise import (
+from hybrid_ins.core.filter.events import NoiseChange
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import (
+    left_jacobian,
+    quat_conjugate,
+    quat_multiply,
+    rotvec_from_quat,
+)
+from hybrid_ins.core.inertial.state import DP, N_ERROR, NavState
+from hybrid_ins.core.noise.innovation import InnovationNoise
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.noise.process_noise import (
     PAPER_CONSTANTS,
     ConstantNoise,
     LearnedNoise,
     NoiseModel,
     ProcessNoise,
 )
-from hybrid_ins.core.noise_innovation import InnovationNoise
-from hybrid_ins.core.noise_multiple_model import NoiseMultipleModelBank
-from hybrid_ins.core.rotations import (
-    left_jacobian,
-    quat_conjugate,
-    quat_multiply,
-    rotvec_from_quat,
-)
-from hybrid_ins.core.samples import ImuRing
-from hybrid_ins.core.state import DP, N_ERROR, NavState
+from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.statistics import nees
 from hybrid_ins.noise_regressor.reader import NoiseReader

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.rotations import (
     quat_from_rotvec,
     quat_multiply,
 )
-from hybrid_ins.core.samples import SAMPLE_DTYPE
-from hybrid_ins.core.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.core.inertial.state import B_A, B_G, DP, DV, EPS, N_ERROR, NavState
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import Motion, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import earth
+from hybrid_ins.core.inertial import earth
 
 Array = NDArray[np.float64]
 

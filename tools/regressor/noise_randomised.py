@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core import noise_spectral
+from hybrid_ins.core.noise import spectral as noise_spectral
 from tools.regressor.noise_data import LEVEL_RANGE, RATE_RANGE_HZ, Array, Windows
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from tools.regressor.noise_data import PAPER_RATE_HZ, PAPER_TRAJECTORIES, Windows, ideal_readings
 from tools.regressor.noise_randomised import (
     log_uniform,

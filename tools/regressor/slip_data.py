@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.sensors import to_body
 from hybrid_ins.simulation.vehicles import Recording
 from tools.vehicles.roads import changing_road, random_road

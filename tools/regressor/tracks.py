@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from hybrid_ins.core.earth import normal_gravity
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial.earth import normal_gravity
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_multiply,
@@ -25,7 +25,7 @@ from hybrid_ins.core.rotations import (
 )
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.run_reader import read_run
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

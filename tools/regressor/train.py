@@ -50,7 +50,7 @@ training."""
 
 SPECTRAL_TEXT = """\
 `hybrid_ins.noise_regressor.models.SpectralRegressor`: the plateau of
-`hybrid_ins.core.noise_spectral`, used where no model file can be used. It needs no model file and
+`hybrid_ins.core.noise.spectral`, used where no model file can be used. It needs no model file and
 no training: it removes the cubic trend and the slowest tenth of the DCT modes, and averages the
 blocks of modes that agree with the low end, or, where that end falls steeply as motion does, with
 the floor above it.

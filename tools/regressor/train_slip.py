@@ -25,9 +25,9 @@ except ImportError as missing:
 import numpy as np
 
 from hybrid_ins.cli import options, program
-from hybrid_ins.core.constraint_observer import SLIP_TIME
+from hybrid_ins.core.constraints.constraint_observer import SLIP_TIME
 from hybrid_ins.noise_regressor.onnx_model import FORMAT
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 from tools.regressor import slip_data
 from tools.regressor.slip_network import SlipNet, features_of, onnx_slip
 

@@ -15,7 +15,7 @@ from hybrid_ins.bags.messages import TYPES as ROS_TYPES
 from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.ros.conversions import KNOWN, set_stamp, stamp_ns
+from hybrid_ins.ros.messages.conversions import KNOWN, set_stamp, stamp_ns
 
 IMU, FIX, VELOCITY, POSE = "/imu/data", "/gnss/fix", "/gnss/velocity", "/initialpose"
 TYPES = {

@@ -22,15 +22,15 @@ from scipy.interpolate import make_interp_spline
 
 from hybrid_ins import kernel_cache, parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.earth import curvature_scale
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.noise_multiple_model_step import OFFSETS
-from hybrid_ins.core.state import DP, LLA, PLACES, SENSITIVITY, covariance
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros import estimator as ros_estimator
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.state import DP, LLA, PLACES, SENSITIVITY, covariance
+from hybrid_ins.core.noise.multiple_model_step import OFFSETS
+from hybrid_ins.ros.estimator import estimator as ros_estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.ros.trajectory import trajectory_from_odometry
+from hybrid_ins.ros.messages.trajectory import trajectory_from_odometry
 
 INPUTS = ("/gnss/fix", "/gnss/velocity")  # that a replay may carry over
 ODOMETRY = struct.Struct("<4xiI")

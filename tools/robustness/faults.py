@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.ros.conversions import DIAGONAL
+from hybrid_ins.ros.messages.conversions import DIAGONAL
 from tools.robustness.disturbances import (
     FIX,
     IMU,

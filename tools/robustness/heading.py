@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.findings import calibrate
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.messages.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, car_drive, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 from tools.field import flights

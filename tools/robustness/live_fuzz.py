@@ -21,7 +21,7 @@ import numpy as np
 
 from hybrid_ins.bags.messages import FIX, IMU, INITIAL_POSE, TYPES, VELOCITY, new_message
 from hybrid_ins.cli import simulate
-from hybrid_ins.ros import aiding_sources
+from hybrid_ins.ros.aids import aiding_sources
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.soak import resident
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from hybrid_ins import kernels, parameters
 from hybrid_ins.bags.messages import FIX, new_message
-from hybrid_ins.core.state import covariance
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
+from hybrid_ins.core.inertial.state import covariance
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample
 from tools.robustness.soak import GROWTH, SETTLED, resident

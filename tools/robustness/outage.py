@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid_ins import progress
-from hybrid_ins.core import chi_square
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.state import N_ERROR
+from hybrid_ins.core.inertial.state import N_ERROR
+from hybrid_ins.core.update import chi_square
+from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.evaluation.statistics import mean_band
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight
 from tools.paper import montecarlo

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.ros.conversions import stamp_ns
+from hybrid_ins.ros.messages.conversions import stamp_ns
 from tools.processes import Processes, isolated_ros, program
 
 SETTLED = 0.1  # share of the run after which memory counts

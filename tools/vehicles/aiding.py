@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.rotations import quat_from_rpy, rpy_from_quat
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.aiding_sources import TOPICS
+from hybrid_ins.core.inertial.rotations import quat_from_rpy, rpy_from_quat
+from hybrid_ins.ros.aids.aiding_sources import TOPICS
+from hybrid_ins.ros.messages import conversions
 from hybrid_ins.simulation.sensors import gauss_markov, to_body
 from hybrid_ins.simulation.vehicles import Recording
 from tools.vehicles.drives import EPOCH_NS

@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import parameters
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_rpy
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.ros.messages.trajectory import Array
 from tools.vehicles import drives as vehicle_drives
 from tools.vehicles.outages import BETWEEN as BETWEEN_OUTAGES
 from tools.vehicles.outages import HEADER as OUTAGES_HEADER

@@ -24,7 +24,7 @@ from hybrid_ins.bags.flight_bag import UNKNOWN_VARIANCE, Entry, set_vector, stam
 from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.parameters import parameter_file
-from hybrid_ins.ros.conversions import DIAGONAL
+from hybrid_ins.ros.messages.conversions import DIAGONAL
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.parallel import run_parallel
 from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid_ins import parameters
-from hybrid_ins.core import earth
+from hybrid_ins.core.inertial import earth
 from hybrid_ins.simulation.sensors import gauss_markov, in_outage
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
 from tools.parallel import run_parallel

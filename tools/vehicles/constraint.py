@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins import parameters
-from hybrid_ins.ros.vehicle_input import PERIOD_NS
+from hybrid_ins.ros.aids.vehicle_input import PERIOD_NS
 from hybrid_ins.simulation.vehicles import record
 from tools.vehicles.drives import AGE, Drive, from_simulation, load
 from tools.vehicles.judge import Judged, run

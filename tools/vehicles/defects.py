@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid_ins.core import earth
-from hybrid_ins.core.rotations import matrix_from_quat, quat_from_matrix, quat_from_rpy
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial import earth
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_matrix, quat_from_rpy
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.sensors import in_outage
 from hybrid_ins.simulation.vehicles import Recording, engine_phases
 

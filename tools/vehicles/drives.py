@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hybrid_ins.core.rotations import rpy_from_quat
+from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Array, Stamps
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Array, Stamps
 from hybrid_ins.simulation.vehicles import Recording
 
 EPOCH_NS = 1_000_000_000_000  # added to all times: no stamp is zero

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.gate import Verdict
-from hybrid_ins.core.navigator_events import Event
-from hybrid_ins.core.rotations import matrix_from_quat
-from hybrid_ins.ros import conversions
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.estimator import Estimator
-from hybrid_ins.ros.imu_block import handle_imu_block
-from hybrid_ins.ros.reports import MapOdometry, Report
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.navigator.events import Event
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_block import handle_imu_block
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Array
+from hybrid_ins.ros.reporting.reports import MapOdometry, Report
 from tools.vehicles.aiding import Aiding
 from tools.vehicles.drives import Drive
 

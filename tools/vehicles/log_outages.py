@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Array
 from tools.parallel import run_parallel
 from tools.vehicles.drives import Drive, from_log
 from tools.vehicles.judge import at_offset_in_force, run

@@ -21,10 +21,10 @@ from hybrid_ins import parameters
 from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording as Calibrating
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.scale_errors import N_SCALE, SHARES
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.sensor_errors.scale_errors import N_SCALE, SHARES
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import VEHICLES, Recording, Vehicle, fixed_wing, record
 from tools.vehicles.aiding import Aiding, wheels

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 from hybrid_ins.simulation.motions import GRID_STEP, Motion, smoothed
 from hybrid_ins.simulation.road_vehicles import MEASURED, MEMS, Ride, RoadCar
 from hybrid_ins.simulation.sensors import gauss_markov

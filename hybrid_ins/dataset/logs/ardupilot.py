@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.rotations import quat_from_rpy
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
     FIX,
@@ -31,8 +31,8 @@ from hybrid_ins.dataset.logs.series import (
     diagonal,
 )
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.messages.trajectory import Array
 
 DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
 MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import displacement
+from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 GRID = 0.1  # s
 LEVEL_TIME = 2.0  # s, over which the direction of the specific force is averaged

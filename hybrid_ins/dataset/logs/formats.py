@@ -8,7 +8,7 @@ from types import ModuleType
 from hybrid_ins.dataset.logs import ardupilot, gnss_text, imu_text, nmea, rtklib, ubx, ulog
 from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog, head_of
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 FORMATS: tuple[ModuleType, ...] = (ulog, ardupilot, rtklib, ubx, nmea, gnss_text, imu_text)
 """Each has ``recognise(head)``, and ``read_imu(path)`` or ``read_gnss(path)`` or both."""

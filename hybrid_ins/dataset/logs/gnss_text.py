@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.dataset.logs import text
 from hybrid_ins.dataset.logs.series import (
     FIX,
@@ -35,7 +35,7 @@ from hybrid_ins.dataset.logs.series import (
     utc_from_gps,
 )
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 NAMES = {  # quantity: what its column may be called, unit and punctuation taken off
     "week": "week|gpsweek|gwk|wn",

@@ -17,7 +17,7 @@ import numpy as np
 from hybrid_ins.dataset.logs import text
 from hybrid_ins.dataset.logs.series import WEEK, ImuLog, text_of, utc_from_gps
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 GRAVITY = 9.80665  # m/s²
 UNITS_OF_GRAVITY = {"m/s²": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY}

@@ -21,7 +21,7 @@ from hybrid_ins.dataset.logs.clock_match import (
 )
 from hybrid_ins.dataset.logs.series import GnssLog, ImuLog
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 UPRIGHT = 0.7  # cosine of the mean specific force with an axis that is vertical
 STEADY = 5.0  # m/s², of the mean specific force: gravity in a vehicle that mostly stays upright

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.earth import C_en, ecef_to_lla
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.core.inertial.earth import C_en, ecef_to_lla
+from hybrid_ins.ros.messages.trajectory import Array
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
 GPS_EPOCH = 315_964_800  # 1980-01-06T00:00:00Z [s since 1970]

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from hybrid_ins.ros.trajectory import Array
+from hybrid_ins.ros.messages.trajectory import Array
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%Y%m%d", "%d%m%y", "%d/%m/%Y", "%m/%d/%Y")
 YEARS = 1980, 2100  # of a date; others are misread

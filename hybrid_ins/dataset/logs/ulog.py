@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.rotations import slerp
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import slerp
 from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
     FIX,
@@ -26,7 +26,7 @@ from hybrid_ins.dataset.logs.series import (
     diagonal,
 )
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.messages.conversions import FLIP
 
 GNSS_TOPICS = ("vehicle_gps_position", "sensor_gps")
 STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}

@@ -6,7 +6,7 @@ import pytest
 from hybrid_ins.calibration.axes import axes_fault
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.parameters import defaults
-from hybrid_ins.ros.axes_monitor import describe
+from hybrid_ins.ros.review.axes_monitor import describe
 from hybrid_ins.simulation.motions import quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 

@@ -33,16 +33,16 @@ from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.report import table
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.cli.calibrate import main
-from hybrid_ins.core.filter_noise import FilterNoise
-from hybrid_ins.core.filter_settings import FilterSettings
-from hybrid_ins.core.gate import Gate
-from hybrid_ins.core.ins_filter import InsFilter
-from hybrid_ins.core.measurements import PositionFix
-from hybrid_ins.core.noise import ConstantNoise, ProcessNoise
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.state import N_NAV, PSD, NavState
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.inertial.state import N_NAV, PSD, NavState
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.update.gate import Gate
+from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.parameters import parameter_file
-from hybrid_ins.ros.conversions import FLIP, first_biases
+from hybrid_ins.ros.messages.conversions import FLIP, first_biases
 from hybrid_ins.simulation import motions, sensors
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def first_state(run: Recording) -> NavState:
 
 def test_compiled_pass_is_the_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     # GIVEN one recording and one first state, and no weights: the pass has its own for outliers
-    monkeypatch.setattr("hybrid_ins.core.gate.weight", lambda nis, m: 1.0)
+    monkeypatch.setattr("hybrid_ins.core.update.gate.weight", lambda nis, m: 1.0)
     monkeypatch.setattr(Gate, "ordinary_limit", lambda *_: -1.0)  # weights compiled in
     run = a_run(duration=10.0)
     initial = first_state(run)

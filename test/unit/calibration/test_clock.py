@@ -16,7 +16,7 @@ from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.earth import curvature_scale
+from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
 

@@ -12,7 +12,7 @@ from hybrid_ins.calibration.filter_pass import Nominal
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.likelihood import Likelihood
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.ros.conversions import first_biases
+from hybrid_ins.ros.messages.conversions import first_biases
 from hybrid_ins.simulation import motions
 
 DURATION, RATE = 60.0, 50.0

@@ -12,7 +12,7 @@ from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import Prior
 from hybrid_ins.calibration.misfit import misfits
-from hybrid_ins.core.state import N_NAV, NavState
+from hybrid_ins.core.inertial.state import N_NAV, NavState
 
 PERIOD = 0.01
 LEVELS = np.repeat([1e-2, 1e-5], 3)

@@ -12,7 +12,7 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.recording import WHEELS, read_recording
 from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import set_stamp
+from hybrid_ins.ros.messages.conversions import set_stamp
 from tools.robustness.disturbances import Flight
 from tools.robustness.lasting_faults import by_another_clock
 

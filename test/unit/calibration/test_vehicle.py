@@ -10,14 +10,14 @@ from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.vehicle import findings_of, observe_nose, vehicle_findings
-from hybrid_ins.core.aiding_measurements import BodyVelocity
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
     quat_from_rpy,
 )
-from hybrid_ins.core.state import N_NAV, NavState
+from hybrid_ins.core.inertial.state import N_NAV, NavState
 from hybrid_ins.simulation.sensors import to_body
 from hybrid_ins.simulation.vehicles import Recording as Drive
 from hybrid_ins.simulation.vehicles import record

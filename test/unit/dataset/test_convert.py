@@ -18,8 +18,8 @@ from support.paths import ROOT
 from hybrid_ins.bags.flight_bag import EPOCH_NS
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli.convert import main
-from hybrid_ins.core.earth import LocalFrame
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_multiply,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.core.earth import C_en, LocalFrame, lla_to_ecef
+from hybrid_ins.core.inertial.earth import C_en, LocalFrame, lla_to_ecef
 from hybrid_ins.dataset.convert_logs import convert_logs
 from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, nmea, rtklib, ubx, ulog
 from hybrid_ins.dataset.logs.clock_match import clock_offset

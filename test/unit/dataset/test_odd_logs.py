@@ -23,7 +23,7 @@ from hybrid_ins.dataset.logs.plausibility import (
 )
 from hybrid_ins.dataset.logs.series import FIX, GPS_EPOCH, GnssLog, ImuLog, diagonal
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.conversions import FLIP
+from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation import motions
 
 NOON = 1_700_049_600.0  # 2023-11-15T12:00:00Z

@@ -17,13 +17,13 @@ from support.recordings import (
     with_sigma,
 )
 
-from hybrid_ins.core import rotations
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial import rotations
+from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.evaluate import evaluate, outage_spans
 from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.table import summary, table
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 
 class TestFigures:

@@ -24,7 +24,7 @@ from support.recordings import (
 from support.streams import closed_pipe
 
 from hybrid_ins.cli.evaluate import main
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial.earth import LocalFrame
 
 
 @pytest.fixture

@@ -23,12 +23,12 @@ from support.recordings import (
     write_track,
 )
 
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.tables import COLUMNS
 from hybrid_ins.export.writer import FORMATS, check_export, export, export_bag
-from hybrid_ins.ros.conversions import SWAP
-from hybrid_ins.ros.trajectory import Trajectory
+from hybrid_ins.ros.messages.conversions import SWAP
+from hybrid_ins.ros.messages.trajectory import Trajectory
 
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}

@@ -16,14 +16,14 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
-from hybrid_ins.core.noise import LearnedNoise, NoiseEstimate
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.noise.process_noise import LearnedNoise, NoiseEstimate
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import SpectralRegressor
 from hybrid_ins.noise_regressor.reader import NoiseReader, load_regressor
-from hybrid_ins.ros.cdr import ImuFields
-from hybrid_ins.ros.conversions import mount_matrix
-from hybrid_ins.ros.estimator import Estimator
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.conversions import mount_matrix
 
 Array = NDArray[np.float64]
 TYPES = get_typestore(Stores.ROS2_JAZZY)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from hybrid_ins.core import noise_spectral
+from hybrid_ins.core.noise import spectral as noise_spectral
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor import onnx_model
 from hybrid_ins.noise_regressor.models import Regressor, SpectralRegressor

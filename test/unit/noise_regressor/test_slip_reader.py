@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from support.paths import ROOT
 
-from hybrid_ins.core.nonholonomic import Nose
-from hybrid_ins.core.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.constraints.nonholonomic import Nose
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import Regressor
 from hybrid_ins.noise_regressor.slip import HIGHEST, HOLD_NS, LOWEST, SlipReader, SlipRegressor

@@ -18,7 +18,7 @@ from support.recordings import (
     write_track,
 )
 
-from hybrid_ins.core.earth import LocalFrame
+from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.run import Run
 

@@ -1,7 +1,7 @@
 """What callbacks raise is counted and told in one line, and goes no further."""
 
 from hybrid_ins.ros.callback_guard import CallbackGuard
-from hybrid_ins.ros.input_log import InputLog
+from hybrid_ins.ros.reporting.input_log import InputLog
 
 
 def make() -> tuple[CallbackGuard, InputLog, list[str]]:

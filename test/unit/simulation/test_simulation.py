@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hybrid_ins.bags.flight_bag import EPOCH_NS
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli.simulate import main
-from hybrid_ins.core import earth
-from hybrid_ins.core.rotations import (
+from hybrid_ins.core.inertial import earth
+from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_from_matrix,
@@ -22,7 +22,7 @@ from hybrid_ins.core.rotations import (
     quat_multiply,
     rotvec_from_quat,
 )
-from hybrid_ins.core.strapdown import mechanise
+from hybrid_ins.core.inertial.strapdown import mechanise
 from hybrid_ins.simulation.motions import (
     GRID_STEP,
     Motion,

@@ -1,0 +1,384 @@
+"""
+Initial alignment: level from gravity, position and velocity from the fixes, heading from a source.
+
+Works standing and in flight: levelling averages the specific force over a window, rotated into the
+window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. There
+is an initial state for every cell of headings, see `hybrid_ins.core.alignment.multiple_model`, and
+before those one for the heading that a source gives, see `hybrid_ins.core.navigator.heading_check`.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 5.6.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment.first_motion import Motion, first_motion
+from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
+from hybrid_ins.core.imu.health import ImuFault, find_fault
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.imu.standstill import STANDING_RATE_STD, is_standing, may_be_zero
+from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
+from hybrid_ins.core.inertial.rotations import (
+    UNKNOWN_ANGLE_STD,
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_from_rpy,
+    rpy_from_quat,
+)
+from hybrid_ins.core.inertial.state import B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
+from hybrid_ins.core.update.inflation import about_antenna
+from hybrid_ins.core.update.measurements import (
+    Measurement,
+    PositionFix,
+    VelocityFix,
+    position_model,
+    velocity_model,
+)
+
+Array = NDArray[np.float64]
+
+TILT_STD_STANDING = 0.02  # rad
+TILT_STD_MOVING = 0.2  # rad
+CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
+FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
+LONGEST_SPAN = 60.0  # s, between the two fixes of a slow receiver that do
+BIAS_A_DRIFT, BIAS_G_DRIFT = 3e-3, 3e-4  # m/s²/√s, rad/s/√s: of known biases while not watched
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentSettings:
+    """
+    What alignment is given.
+
+    Attributes
+    ----------
+    heading_source : str
+        parameter, imu, course, motion, or auto, which is motion unless a heading is given by
+        hand.
+    yaw, yaw_std : float
+        Heading of b from north [rad] for ``parameter``, its uncertainty (also of ``imu``).
+    course_min_speed : float
+        [m/s].
+    window : float
+        IMU time that levelling averages [s].
+    bias_a, bias_a_std : ndarray, shape (3,)
+        Accelerometer bias, b, and its uncertainty [m/s²].
+    bias_g, bias_g_std : ndarray, shape (3,)
+        Gyroscope bias, b, and its uncertainty [rad/s].
+    """
+
+    heading_source: str
+    yaw: float
+    yaw_std: float
+    course_min_speed: float
+    window: float
+    bias_a: Array
+    bias_a_std: Array
+    bias_g: Array
+    bias_g_std: Array
+
+
+class Need(Enum):
+    """What alignment waits for."""
+
+    IMU_SAMPLES = "IMU samples"
+    WINDOW = "a full window of IMU samples"
+    USABLE_IMU = "usable IMU samples"
+    FIX = "a GNSS fix"
+    SECOND_FIX = "a second GNSS fix"
+    ORIENTATION = "an orientation in the IMU messages"
+    SPEED = "speed over ground"
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """
+    What alignment lacks.
+
+    Attributes
+    ----------
+    need : Need
+    value : float
+        The speed over ground [m/s] of ``SPEED``.
+    limit : float
+        The window [s] of ``WINDOW``, the least speed [m/s] of ``SPEED``.
+    fault : ImuFault or None
+        Why the samples are of no use.
+    """
+
+    need: Need
+    value: float = 0.0
+    limit: float = 0.0
+    fault: ImuFault | None = None
+
+    @property
+    def stage(self) -> str:
+        """Which input it is about: imu, gnss, heading."""
+        if self.need in (Need.IMU_SAMPLES, Need.WINDOW, Need.USABLE_IMU):
+            return "imu"
+        return "gnss" if self.need in (Need.FIX, Need.SECOND_FIX) else "heading"
+
+
+@dataclass(frozen=True, slots=True)
+class Biases:
+    """Biases of the IMU that an earlier filter estimated."""
+
+    t_ns: int
+    accelerometer: Array  # (3,) m/s²
+    gyroscope: Array  # (3,) rad/s
+    P: Array  # (6, 6)
+
+    @classmethod
+    def of(cls, state: NavState, t_ns: int) -> Biases:
+        """Return those of a filter's state at its stamp."""
+        return cls(t_ns, state.bias_a, state.bias_g, state.P[9:, 9:])
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What filters start with: a state for each heading that is possible."""
+
+    states: tuple[NavState, ...]
+    given: bool  # the first state has a heading that was given
+    t_ns: int
+    sample: Array  # (6,) the IMU sample at t_ns
+
+
+class Alignment:
+    """
+    Collects what the first state needs, and knows what is missing.
+
+    Parameters
+    ----------
+    settings : AlignmentSettings
+        See there.
+    ring : ImuRing
+        Recent IMU samples; its owner fills it.
+
+    Attributes
+    ----------
+    waiting : Waiting
+        What the last attempt lacked.
+    provisional : ndarray, shape (N_FLAT,), or None
+        Flat state at the last attempt where that lacked a velocity or a heading, with the
+        covariance of what may be anything. It is to be reported, not to be propagated.
+    """
+
+    def __init__(self, settings: AlignmentSettings, ring: ImuRing) -> None:
+        self._settings = settings
+        self._ring = ring
+        self._fixes: deque[PositionFix] = deque(maxlen=64)
+        self._velocity: VelocityFix | None = None
+        self._imu_yaw: float | None = None
+        self._biases: Biases | None = None
+        self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
+        self._source = settings.heading_source
+        self.waiting = Waiting(Need.IMU_SAMPLES)
+        self.provisional: Array | None = None
+
+    def observe(self, measurement: Measurement) -> None:
+        """Use a fix or a GNSS velocity."""
+        if isinstance(measurement, PositionFix):
+            self._fixes.append(measurement)
+        elif isinstance(measurement, VelocityFix):
+            self._velocity = measurement
+
+    def observe_yaw(self, yaw: float) -> None:
+        """Use the heading [rad from north] of the IMU's own orientation."""
+        self._imu_yaw = yaw
+
+    def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
+        """Use a heading [rad from north] that was true at a stamp; it overrides all sources."""
+        self._given = (t_ns, yaw, std)
+
+    def remember(self, biases: Biases) -> None:
+        """Use the biases that an earlier filter estimated."""
+        self._biases = biases
+
+    def forget_parameter(self) -> None:
+        """Ignore the heading given for the start from now on: the vehicle has moved since."""
+        if self._source == "parameter":
+            self._source, self._given = "auto", None
+
+    def attempt(self) -> Start | None:
+        """Return the first states at the last IMU sample, or None and set what is missing."""
+        self.provisional = None
+        now = int(self._ring.latest(1)["t_ns"][0])
+        if self._given is None and self._source == "parameter":
+            first_ns = int(self._ring.after(0)["t_ns"][0])
+            self._given = first_ns, self._settings.yaw, self._settings.yaw_std
+        window_ns = int(self._settings.window * 1e9)
+        samples = self._ring.after(now - window_ns - 1)
+        if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
+            self.waiting = Waiting(Need.WINDOW, limit=self._settings.window)
+            return None
+        fault = find_fault(samples)
+        if fault is not None and fault.unusable:
+            self.waiting = Waiting(Need.USABLE_IMU, fault=fault)
+            return None
+        fixes = self._recent_fixes(now)
+        if not fixes:
+            self.waiting = Waiting(Need.FIX)
+            return None
+        reading, lever_b = np.concatenate((samples["f"][-1], samples["w"][-1])), fixes[-1].lever_b
+        motion = first_motion(fixes, self._velocity, now)
+        given = self._given_heading(motion)
+        missing = self._missing(motion, given)
+        if missing is not None:
+            self.waiting = missing
+            known = given or (0.0, UNKNOWN_ANGLE_STD)
+            self.provisional = self._states(samples, motion, [known], lever_b)[0].to_flat()
+            self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
+            return None
+        yaws = [] if given is None else [given]
+        yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
+        states = self._states(samples, motion, yaws, lever_b)
+        return Start(tuple(states), given is not None, now, reading)
+
+    def _recent_fixes(self, now: int) -> list[PositionFix]:
+        """Fixes that may give a position and a velocity now; of a slow receiver the last two."""
+        recent = [f for f in self._fixes if now - f.t_ns < FIXES_KEPT * 1e9]
+        if len(recent) == 1 and len(self._fixes) > 1:
+            before = self._fixes[-2]
+            if recent[0].t_ns - before.t_ns < LONGEST_SPAN * 1e9:
+                recent.insert(0, before)
+        return recent
+
+    def _missing(self, motion: Motion, given: tuple[float, float] | None) -> Waiting | None:
+        """Return what the velocity or the heading waits for."""
+        if not motion.has_velocity:
+            return Waiting(Need.SECOND_FIX)
+        if given is not None or self._source not in ("imu", "course"):
+            return None
+        if self._source == "imu":
+            return Waiting(Need.ORIENTATION)
+        return Waiting(Need.SPEED, motion.speed, self._settings.course_min_speed)
+
+    def _states(
+        self,
+        samples: NDArray[np.void],
+        motion: Motion,
+        yaws: Sequence[tuple[float, float]],
+        lever_b: Array,
+    ) -> list[NavState]:
+        """Return a state at the last of ``samples`` for each heading and its σ [rad]."""
+        bias_a, bias_g, bias_P = self._first_biases(int(samples["t_ns"][-1]))
+        rate = samples["w"].mean(axis=0)
+        standing = motion.has_velocity and is_standing(samples)
+        standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
+        unbiased = samples.copy()
+        unbiased["f"] -= bias_a
+        unbiased["w"] -= bias_g
+        down_b = _down(unbiased)
+        tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
+        ie_n, ie_d = earth_rate_n(motion.lla[0])
+        bias_g_std = 0.1 * STANDING_RATE_STD
+        states = []
+        for yaw, yaw_std in yaws:
+            quat = self._attitude(down_b, yaw)
+            C_nb = matrix_from_quat(quat)
+            P = np.zeros((N_ERROR, N_ERROR))
+            P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
+            P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
+            P[9:, 9:] = bias_P
+            if standing and P[14, 14] > bias_g_std**2:
+                bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
+                P[B_G, :] = P[:, B_G] = 0.0
+                P[B_G, B_G] = np.eye(3) * bias_g_std**2
+            antenna = NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P)
+            states.append(_at_imu(antenna, samples["w"][-1], lever_b))
+        return states
+
+    def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
+        """Biases and their covariance: as given, or the earlier estimate, grown since then."""
+        settings = self._settings
+        variance = np.concatenate((settings.bias_a_std, settings.bias_g_std)) ** 2
+        given = settings.bias_a, settings.bias_g, np.diag(variance)
+        known = self._biases
+        if known is None:
+            return given
+        age = abs(now - known.t_ns) * 1e-9
+        P = known.P + np.diag(age * np.repeat([BIAS_A_DRIFT**2, BIAS_G_DRIFT**2], 3))
+        if np.any(np.diag(P) > variance):
+            return given
+        return known.accelerometer, known.gyroscope, P
+
+    def _attitude(self, down_b: Array, yaw: float) -> Array:
+        """Quaternion of C_nb now; a heading given for an earlier stamp is propagated to now."""
+        if self._given is None:
+            return quat_from_rpy(*_roll_pitch(down_b), yaw)
+        C_then_now = _relative(self._ring.after(self._given[0] - 1))[0].T
+        roll, pitch = _roll_pitch(C_then_now @ down_b)
+        C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
+        return quat_from_matrix(C_then @ C_then_now)
+
+    def _given_heading(self, motion: Motion) -> tuple[float, float] | None:
+        """Heading [rad from north] and its uncertainty, by hand or from a source that has one."""
+        settings = self._settings
+        if self._given is not None:
+            return self._given[1:]
+        if self._source == "imu" and self._imu_yaw is not None:
+            return self._imu_yaw, settings.yaw_std
+        if self._source == "course" and motion.speed >= settings.course_min_speed:
+            velocity_n, v_cov = motion.velocity_n, motion.v_cov
+            course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / motion.speed
+            return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
+        return None
+
+
+def _at_imu(antenna: NavState, rate_b: Array, lever_b: Array) -> NavState:
+    """Return the state of an IMU whose antenna has that position and velocity."""
+    nav = antenna.to_flat()
+    nav[LAST_W] = rate_b
+    away = position_model(nav, antenna.lla, lever_b)[0]
+    moving = velocity_model(nav, antenna.velocity_n, lever_b)[0]
+    T = about_antenna(nav, lever_b)
+    return replace(
+        antenna,
+        lla=antenna.lla + away / curvature_scale(antenna.lla),
+        velocity_n=antenna.velocity_n + moving,
+        P=T @ antenna.P @ T.T,
+    )
+
+
+def _down(samples: NDArray[np.void]) -> Array:
+    """Direction of gravity in the last attitude, from the mean specific force; [1]_ eq. 5.101."""
+    total = np.einsum("kij,kj->i", _relative(samples), samples["f"])
+    return np.asarray(-total / np.linalg.norm(total))
+
+
+def _relative(samples: NDArray[np.void]) -> Array:
+    """Rotations (N, 3, 3) from the attitude at each sample to that at the last, by gyroscopes."""
+    dt = np.diff(samples["t_ns"])[:, None] * 1e-9
+    mean_rate = 0.5 * (samples["w"][1:] + samples["w"][:-1])
+    turns = matrix_from_quat(quat_from_rotvec(-dt * mean_rate))
+    relative = np.empty((len(samples), 3, 3))
+    relative[-1] = np.eye(3)
+    for k in range(len(turns) - 1, -1, -1):
+        relative[k] = relative[k + 1] @ turns[k]
+    return relative
+
+
+def _roll_pitch(down_b: Array) -> tuple[float, float]:
+    """Roll and pitch [rad] of the b frame in which n's down axis is ``down_b``."""
+    return (
+        math.atan2(down_b[1], down_b[2]),
+        math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])),
+    )
+
+
+def yaw_of(quat_xyzw: Array) -> float:
+    """Heading [rad from north] of an attitude C_nb."""
+    return float(rpy_from_quat(quat_xyzw)[2])

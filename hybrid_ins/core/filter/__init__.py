@@ -1,0 +1,1 @@
+"""The error-state filter: samples forward, events at their own stamps, late ones by going back."""

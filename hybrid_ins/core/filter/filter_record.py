@@ -1,0 +1,104 @@
+"""What became of everything that a filter was given, kept for a smoother."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.filter.events import Event
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.measurement_update import Outcome
+from hybrid_ins.core.inertial.state import NavState
+from hybrid_ins.core.noise.position_scatter import Split
+from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.update.gate import Verdict
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FilterStart:
+    """What a filter began with."""
+
+    t_ns: int  # ns
+    sample: Array  # (6,) the IMU sample then: m/s², rad/s, b
+    state: NavState
+    levels: Array  # (6,) per-sample variances in force
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """An event and what became of it."""
+
+    event: Event
+    verdict: Verdict | None  # None: no measurement
+    r_scale: float  # factor on the covariance of fixes
+    state_moved: bool  # by a `StateCorrection`
+    split: Split | None  # of a position's covariance
+    levels: Array  # (6,) per-sample variances in force after it
+    clock_residual: float  # s, to be added to the stamps of fixes
+    clock_variance: float  # s²
+    clock_drift: float  # s/s
+
+
+class FilterRecord:
+    """
+    Everything decided in a filter's life, in the order of the stamps.
+
+    Parameters
+    ----------
+    start : FilterStart
+        What the filter began with.
+
+    Attributes
+    ----------
+    decided : list of Decided
+        After all rewinding.
+    too_old : list of Decided
+        Measurements that came too late to be fused.
+    """
+
+    def __init__(self, start: FilterStart) -> None:
+        self.start = start
+        self.decided: list[Decided] = []
+        self.too_old: list[Decided] = []
+
+    def __copy__(self) -> FilterRecord:
+        twin = FilterRecord(self.start)
+        twin.decided, twin.too_old = [*self.decided], [*self.too_old]
+        return twin
+
+    def add(
+        self,
+        event: Event,
+        outcome: Outcome,
+        noise: FilterNoise,
+        clock: ClockOffsetObserver,
+    ) -> None:
+        """Append an event that was applied, with noise and clock after it."""
+        self.decided.append(Decided(event, *outcome, noise.levels(), *_of(clock)))
+
+    def add_too_old(self, verdict: Verdict, noise: FilterNoise, clock: ClockOffsetObserver) -> None:
+        """Append a measurement that was not fused for its age; its verdict holds a threshold."""
+        self.too_old.append(
+            Decided(
+                verdict.measurement,
+                verdict,
+                noise.fix_factor,
+                False,
+                None,
+                noise.levels(),
+                *_of(clock),
+            )
+        )
+
+    def rewind(self, count: int) -> None:
+        """Forget all but the first ``count`` events: the others are applied again."""
+        del self.decided[count:]
+
+
+def _of(clock: ClockOffsetObserver) -> tuple[float, float, float]:
+    """Return what a `Decided` keeps of a clock."""
+    return clock.residual, clock.sigma**2, clock.drift

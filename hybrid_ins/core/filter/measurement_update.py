@@ -1,0 +1,377 @@
+"""
+What an event does to a filter at its own stamp: the measurement update, and other changes.
+
+A measurement is judged by the gate and fused; its innovation then teaches the noise factors, the
+clock offset and the place of the antenna.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.constraints.nonholonomic import NonHolonomic
+from hybrid_ins.core.filter.events import (
+    AntennaFound,
+    AntennaShift,
+    Change,
+    ClockInflation,
+    ClockShift,
+    CovarianceInflation,
+    Event,
+    NoiseChange,
+    Outage,
+    ScatterInForce,
+)
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.fix_update import (
+    N_RESULT,
+    NORMALISED,
+    SIGMA,
+    correction_of,
+    fuse_ordinary_fix,
+)
+from hybrid_ins.core.filter.missing_height import LevelMotion
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.state import (
+    ACCELERATION,
+    AGE_SENSITIVITY,
+    ANTENNA_VARIANCE,
+    CLOCK_VARIANCE,
+    COVARIANCE,
+    JUMP_VARIANCE,
+    N_ERROR,
+    N_NAV,
+    PSD,
+    QUAT,
+    SCALE_COVARIANCE,
+    SENSITIVITY,
+    SLOW_VARIANCE,
+    VELOCITY,
+    pack,
+)
+from hybrid_ins.core.noise.multiple_model import StateCorrection
+from hybrid_ins.core.noise.position_scatter import Evidence, Model, PositionScatter, Split
+from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate
+from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
+from hybrid_ins.core.sensor_errors.clock_offset import (
+    ClockOffsetObserver,
+    age_mean_square,
+    share_of_motion,
+)
+from hybrid_ins.core.sensor_errors.clock_sensitivity import (
+    correct_sensitivities,
+    initial_sensitivity,
+    noise_information,
+    sensitivities,
+)
+from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
+from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
+from hybrid_ins.core.update import iterated_update
+from hybrid_ins.core.update.gate import Gate, Verdict
+from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
+from hybrid_ins.core.update.kalman import inject, innovation
+from hybrid_ins.core.update.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
+
+Array = NDArray[np.float64]
+Fused = tuple[Verdict, bool, Evidence | None]
+"""Verdict, whether the noise moved the state, and what a position's scatter teaches."""
+
+UNSPLIT = Split(1.0, np.empty(0), 0.0)  # the covariance of what is no position
+
+
+class Outcome(NamedTuple):
+    """What became of an event."""
+
+    verdict: Verdict | None  # None: no measurement
+    r_scale: float  # factor that was on the covariance of fixes
+    state_moved: bool  # by a `StateCorrection`
+    split: Split | None  # of a position's covariance
+
+
+class MeasurementUpdate:
+    """
+    Applies events to a flat state, and holds what they change besides it.
+
+    A copy is a checkpoint.
+
+    Parameters
+    ----------
+    noise : FilterNoise
+        Qc, and the factor on the covariance of fixes.
+    gate : Gate
+        Decides which measurements are fused.
+    clock : ClockOffsetObserver
+        Clock offset of fixes, estimated beside the state.
+    scatter : PositionScatter
+        Share of the claimed variance of positions that is white.
+    corrected_ns : int
+        Stamp of the last fix that was fused, or of the start [ns].
+    lever_arm : LeverArmObserver
+        Error of the antenna's place, estimated beside the state.
+    scale_errors : ScaleErrorObserver
+        Scale errors of the IMU, likewise.
+    """
+
+    def __init__(
+        self,
+        noise: FilterNoise,
+        gate: Gate,
+        clock: ClockOffsetObserver,
+        scatter: PositionScatter,
+        corrected_ns: int,
+        lever_arm: LeverArmObserver,
+        scale_errors: ScaleErrorObserver,
+    ) -> None:
+        self.noise = noise
+        self.gate = gate
+        self.clock = clock
+        self.scatter = scatter
+        self.corrected_ns = corrected_ns
+        self.lever_arm, self.scale_errors = lever_arm, scale_errors
+
+    def __copy__(self) -> MeasurementUpdate:
+        twin = object.__new__(MeasurementUpdate)
+        twin.__dict__.update(self.__dict__)
+        twin.noise, twin.gate = self.noise.__copy__(), self.gate.__copy__()
+        twin.clock, twin.scatter = self.clock.__copy__(), self.scatter.__copy__()
+        twin.lever_arm = self.lever_arm.__copy__()
+        twin.scale_errors = self.scale_errors.__copy__()
+        return twin
+
+    def apply(
+        self, nav: Array, event: Event, age: float, consider_clock: bool, ring: ImuRing
+    ) -> Outcome:
+        """
+        Apply an event.
+
+        Parameters
+        ----------
+        nav : ndarray, shape (N_FLAT,)
+            Flat state at the event's stamp with nothing pending; overwritten.
+        event : Event
+        age : float
+            How far the event lies behind the IMU [s].
+        consider_clock : bool
+            See `FilterSettings`.
+        ring : ImuRing
+            Recent IMU samples.
+        """
+        self.scale_errors.follow(nav, ring, event.t_ns)
+        r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
+        split: Split | None = None
+        if isinstance(event, Change):
+            _apply_change(self, nav, event, ring)
+        else:
+            if isinstance(event, PositionFix):
+                noise, claimed = self.noise, event.claimed
+                split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
+                noise.claimed_std, noise.unclaimed_std = split.claimed_std, split.unclaimed_std
+                noise.excess = split.excess
+            fused = self._fuse_ordinary(nav, event, split, age)
+            psd_changed = fused is None or self.noise.uses_corrections
+            verdict, moved, found = fused or self._fuse(nav, event, split, age)
+            if verdict.accepted and split is not None:
+                self.scatter.learn(split, found, event.t_ns)
+            if isinstance(event, LevelMotion):
+                nav[SLOW_VARIANCE][2] = event.height_variance
+        self.noise.consider_scale(self.scale_errors.in_outage)
+        if psd_changed:
+            nav[PSD] = self.noise.psd()
+        nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
+        nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
+        nav[SCALE_COVARIANCE] = self.scale_errors.considered
+        nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
+        return Outcome(verdict, r_scale, moved, split)
+
+    def _fuse_ordinary(
+        self, nav: Array, fix: Measurement, split: Split | None, age: float
+    ) -> Fused | None:
+        """Do what `_fuse` does with a fix that its NIS alone decides on; None for others."""
+        if isinstance(fix, PositionFix):
+            measured = fix.lla
+        elif isinstance(fix, VelocityFix):
+            measured = fix.velocity_n
+        else:
+            return None
+        claimed = fix.claimed
+        m, noise, clock, parts = len(claimed), self.noise, self.clock, split or UNSPLIT
+        uses_corrections = noise.uses_corrections
+        interval = (fix.t_ns - self.corrected_ns) * 1e-9
+        before = np.empty(len(nav) if uses_corrections else 0)
+        result = np.empty(N_RESULT)
+        if not fuse_ordinary_fix(
+            nav,
+            measured,
+            fix.lever_b,
+            claimed,
+            split is not None,
+            parts.share,
+            parts.slow_variance,
+            parts.interval,
+            parts.claimed_growth,
+            self.scatter.learning,
+            noise.fix_factor,
+            noise.stamp_std**2,
+            clock.values,
+            clock.interval(fix.t_ns),
+            self.gate.ordinary_limit(fix.kind, m, interval),
+            before,
+            result,
+        ):
+            return None
+        clock.on_corrected(fix.t_ns)
+        self.corrected_ns = fix.t_ns
+        self.scale_errors.end_outage()
+        nis, log_det, weight, total, count = result[: SIGMA.start].tolist()
+        threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
+        verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
+        moved = uses_corrections and self._learn_noise(
+            nav,
+            correction_of(
+                fix, result, interval, before, weight, noise, self.scatter.in_force, parts
+            ),
+        )
+        found = (total, count, result[NORMALISED][:m]) if self.scatter.learning else None
+        return verdict, moved, found
+
+    def _fuse(self, nav: Array, measurement: Measurement, split: Split | None, age: float) -> Fused:
+        """
+        Decide on a measurement, fuse it, and let the noise and the clock learn from it.
+
+        ``split`` is that of a position's covariance.
+        """
+        (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
+        claimed, parts = model[2], split or UNSPLIT
+        of_stamp: Array | None = None
+        by_stamp: Array | float = 0.0
+        fix_factor = self.noise.fix_factor if measurement.sensor == GNSS else 1.0
+        if split is not None:
+            share, m = share_of_motion(self.clock.values), len(model[0])
+            of_stamp = stamp_covariance(nav[VELOCITY], share, m)
+            by_stamp = self.noise.stamp_std**2 * of_stamp
+            model, found = self.scatter.split_model(nav, model, split, fix_factor, by_stamp)
+        if not np.isfinite(nav[:N_NAV]).all():
+            return Verdict.rejected(measurement, "the state is lost"), False, found
+        z, H, R = model
+        of_age = np.zeros_like(R)
+        if measurement.sensor == GNSS:
+            R = R * fix_factor + by_stamp
+            h, change = sensitivities(nav, H)
+            if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
+                of_age = age_mean_square(self.clock.values) * np.outer(change, change)
+                R = R + of_age
+        else:
+            h = H @ np.stack((nav[SENSITIVITY], nav[AGE_SENSITIVITY]), axis=1)
+        of_clock = nav[CLOCK_VARIANCE] * np.outer(h[:, 0], h[:, 0])
+        S, nis = innovation(nav, z, H, R + of_clock)
+        interval = (measurement.t_ns - self.corrected_ns) * 1e-9
+        verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval, claimed)
+        before = nav.copy()
+        dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
+        if verdict.accepted:
+            if self.noise.uses_corrections or self.scale_errors.in_outage:
+                linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
+            if verdict.inflated:
+                inflate_to_innovation(nav, z, H, interval)
+            dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
+        is_position = split is not None
+        correct_sensitivities(nav, H, K, h, dx, is_position)
+        S = S - of_clock
+        correction = Correction(
+            measurement.t_ns,
+            z,
+            S,
+            H,
+            K,
+            dx,
+            matrix_from_quat(nav[QUAT]),
+            interval,
+            before,
+            verdict.accepted,
+            weight=verdict.weight,
+            linear=linear,
+            of_stamp=of_stamp if self.scatter.in_force else None,
+            fix_factor=fix_factor,
+            stamp_std=self.noise.stamp_std,
+            slow_growth=parts.claimed_growth,
+            claimed_std=parts.claimed_std,
+        )
+        if measurement.sensor != GNSS:
+            if verdict.accepted and measurement.sensor != IMU:
+                self.noise.follow(correction)
+            self.lever_arm.update(correction, nav, is_fix=False)
+            self.scale_errors.update(correction, is_fix=False, beside=by_scale)
+            return verdict, False, found
+        if verdict.accepted:
+            self.corrected_ns = measurement.t_ns
+            self.scale_errors.end_outage()
+        self.noise.learn_verdict(verdict, correction, R)
+        if verdict.inflated:
+            self.noise.restart(keep_weights=False)
+            self.lever_arm.restart()
+            self.scale_errors.restart()
+        if verdict.inflated or verdict.jump:
+            return verdict, False, found
+        S = S + (1.0 / verdict.weight - 1.0) * R - of_age
+        self.clock.update(correction, h, S, noise_information(nav, H, K, S, is_position))
+        return verdict, self._learn_noise(nav, correction), found
+
+    def _learn_noise(self, nav: Array, correction: Correction) -> bool:
+        """Let noise and sensors' errors learn from it; the former may move the state."""
+        without_scale = self.scale_errors.explain(correction)
+        if self.noise.uses_corrections:
+            self.lever_arm.update(correction, nav, is_fix=True)
+            self.scale_errors.update(correction, is_fix=True)
+        moved = self.noise.learn_correction(correction, without_scale)
+        if moved is not None:
+            _move(nav, moved)
+        return moved is not None
+
+
+def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuRing) -> None:
+    """Do what a change does to a state, overwritten, and to what is held beside it."""
+    if isinstance(change, NoiseChange):
+        own.noise = own.noise.replaced_by(change.noise)
+    elif isinstance(change, NoiseEstimate):
+        own.noise.learn_estimate(change)
+    elif isinstance(change, ClockInflation):
+        own.clock.inflate(change.std)
+    elif isinstance(change, ClockShift):
+        inject(nav, own.clock.shift(change.by, nav))
+        own.lever_arm.shift_clock(change.by)
+        own.scale_errors.shift_clock(change.by)
+    elif isinstance(change, CovarianceInflation):
+        inflate(nav, change.std, change.lever_b)
+        own.noise.on_imu_fault(change.t_ns)
+    elif isinstance(change, ScatterInForce):
+        own.scatter.in_force = True
+        own.noise.jumps = own.noise.jumps.or_earlier(change.jumps, change.t_ns)
+    elif isinstance(change, AntennaFound):
+        own.lever_arm = own.lever_arm.or_earlier(change.earlier)
+    elif isinstance(change, AntennaShift):
+        inject(nav, own.lever_arm.shift(change.by_b, change.moves_odometry))
+        own.noise.restart(keep_weights=False)
+        own.scale_errors.restart()
+    elif isinstance(change, Outage):
+        own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)
+
+
+def _move(nav: Array, moved: StateCorrection) -> None:
+    """Move a state where it belongs."""
+    inject(nav, moved.dx)
+    pack(moved.P, nav[COVARIANCE])
+    nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+
+
+def _linearised(
+    nav: Array, measurement: Measurement, scale_errors: ScaleErrorObserver
+) -> tuple[Model, Array | float]:
+    """Return a measurement's model, and its derivative by scale errors beside by the state."""
+    model = measurement.linearise(nav)
+    if isinstance(measurement, NonHolonomic) and scale_errors.in_outage:
+        return scale_errors.decorrelated(nav, model, measurement.by_scale)
+    return model, 0.0

@@ -1,0 +1,1 @@
+"""What fixes show to be wrong by themselves: speeds, heights, repetitions, velocities."""

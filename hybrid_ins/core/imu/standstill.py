@@ -1,0 +1,196 @@
+"""
+Detection of a standing vehicle from its IMU, and of a moving one from its fixes.
+
+While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
+beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
+the second. A smooth cruise passes both: the caller must also check that zero speed is plausible
+(`may_be_zero`), and that the fixes of the last seconds show no motion. A train that sets off gently
+passes them, too: its acceleration hardly changes in a second, but since the stand began it does.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 15.3 (zero updates).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.imu.samples import as_numbers, readings_of
+from hybrid_ins.core.inertial.earth import curvature_scale, wrapped
+
+STANDING_FORCE_STD = 0.3  # m/s², of the samples
+STANDING_RATE_STD = 0.02  # rad/s
+SLOW_FORCE_STD = 0.05  # m/s², of the means, beyond what the samples' noise explains
+SLOW_RATE_STD = 0.003  # rad/s
+LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
+MEANS = 8  # per window
+FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
+MIN_FIXES, MAX_FIXES = 4, 64  # of those
+MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
+SIGNIFICANT = 4.0  # standard deviations of the speed
+SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
+_STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
+_SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
+
+
+def is_standing(samples: NDArray[np.void]) -> bool:
+    """Return whether the vehicle stood during ``samples`` (``SAMPLE_DTYPE``), about a second."""
+    size = len(samples) // MEANS
+    if size < 2:
+        return False
+    readings = readings_of(samples)
+    noise, slow = _spread(readings[-MEANS * size :], size)
+    if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
+        return False
+    mean, _ = mean_and_std(as_numbers(samples))
+    return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
+
+
+def may_be_zero(velocity_n: NDArray[np.float64], covariance_n: NDArray[np.float64]) -> bool:
+    """Return whether zero is plausible for a velocity (3,) [m/s] with its covariance (3, 3)."""
+    nis = velocity_n @ np.linalg.solve(covariance_n, velocity_n)
+    return bool(nis < SPEED_NIS_STANDING)
+
+
+class StandingForce:
+    """
+    Mean specific force of a stand: it stays as it is, or the vehicle sets off or is tilted.
+
+    A zero-velocity update while a vehicle sets off would make its acceleration a bias.
+    """
+
+    def __init__(self) -> None:
+        self._mean: NDArray[np.float64] | None = None
+
+    def reset(self) -> None:
+        """Forget the stand."""
+        self._mean = None
+
+    def changes(self, samples: NDArray[np.void]) -> bool:
+        """Return whether the mean of ``samples`` is another than when the stand began."""
+        means, stds = mean_and_std(as_numbers(samples))
+        mean, before = means[:3], self._mean
+        noise = 4.0 * float(stds[:3].max()) / np.sqrt(len(samples))
+        changed = before is not None and bool(
+            np.linalg.norm(mean - before) > np.hypot(SLOW_FORCE_STD, noise)
+        )
+        if before is None or changed:
+            self._mean = mean
+        return changed
+
+
+@kernel()
+def _spread(readings, size):  # type: ignore[no-untyped-def]
+    """Return the standard deviations (6,) of readings (N, 6), and of means over ``size`` each."""
+    count, parts = readings.shape[0], readings.shape[0] // size
+    noise, slow, mean = np.zeros(6), np.zeros(6), np.zeros(6)
+    means = np.zeros((parts, 6))
+    for part in range(parts):
+        for k in range(part * size, (part + 1) * size):
+            for c in range(6):
+                means[part, c] += readings[k, c] / size
+        for c in range(6):
+            mean[c] += means[part, c] / parts
+    for k in range(count):
+        for c in range(6):
+            noise[c] += (readings[k, c] - mean[c]) ** 2 / count
+    for part in range(parts):
+        for c in range(6):
+            slow[c] += (means[part, c] - mean[c]) ** 2 / parts
+    return np.sqrt(noise), np.sqrt(slow)
+
+
+@kernel()
+def mean_and_std(numbers):  # type: ignore[no-untyped-def]
+    """Return mean and standard deviation (6,) of the readings in `samples.as_numbers`, (N, 7)."""
+    count = numbers.shape[0]
+    mean, std = np.zeros(6), np.zeros(6)
+    for k in range(count):
+        for c in range(6):
+            mean[c] += numbers[k, 1 + c]
+    mean /= count
+    for k in range(count):
+        for c in range(6):
+            std[c] += (numbers[k, 1 + c] - mean[c]) ** 2
+    return mean, np.sqrt(std / count)
+
+
+class FixMotion:
+    """
+    Speed over ground by the last position fixes, from their own scatter, whatever they claim.
+
+    Attributes
+    ----------
+    speed : float
+        Horizontal [m/s]; 0 where it is not significant.
+    """
+
+    def __init__(self) -> None:
+        self.speed = 0.0
+        self._t_ns = np.empty(0, np.int64)
+        self._lla = np.empty((0, 3))
+
+    def observe(self, t_ns: int, lla: NDArray[np.float64]) -> None:
+        """Use a position fix: stamp [ns], latitude and longitude [rad] and height [m], (3,)."""
+        if len(self._t_ns) and t_ns <= self._t_ns[-1]:
+            return
+        first = max(self._t_ns.searchsorted(t_ns - FIX_SPAN_NS), len(self._t_ns) + 1 - MAX_FIXES)
+        self._t_ns = np.concatenate((self._t_ns[first:], (t_ns,)))
+        self._lla = np.concatenate((self._lla[first:], (lla,)))
+        self.speed = significant_speed(self._t_ns, self._lla)
+
+    def moves(self, t_ns: int) -> bool:
+        """Return whether fixes have shown motion until a stamp [ns], and not long before."""
+        return self.speed > 0.0 and t_ns - int(self._t_ns[-1]) < FIX_SPAN_NS
+
+
+@kernel()
+def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
+    """
+    Return the horizontal speed [m/s] of positions by a straight line; 0 where it is none.
+
+    Stamps (N,) [ns]; latitude, longitude [rad] and height [m], (N, 3). It has to be significant
+    without the largest step between two positions, too: receivers step at rest.
+    """
+    count = len(t_ns)
+    if count < MIN_FIXES:
+        return 0.0
+    t, places, last = np.empty(count), np.empty((count, 2)), lla[count - 1]
+    north, east, _ = curvature_scale(last)
+    for k in range(count):
+        t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
+        places[k, 0] = (lla[k, 0] - last[0]) * north
+        places[k, 1] = wrapped(lla[k, 1] - last[1]) * east
+    t -= t.mean()
+    speed = _slope(t, places)
+    if speed == 0.0:
+        return 0.0
+    at, largest = 1, 0.0
+    for k in range(1, count):
+        step = np.hypot(places[k, 0] - places[k - 1, 0], places[k, 1] - places[k - 1, 1])
+        if step > largest:
+            at, largest = k, step
+    for axis in range(2):
+        step = places[at, axis] - places[at - 1, axis]
+        others = (places[count - 1, axis] - places[0, axis] - step) / (count - 2)
+        for k in range(at, count):
+            places[k, axis] += others - step
+    return speed if _slope(t, places) > 0.0 else 0.0
+
+
+@register_jitable
+def _slope(t, places):  # type: ignore[no-untyped-def]
+    """Return the speed of places (N, 2) [m] by a straight line, t (N,) about 0; 0: it is none."""
+    count, square, residual, speed = len(t), np.sum(t * t), 0.0, 0.0
+    for axis in range(2):
+        place = places[:, axis] - places[:, axis].mean()
+        slope = np.sum(t * place) / square
+        residual += np.sum((place - t * slope) ** 2)
+        speed = np.hypot(speed, slope)
+    variance = residual / (2 * count - 4) / square
+    return speed if speed > max(MIN_SPEED, SIGNIFICANT * np.sqrt(variance)) else 0.0

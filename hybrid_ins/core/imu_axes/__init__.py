@@ -1,0 +1,1 @@
+"""Axes, units and mount of an IMU, checked against the motion that fixes show."""

@@ -1,0 +1,235 @@
+"""
+Health of the IMU and standing of the vehicle, checked twice a second while filters run.
+
+What a check finds is applied to the filters: inflated covariances, zero-velocity updates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment.alignment import Biases
+from hybrid_ins.core.filter.events import CovarianceInflation
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
+from hybrid_ins.core.imu.lift_watch import LiftWatch
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.imu.standstill import StandingForce, is_standing, may_be_zero
+from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
+from hybrid_ins.core.navigator.phase_machine import PhaseMachine
+from hybrid_ins.core.navigator.phases import FilterParts
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import Standstill
+
+Array = NDArray[np.float64]
+
+PERIOD_NS = 500_000_000  # between two checks
+WINDOW_NS = 1_000_000_000  # of samples that are checked
+SHORTEST_STAND = 0.8e9  # ns, of samples that may show standing
+BIASES_KEPT = 6  # checks: the estimate that is kept is older than a fault's discovery
+SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
+LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
+STILL_KNOWN = 2.0  # factor on the σ of a speed that was not zero: beyond it, zero is no news
+SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
+LONGEST_BRAKING_NS = 10_000_000_000
+STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
+LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
+GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
+UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
+MISLED_SPEED, MISLED_TURN = 1.5, 0.1  # m/s, rad: between two checks of such readings
+MISLEADING_FORCE = (FaultKind.SATURATED_FORCE, FaultKind.SPIKES_FORCE)
+MISLEADING_RATE = (FaultKind.SATURATED_RATE, FaultKind.SPIKES_RATE)
+
+
+class ImuMonitor:
+    """
+    Checks the last second of samples for faults and for standing.
+
+    Parameters
+    ----------
+    parts : FilterParts
+        What the filters are made of: it knows where the antenna is.
+    zero_updates : bool
+        Use standing as a measurement.
+
+    Attributes
+    ----------
+    fault : ImuFault or None
+        What the last check found.
+    standing : bool
+        The vehicle stood at the last check.
+    calm : tuple of int
+        Stamps [ns] between which it may have stood, the last time that it did.
+    """
+
+    def __init__(self, parts: FilterParts, zero_updates: bool) -> None:
+        self._parts = parts
+        self._zero_updates = zero_updates
+        self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
+        self.reset()
+
+    @property
+    def may_stand(self) -> bool:
+        """The vehicle stands, or brakes so steadily that the IMU shows no difference."""
+        return self._calm_ns is not None
+
+    def reset(self) -> None:
+        """Restart, as the filter did; the biases stay."""
+        self.fault: ImuFault | None = None
+        self.standing = False
+        self.calm = 0, 0
+        self._calm_ns: int | None = None  # since when the vehicle may stand
+        self._standing_force = StandingForce()
+        self._gliding_std = math.inf  # m/s, of a speed that was not zero while all was calm
+        self._lift = LiftWatch()
+        self._next_ns = 0
+        self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
+        self._weighed_ns = 0  # last check that found gravity, and not several times as much
+
+    @property
+    def biases(self) -> Biases | None:
+        """What a filter estimated before any fault of the last checks can have misled it."""
+        return self._biases[0] if self._biases else None
+
+    def discard_biases(self) -> None:
+        """Discard them: the filter that estimated them was wrong, or is of another time."""
+        self._biases.clear()
+
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Note whether the last fix agreed with the filter."""
+        if verdict.measurement.kind == "position":
+            agreed = verdict.accepted and not verdict.inflated
+            self._fix_agreed_ns = verdict.measurement.t_ns if agreed else 0
+            self._lift.reset()
+
+    def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, fixes_move: bool) -> bool:
+        """
+        Check where that is due, and apply the result to the filters.
+
+        Parameters
+        ----------
+        phases : PhaseMachine
+            The filters; without any there is no check.
+        ring : ImuRing
+            Recent IMU samples.
+        t_ns : int
+            Stamp of the last of them [ns].
+        fixes_move : bool
+            The position fixes show motion: the vehicle does not stand.
+
+        Returns
+        -------
+        bool
+            A check was due.
+        """
+        best = phases.phase.best
+        if best is None or t_ns < self._next_ns:
+            return False
+        self._next_ns = t_ns + PERIOD_NS
+        samples = ring.after(t_ns - WINDOW_NS)
+        before, self.fault = self.fault, find_fault(samples)
+        manoeuvres = self._is_manoeuvre(t_ns, phases.filter is not None)
+        if manoeuvres:
+            self.fault = None
+        for fault in (before, self.fault):  # what happened between the checks misled the filters
+            std = None if fault is None else _error_std_after(fault)
+            if std is not None:
+                phases.submit(CovarianceInflation(t_ns, std, self._parts.settings.lever_b))
+        if self.fault is not None and self.fault.unusable:
+            return True
+        if phases.filter is not None and self.fault is None and not manoeuvres:
+            self._biases.append(Biases.of(phases.filter.state, t_ns))
+        calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
+        self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
+        self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
+        if self._calm_ns is not None:
+            self.calm = self._calm_ns, t_ns
+        self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
+            best
+        )
+        if self.standing:
+            self._lift.note_stand(samples)
+        if self.standing and self._zero_updates:
+            phases.measure(Standstill.of(samples))
+        return True
+
+    def _follow_calm(
+        self, best: InsFilter, samples: NDArray[np.void], fixes_move: bool, calm: bool
+    ) -> None:
+        """Note since when the vehicle may stand, by ``samples`` until now."""
+        if not calm:
+            self._calm_ns, self._gliding_std = None, math.inf
+            self._standing_force.reset()
+            return
+        t_ns, speed_std = int(samples["t_ns"][-1]), _speed_std(best)
+        changed = self._standing_force.changes(samples)
+        if changed:
+            self._gliding_std = math.inf
+        if fixes_move or not _zero_speed_is_plausible(best):
+            self._calm_ns, self._gliding_std = None, min(speed_std, self._gliding_std)
+        elif speed_std > STILL_KNOWN * self._gliding_std:
+            self._calm_ns = None
+        elif changed:
+            self._calm_ns = t_ns + STEADY_NS
+        elif self._calm_ns is None:
+            self._calm_ns = int(samples["t_ns"][0])
+
+    def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:
+        """
+        Distinguish a fall, a hard turn or a roll from an IMU without gravity or with a wrong unit.
+
+        To the filter both are a motion. Where the vehicle does not move so, the next fix is beyond
+        the gate, once one filter runs (``running``); before, a short motion is believed. A rolling
+        aircraft feels gravity where it always does, as if it hardly turned.
+        """
+        if self.fault is not None and self.fault.kind is FaultKind.DEGREES:
+            return running and self._fix_agreed_ns > 0
+        if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
+            self._weighed_ns = t_ns
+            return False
+        is_short = t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
+        return is_short and (self._fix_agreed_ns > 0 or not running)
+
+
+def _error_std_after(fault: ImuFault) -> Array | None:
+    """
+    Return what readings with a fault may have done to the state between two checks.
+
+    Standard deviations, shape (15,), in the order of the error state; None where the fault does
+    not mislead.
+    """
+    std = np.zeros(N_ERROR)
+    if fault.kind in MISLEADING_FORCE:
+        std[B_A], std[DV] = UNKNOWN_BIAS_STD_A, MISLED_SPEED
+    elif fault.kind in MISLEADING_RATE:
+        std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, MISLED_TURN
+    else:
+        return None
+    return std
+
+
+def _zero_speed_is_plausible(running: InsFilter) -> bool:
+    """Return whether the filter's speed may be zero: a smooth cruise resembles standing."""
+    return may_be_zero(running.nav[VELOCITY], _speed_covariance(running))
+
+
+def _longest_braking_ns(running: InsFilter) -> int:
+    """
+    Return how long [ns] a vehicle may go on braking since its speed may be zero.
+
+    A filter that knows its speed poorly finds zero plausible long before the vehicle stands.
+    """
+    speed = LARGEST_SPEED * _speed_std(running)
+    return min(int(speed / SOFTEST_BRAKING * 1e9), LONGEST_BRAKING_NS)
+
+
+def _speed_std(running: InsFilter) -> float:
+    return float(np.sqrt(_speed_covariance(running).diagonal().max()))
+
+
+def _speed_covariance(running: InsFilter) -> Array:
+    return covariance(running.nav)[DV, DV] + SPEED_STD_FLOOR**2 * np.eye(3)

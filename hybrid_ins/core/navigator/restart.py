@@ -1,0 +1,86 @@
+"""
+Restarts of a navigator: what makes one necessary, and what of the state outlasts it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment.alignment import yaw_of
+from hybrid_ins.core.filter.gap import turn_std
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.update.gate import Verdict
+
+Array = NDArray[np.float64]
+
+TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
+HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not kept over a gap
+RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
+MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
+
+
+class ResetCount:
+    """
+    Counts the covariance resets of a filter: repeated ones prove its heading wrong.
+
+    A jump of the fixes counts half: a receiver may jump a few times, a wrong heading causes a reset
+    each time that the patience of the gate ends.
+    """
+
+    def __init__(self) -> None:
+        self._resets: deque[tuple[int, float]] = deque(maxlen=2 * RESETS)  # stamps, and weights
+
+    def add(self, verdict: Verdict, speed: float) -> bool:
+        """Count a reset for a fix, at a speed [m/s]; return whether the heading is wrong."""
+        t_ns = verdict.measurement.t_ns
+        self._resets.append((t_ns, 0.5 if verdict.receiver_jumped else 1.0))
+        recent = sum(weight for stamp, weight in self._resets if t_ns - stamp < RESETS_NS)
+        return recent >= RESETS and speed > MOVING
+
+
+def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
+    """
+    Return whether the heading is still known after a gap.
+
+    Parameters
+    ----------
+    running : InsFilter or None
+        The filter before it; None: there was no heading yet.
+    reading : ndarray, shape (6,)
+        Sample behind the gap: specific force [m/s²] and angular rate [rad/s], b.
+    gap : float
+        Time without IMU samples [s].
+    """
+    return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
+
+
+def heading_after(
+    gap: float, running: InsFilter | None, standing: bool
+) -> tuple[float, float] | None:
+    """
+    Return the heading [rad from north] after a gap, and its uncertainty.
+
+    Parameters
+    ----------
+    gap : float
+        Time without IMU samples [s].
+    running : InsFilter or None
+        The filter before it.
+    standing : bool
+        The vehicle stood.
+
+    Returns
+    -------
+    (float, float) or None
+        Heading and standard deviation [rad]; None where they are of no more use.
+    """
+    if running is None:
+        return None
+    state = running.state
+    rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
+    std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
+    return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None

@@ -1,0 +1,1 @@
+"""Noise of the IMU and of fixes: given, learned from windows, and weighed by the innovations."""

@@ -1,0 +1,382 @@
+"""
+Noise factors from the innovations: a bank of filters that differ in their assumed noise.
+
+A clock offset, a tilted or flexing mount, scale errors: to the filter they are process noise that
+IMU readings do not contain. The innovations do, but their size alone does not show whether the IMU
+or the receiver causes it. Their sequence does: process noise makes successive errors grow
+together, a wrong R makes them alternate, an outlier is isolated. So a grid of hypotheses (factors
+on the noise of the accelerometer, of the gyroscope, and on R) is compared by the likelihood that
+each gives to the whole sequence, [1]_.
+
+The factors may also be below 1, by a decade and a half: vibration that the regressor measures
+above the frequencies of motion need not extend down to those that integrate into position.
+
+A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
+from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
+hypotheses have one of decimetres to metres, as a random walk of position. `weights` weighs
+them. A driver that stamps fixes when they arrive makes errors along the velocity, and no others:
+some hypotheses have stamps that scatter.
+
+Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
+running filter's innovations and corrections carry all that its readings showed; a hypothesis only
+keeps the offset of its own estimate from the running one. A correction that the running filter
+found by iteration is one of the hypotheses, too: of the same linearisation, at its result.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, sections 5.4 (innovations) and 11.6 (multiple models).
+.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", Journal of the American Statistical Association 84, 1989.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.inertial.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
+from hybrid_ins.core.inertial.strapdown import rotation
+from hybrid_ins.core.noise.hypotheses import (
+    COUNT,
+    HYPOTHESES,
+    LOG_PRIOR,
+    ON_NOISE,
+    SLOW_WALK,
+    STAMP_STD,
+)
+from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
+from hybrid_ins.core.noise.position_scatter import NO_GROWTH
+from hybrid_ins.core.noise.process_noise import Correction
+from hybrid_ins.core.noise.weights import (
+    ANY_CLAIM,
+    AT_START,
+    FAMILIES,
+    add_likelihood,
+    average,
+    fade,
+    weigh,
+)
+from hybrid_ins.core.shallow_copy import ShallowCopy
+from hybrid_ins.core.update.kalman import covariances_at_full_weight
+from hybrid_ins.core.update.linalg import log_determinant
+
+Array = NDArray[np.float64]
+
+OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
+TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
+MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
+
+_R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYPOTHESES[2])]
+_LOG_PRIOR_OF_R = np.empty(COUNT)
+for _level in _R_LEVELS:
+    _LOG_PRIOR_OF_R[_level] = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][_level])
+# Vector instructions take several hypotheses at once: the last one is repeated to fill them.
+WIDTH = COUNT + -COUNT % 16
+WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
+_HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
+_HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
+
+# What is known besides the hypotheses' estimates, as one flat vector.
+FACTORS = slice(0, 7)  # in force, see `noise_weights.average`
+LOWEST = slice(7, 11)  # of those that move the state, since it was last corrected
+CLAIMED_STD = 11  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(12, 15), slice(15, 24)  # n, and C_nb, after the last correction
+PENDING_G = slice(24, 24 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
+OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
+WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
+_START = np.zeros(WEIGHTS.stop)
+_START[FACTORS][:3] = 1.0
+_START[OF_FAMILY][1:] = AT_START
+_START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
+_IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
+_START[PENDING_G] = _IDENTITY.ravel()
+
+
+@dataclass(frozen=True, slots=True)
+class StateCorrection:
+    """Where the state belongs under other noise than the one that it was propagated with."""
+
+    dx: Array  # (15,) to be added to the state
+    P: Array  # (15, 15) covariance after that
+
+
+class NoiseMultipleModelBank(ShallowCopy):
+    """
+    Factors on the assumed noise, from the likelihood of the innovations.
+
+    Arrays are replaced, never changed in place: a shallow copy is a checkpoint.
+
+    Attributes
+    ----------
+    imu_factors : (float, float)
+        On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
+    fix_factor : float
+        On the covariance that fixes claim, 1 to 10⁴: receivers claim too small ones, too.
+    slow_std : float
+        Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
+        none.
+    slow_probability : float
+        Of there being one.
+    stamp_std : float
+        Standard deviation of the stamps of positions [s]; 0: the innovations show none.
+    stamp_probability : float
+        Of their scattering.
+    estimates : ndarray, shape (N_ROWS, WIDTH), or None
+        Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
+
+    See Also
+    --------
+    multiple_model.MultipleModelBank : in the same terms. Its hypotheses are whole filters, their
+        likelihoods do not fade, and unlikely hypotheses are dropped.
+    """
+
+    def __init__(self) -> None:
+        self.imu_factors = (1.0, 1.0)
+        self.fix_factor = 1.0
+        self.slow_std = self.slow_probability = self.stamp_std = self.stamp_probability = 0.0
+        self._values = _START
+        self.estimates: Array | None = None
+        self._t_ns = 0
+
+    def restart(self, *, keep_weights: bool) -> None:
+        """
+        Start the hypotheses anew at the next correction, with their weights or without.
+
+        Without: what is known of R stays all the same, whatever state it was learned with.
+        """
+        self.estimates = None
+        if not keep_weights:
+            of_fixes = self._log_likelihood_of_fixes()
+            self._values = self._values.copy()
+            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
+                self._values[part] = _START[part]
+            self._add_log_likelihood(of_fixes)
+
+    def _log_likelihood_of_fixes(self) -> Array:
+        """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
+        values, posterior, found = self._values, np.empty(COUNT), np.empty(COUNT)
+        weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], ANY_CLAIM, posterior)
+        for level in _R_LEVELS:
+            found[level] = np.log(posterior[level].sum()) - _LOG_PRIOR_OF_R[level]
+        return np.asarray(found - found.max())
+
+    def weigh_jump(self, correction: Correction, R: Array) -> None:
+        """
+        Weigh the factors on R by a fix that was rejected as a jump.
+
+        No error of an INS makes a jump. Most are errors of their own, with the prior probability
+        ``OUTLIERS``; where they are many the receiver claims too small a covariance.
+
+        Parameters
+        ----------
+        correction : Correction
+            With S that ``R`` is contained in.
+        R : ndarray, shape (m, m)
+            With the correction's ``fix_factor``.
+        """
+        z, m = correction.z, len(R)
+        found = np.empty(COUNT)
+        for level in _R_LEVELS:
+            factor = HYPOTHESES[ON_NOISE][2][level[0]] / correction.fix_factor
+            S = correction.S + (factor - 1.0) * R
+            tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
+            found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
+        self._values = self._values.copy()
+        self._add_log_likelihood(np.logaddexp(found - found.max(), math.log(OUTLIERS)))
+
+    def _add_log_likelihood(self, one: Array) -> None:
+        """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
+        values = self._values
+        lowest = values[LOWEST].copy()
+        of_family = values[OF_FAMILY]
+        add_likelihood(one, values[CLAIMED_STD], values[LOG_LIKELIHOOD], of_family)
+        weigh(values[LOG_LIKELIHOOD], of_family, values[CLAIMED_STD], values[WEIGHTS])
+        average(values[WEIGHTS], values[FACTORS], values[LOWEST])
+        values[LOWEST] = lowest  # the state is corrected with the next fix
+        self._read_factors()
+
+    def update(self, correction: Correction, psd: Array) -> StateCorrection | None:
+        """
+        Weigh the hypotheses by a correction, or by a measurement that was rejected.
+
+        Returns where the state belongs when the factors have risen: the running filter has
+        drifted with too small a noise meanwhile, the hypotheses that are likely now have not.
+
+        Parameters
+        ----------
+        correction : Correction
+            With the state before it; dx is zero if the measurement was rejected.
+        psd : ndarray, shape (12,)
+            Qc's diagonal at factor 1.
+
+        Notes
+        -----
+        After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
+        filter's covariance, and their likelihoods stay as they were.
+        """
+        have_risen = self._update(correction, psd, WIDE_HYPOTHESES, True)
+        self._read_factors()
+        return self._state_correction() if have_risen else None
+
+    def follow(self, correction: Correction, psd: Array) -> None:
+        """Correct the hypotheses by a measurement that is no fix, and do not weigh them."""
+        if self.estimates is not None and 0.0 <= self._time_to(correction) <= MAX_INTERVAL:
+            self._update(correction, psd, _HYPOTHESES_OF_IMU, False)
+        else:
+            self.estimates = None
+
+    def _time_to(self, correction: Correction) -> float:
+        """Return the time since the last correction [s]."""
+        return (correction.t_ns - self._t_ns) * 1e-9
+
+    def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
+        """See `update_hypotheses`."""
+        before, T, m = self.estimates, self._time_to(correction), len(correction.z)
+        self._values = self._values.copy()
+        if before is None or not 0.0 <= T <= MAX_INTERVAL:
+            T, before = 0.0, np.zeros((N_ROWS, WIDTH))
+            before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
+            self._values[PENDING_G] = _START[PENDING_G]
+        self.estimates = np.empty((N_ROWS, WIDTH))
+        self._t_ns = correction.t_ns
+        have_risen = update_hypotheses(
+            hypotheses,
+            before,
+            self.estimates,
+            self._values,
+            T,
+            correction.nav,
+            psd,
+            correction.H,
+            correction.S,
+            correction.fix_factor,
+            correction.stamp_std**2,
+            _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
+            NO_GROWTH if correction.slow_growth is None else correction.slow_growth,
+            correction.claimed_std,
+            correction.dx,
+            *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
+            weigh,
+        )
+        return bool(have_risen)
+
+    def _read_factors(self) -> None:
+        found = self._values[FACTORS].tolist()
+        self.imu_factors = found[0], found[1]
+        self.fix_factor, self.slow_std, self.slow_probability = found[2:5]
+        self.stamp_std, self.stamp_probability = found[5:]
+
+    def _state_correction(self) -> StateCorrection:
+        """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
+        assert self.estimates is not None
+        values, weights = self._values, self._values[WEIGHTS]
+        G = values[PENDING_G].reshape(N_ERROR, N_ERROR)
+        covariances, offsets = self.estimates[:OFFSETS], self.estimates[OFFSETS:]
+        mean = offsets[:, :COUNT] @ weights
+        deviation = offsets - mean[:, None]
+        spread = deviation[:, :COUNT]
+        P = (covariances[:, :COUNT] @ weights)[PLACES] + (weights * spread) @ spread.T
+        dx = G @ mean
+        self.estimates = np.vstack((covariances, deviation))
+        values[LAST_VELOCITY] += dx[DV]
+        return StateCorrection(dx, G @ P @ G.T)
+
+
+@kernel(fastmath={"contract"})
+def update_hypotheses(  # type: ignore[no-untyped-def]
+    hypotheses,
+    before,
+    after,
+    values,
+    T,
+    nav,
+    psd,
+    H,
+    S,
+    fix_factor,
+    stamp_variance,
+    of_stamp,
+    slow_growth,
+    claimed_std,
+    dx,
+    z_x,
+    H_x,
+    x,
+    G_x,
+    teaches,
+):
+    """
+    Propagate and correct the hypotheses, and weigh them.
+
+    Parameters
+    ----------
+    hypotheses : ndarray, shape (12, WIDTH)
+        `HYPOTHESES`, the last one repeated.
+    before, after : ndarray, shape (N_ROWS, WIDTH)
+        Their estimates, see `advance`; ``after`` is written.
+    values : ndarray, shape (WEIGHTS.stop,)
+        What is known besides; overwritten.
+    T : float
+        Time since the last correction [s].
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_std, dx
+        See `NoiseMultipleModelBank.update`.
+    z_x, H_x, x, G_x : ndarray
+        `iterated_update.linearisation` of the correction.
+    teaches : bool
+        Otherwise likelihoods are not changed.
+
+    Returns
+    -------
+    bool
+        A factor has risen by `CORRECTION_RATIO`.
+    """
+    m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
+    last_C = values[LAST_C].reshape(3, 3)
+    F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
+    _, R = covariances_at_full_weight(nav[COVARIANCE], H, S, 1.0)
+    for a in range(m):
+        for b in range(m):
+            R[a, b] -= stamp_variance * of_stamp[a, b]
+    if claimed_std > 0.0:
+        values[CLAIMED_STD] = claimed_std
+    log_likelihood = np.zeros(before.shape[1])
+    factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
+    advance(
+        before,
+        after,
+        G,
+        F,
+        T,
+        C_mean,
+        psd,
+        factors,
+        walk,
+        slow_growth,
+        hypotheses[STAMP_STD],
+        z_x,
+        H_x,
+        R / fix_factor,
+        of_stamp,
+        x,
+        TAIL_DOF,
+        log_likelihood,
+    )
+    for i in range(N_ERROR):
+        for j in range(N_ERROR):
+            G[i, j] = G_x[i, j]
+    for i in range(3):
+        values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
+    rotation(nav[QUAT], values[LAST_C])
+    fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    if not teaches:
+        return False
+    claimed_std = values[CLAIMED_STD]
+    add_likelihood(log_likelihood, claimed_std, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], claimed_std, values[WEIGHTS])
+    return average(values[WEIGHTS], values[FACTORS], values[LOWEST])

@@ -1,0 +1,322 @@
+"""
+Scatter of GNSS positions against what their receiver claims: a white part and a slow one.
+
+Many receivers claim metres, which is how far off they are, and scatter by decimetres from fix to
+fix: most of their error is slow, [1]_. A filter that takes all of it as white follows the fixes
+less than they deserve, and its covariance, which averages white errors away, holds the absolute
+error less than it claims to. So the claimed variance is split: R is the white part, a share r of
+it, and the rest is the variance B of a slow error, a first-order Gauss-Markov process.
+
+The share r is learned from the innovations by its likelihood, in steps of the method of scoring,
+[2]_. What was learned fades as new evidence comes in, and starts as a prior about the given share.
+A receiver that scatters by more than it claims has a share above 1. The factor on R that the
+innovations show (`multiple_model`) is found sooner and is coarser; the share contains it, so
+R is multiplied by the larger of the two.
+
+A filter that believed in too large an R until now has too large a P as well, and its innovations
+show less than no scatter; what is learned is therefore never less than the smallest share.
+
+Positions that scatter as much as is claimed do not show that nothing else is wrong with them: the
+errors of a receiver without corrections, from orbits, atmosphere and reflections, last for minutes,
+[1]_. Of claims of a metre and more at least a share of the variance is therefore slow.
+
+The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
+to the covariance of the position that is reported, not to that of the filter. From fix to fix it
+changes, as a random walk of position, of which there is as much as successive innovations show,
+[4]_. Where the claimed variance falls or rises by more than a factor, the receiver has found
+another solution: the old slow error is left in the state, or a new one begins. Of a claim that is
+larger than the smallest of this receiver the rest is slow: what is lost are ambiguities, or
+satellites.
+
+A receiver may also claim centimetres and err slowly by a metre. No claim bounds that error, but the
+IMU does: between fixes the positions change by more than the vehicle moved. Its variance is then
+the one that the innovations show (`multiple_model`).
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 9.3 (correlated errors of GNSS).
+.. [2] R. H. Shumway, D. S. Stoffer, *Time Series Analysis and Its Applications*, 4th ed., section
+       6.3 (maximum likelihood estimation of state-space models).
+.. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966.
+.. [4] R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE
+       Transactions on Automatic Control 15, 1970.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
+from hybrid_ins.core.shallow_copy import ShallowCopy
+from hybrid_ins.core.update.kalman import innovation_covariance
+from hybrid_ins.core.update.linalg import factorise, solve
+
+Array = NDArray[np.float64]
+
+MEMORY = 30.0  # s, over which the scatter is averaged
+PRIOR_COUNT = 20.0  # components, that the given share weighs at the start, and that are remembered
+MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
+SMALLEST = 0.003  # share of the claimed variance
+SMALLEST_STD = 0.01  # m: no receiver scatters by less
+SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
+LEAST_SEARCHED = 0.1  # of the given share, while a heading or a clock is searched for
+REFLECTED_STD = 1.5  # m, likewise: reflections near walls last for seconds, and scatter little
+LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
+EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
+LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
+CORRECTED_STD, UNCORRECTED_STD = 0.3, 1.0  # m: claims with corrections, and without
+SLOW_TIME = 100.0  # s, correlation time of the slow error
+SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
+WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
+SMALLEST_WALK = 0.01
+LONGEST_INTERVAL = 3.0  # s, between two such
+NO_GROWTH = np.zeros(3)  # m², of a slow error
+NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
+
+
+Model = tuple[Array, Array, Array]  # of a measurement: z, H, R
+Evidence = tuple[float, float, Array]
+"""See `scatter_evidence`."""
+
+
+class Split(NamedTuple):
+    """The claimed variance of a position in two parts."""
+
+    share: float  # of it that is white; above 1: positions scatter by more than they claim
+    slow_variance: Array  # (m,) m², NED, the rest
+    interval: float  # s, since the position before, in which the slow error has changed
+    claimed_std: float = 0.0  # m, horizontally; 0: no position
+    claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
+    claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
+    unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
+    excess: float = 1.0  # factor by which positions scatter more than is claimed and given
+
+
+class PositionScatter(ShallowCopy):
+    """
+    Share of the claimed variance of positions that is white.
+
+    A copy is a checkpoint.
+
+    Parameters
+    ----------
+    given : float
+        The share to begin with: the square of ``gnss.position_scatter``.
+    learning : bool
+        Learn the share from the fixes; otherwise it stays.
+
+    Attributes
+    ----------
+    learning : bool
+        See above.
+    learned : float
+        Share that the fixes show; the given one until they do.
+    in_force : bool
+        Positions are fused with the learned share. Otherwise, while heading or clock are searched
+        for, with no more than the given one, since a wrong heading looks like scatter, and with no
+        less than a tenth of it, nor than ``REFLECTED_STD``: else the model's other errors are
+        evidence on both. What a position claims beyond the smallest claim counts in full.
+    """
+
+    def __init__(self, given: float = 1.0, learning: bool = False) -> None:
+        self._given = given
+        self.learning = learning
+        self._count = PRIOR_COUNT
+        self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
+        self.learned = given
+        self._t_ns = 0  # of the last position
+        self._claimed_slow = np.empty(0)  # m², of its slow error
+        self._normalised = np.empty(0)  # its innovation
+        self._walk = 1.0  # factor on the walk of the slow error
+        self.in_force = False
+        self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
+
+    def share(self, claimed: Array) -> float:
+        """Return the share in force for a claimed covariance (m, m)."""
+        horizontal = horizontal_variance(claimed)
+        share = self.learned if self.in_force else self._searched(horizontal)
+        if share >= 1.0:
+            return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected
+        return max(share, min(1.0, SMALLEST_STD**2 / horizontal))
+
+    def _searched(self, horizontal: float) -> float:
+        """Return the share for a claimed variance [m²] while heading or clock are searched for."""
+        usual = min(self._usual, horizontal)
+        least = self._given * max(LEAST_SEARCHED, min(1.0, REFLECTED_STD**2 / usual))
+        share = min(max(self.learned, least), self._given)
+        return (usual * share + (horizontal - usual) * self._given) / horizontal
+
+    @property
+    def _largest_expected(self) -> float:
+        """The largest share that needs no evidence."""
+        return max(1.0, self._given)
+
+    def split(self, claimed: Array, t_ns: int, slow_std: float, fix_factor: float = 1.0) -> Split:
+        """
+        Return the split of a position's covariance.
+
+        Parameters
+        ----------
+        claimed : ndarray, shape (m, m)
+            As the fix claims it [m²], NED; it may lack the height.
+        t_ns : int
+            Stamp of the fix [ns].
+        slow_std : float
+            Standard deviation of the slow error that the innovations show, horizontally [m].
+        fix_factor : float
+            On the white part, by the innovations: the split is made for it.
+        """
+        horizontal = horizontal_variance(claimed)
+        self._usual = min(self._usual, horizontal)
+        share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
+        interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
+        if share > self._largest_expected:
+            share = max(share / fix_factor, self._largest_expected)
+        lost = 1.0 - self._usual / horizontal
+        slow = claimed_slow = max(1.0 - share, _least_slow(claimed), lost) * claimed.diagonal()
+        growth = np.zeros(3)
+        for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
+            is_new = after > NEW_SOLUTION * before
+            growth[i] = after if is_new else slow_error_growth(before, after, interval)
+        if slow_std > 0.0:
+            slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
+        claimed_std = math.sqrt(horizontal)
+        unclaimed = slow_std if slow_std > claimed_std else 0.0
+        excess = max(share / self._largest_expected, 1.0)
+        return Split(share, slow, interval, claimed_std, claimed_slow, growth, unclaimed, excess)
+
+    def split_model(
+        self, nav: Array, model: Model, split: Split, fix_factor: float, by_stamp: Array
+    ) -> tuple[Model, Evidence | None]:
+        """
+        Return a position's model with the white part of R, and what its scatter teaches.
+
+        The slow error of the flat state ``nav`` becomes that of the fix. ``fix_factor`` is that on
+        the covariance of fixes, ``by_stamp`` (m, m) [m²] the covariance by its stamp.
+        """
+        z, H, claimed = model
+        change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
+        white = z, H, split.share * claimed
+        if not self.learning:
+            return white, None
+        factor = split.share * fix_factor
+        return white, scatter_evidence(nav[COVARIANCE], z, H, claimed, factor, by_stamp)
+
+    def learn(self, split: Split, evidence: Evidence | None, t_ns: int) -> None:
+        """
+        Note a fix that was fused, by its `scatter_evidence`, which ``learning`` alone needs.
+
+        A walk of the slow error that is too large makes the filter follow the scatter, so that
+        successive innovations are of opposite signs, too small a one of the same.
+        """
+        interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
+        self._t_ns, self._claimed_slow = t_ns, split.claimed_slow
+        if evidence is None:
+            return
+        total, count, normalised = evidence
+        fading = max(math.exp(-interval / MEMORY), min(PRIOR_COUNT / self._count, 1.0))
+        self._count = fading * self._count + count
+        largest = LARGEST_RESIDUAL * len(normalised) * max(1.0, self.learned)
+        self._sum = max(fading * self._sum + min(total, largest), SMALLEST * self._count)
+        mean = self._sum / self._count
+        self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS)
+        m = min(len(normalised), len(self._normalised))
+        if m and self.in_force and interval < LONGEST_INTERVAL:
+            alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
+            self._walk = min(max(self._walk * math.exp(WALK_GAIN * alike), SMALLEST_WALK), 1.0)
+        self._normalised = normalised
+
+
+def horizontal_variance(covariance_n: Array) -> float:
+    """Return the mean variance of north and east in a position's covariance (m, m)."""
+    return 0.5 * float(covariance_n.item(0, 0) + covariance_n.item(1, 1))
+
+
+def _least_slow(claimed: Array) -> float:
+    """Return the share of a claimed covariance (m, m) that is slow at the least."""
+    return LEAST_SLOW * uncorrected(math.sqrt(horizontal_variance(claimed)))
+
+
+def uncorrected(claimed_std: float) -> float:
+    """Return how far a claimed σ [m] is that of a receiver without corrections, 0 to 1."""
+    share = (claimed_std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
+    return min(max(share, 0.0), 1.0)
+
+
+@kernel()
+def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-untyped-def]
+    """
+    Return what an innovation shows of the factor on a position's claimed covariance.
+
+    With S = H P H' + f C + D the slope of its log-likelihood by f is
+    (1/2) tr(S^-1 C (S^-1 z z' - 1)), the expected curvature -(1/2) tr(S^-1 C S^-1 C). Since S is
+    linear in f, the step by both from any f is without bias. Where the innovation is mostly the
+    IMU's, it shows little of f.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (120,)
+        Upper triangle of P, before the update.
+    z, H, claimed : ndarray, shape (m,), (m, 15), (m, m)
+        Innovation, measurement matrix, claimed covariance C.
+    factor : float
+        f, with which that is fused.
+    others : ndarray, shape (m, m)
+        Covariance D of the fix's other errors.
+
+    Returns
+    -------
+    total, count : float
+        The factor that it shows, times the number of components that would show as much if nothing
+        else were in the innovation; and that number, up to m.
+    normalised : ndarray, shape (m,)
+        The innovation by its standard deviations.
+    """
+    m = len(z)
+    root, _ = innovation_covariance(packed, H, factor * claimed + others)
+    normalised = z.copy()
+    for a in range(m):
+        normalised[a] /= np.sqrt(root[a, a])
+    factorise(root)
+    y, square, trace, count = z.copy(), 0.0, 0.0, 0.0
+    solve(root, y)
+    shown = np.empty((m, m))  # S^-1 C
+    for a in range(m):
+        column = claimed[:, a].copy()
+        for b in range(m):
+            square += y[a] * claimed[a, b] * y[b]
+        solve(root, column)
+        trace += column[a]
+        shown[:, a] = column
+    for a in range(m):
+        for b in range(m):
+            count += factor * factor * shown[a, b] * shown[b, a]
+    return factor * count + factor * factor * (square - trace), count, normalised
+
+
+@register_jitable
+def slow_error_growth(before, after, interval):  # type: ignore[no-untyped-def]
+    """Return the variance [m²] that a slow error leaves in the state over an interval [s]."""
+    return before if before > NEW_SOLUTION * after else 2.0 * before * interval / SLOW_TIME
+
+
+@kernel()
+def change_slow_error(nav, variance, interval, claimed_growth):  # type: ignore[no-untyped-def]
+    """
+    Let the slow error of fixes change over an interval [s], to a new variance [m²], NED.
+
+    ``variance``, shape (m,), may lack the height. P grows by ``claimed_growth`` at the least, see
+    `Split`. Overwrites P and B of the flat state ``nav``.
+    """
+    for i in range(len(variance)):
+        grown = slow_error_growth(nav[SLOW_VARIANCE][i], variance[i], interval)
+        nav[COVARIANCE][DIAGONAL[i]] += max(grown, claimed_growth[i])
+        nav[SLOW_VARIANCE][i] = variance[i]

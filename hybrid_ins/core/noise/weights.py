@@ -1,0 +1,143 @@
+"""
+Weights of the hypotheses of `multiple_model`, by the likelihood of the innovations.
+
+What the noise is may change within seconds: a vehicle sets off, a receiver loses its solution. So
+the likelihood of a hypothesis is remembered for ``MEMORY``. That fixes have a slow error changes
+over minutes, and shows little by little: hypotheses with the same slow error are a family, whose
+likelihood is that of the mixture of its members, predicted before each innovation, [1]_. It is
+remembered for ``SLOW_MEMORY``.
+
+References
+----------
+.. [1] A. P. Dawid, "Statistical theory: the prequential approach", Journal of the Royal
+       Statistical Society A 147, 1984.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import register_jitable
+
+from hybrid_ins.core.noise.hypotheses import (
+    COUNT,
+    HYPOTHESES,
+    LOG_FACTORS,
+    LOG_PRIOR,
+    SLOW_STD,
+    STAMP_STD,
+    smallest_slow_std,
+)
+
+DEAD_BAND = 0.1  # decades that count as none
+IMPROBABLE = 0.1  # probability of a slow error, or of stamps that scatter, that counts as none
+MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
+SLOW_MEMORY = 200.0  # s over which that of a family is
+UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
+UNLIKELIEST_FAMILY = -10.0  # of a family: a slow error may begin and end
+AT_START = -7.0  # of families with a slow error: clock and heading may look like one at first
+ANY_CLAIM = 1e-6  # m: of positions beside which any slow error would be found
+EXACT_STAMP = 0.005  # s, of stamps: by less they do hardly any harm
+CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
+
+FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
+FAMILIES = len(FAMILY_STD)
+_PRIOR_OF_FAMILY = np.array(
+    [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
+)
+
+
+@register_jitable
+def fade(T, log_likelihood, of_family):  # type: ignore[no-untyped-def]
+    """Let likelihoods fade over a time [s]."""
+    fading, slow_fading = np.exp(-T / MEMORY), np.exp(-T / SLOW_MEMORY)
+    for h in range(COUNT):
+        log_likelihood[h] *= fading
+    for f in range(FAMILIES):
+        of_family[f] *= slow_fading
+
+
+@register_jitable
+def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore[no-untyped-def]
+    """
+    Add the log-likelihoods of an innovation, (COUNT,) or more.
+
+    A position whose claim, ``claimed_std`` horizontally [m], contains the slow error of a family is
+    no evidence on that. The largest of a family, and the largest of all families, are 0 afterwards.
+    """
+    largest, before = np.full(FAMILIES, -np.inf), np.zeros(FAMILIES)
+    for h in range(COUNT):
+        before[FAMILY[h]] += np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h])
+        largest[FAMILY[h]] = max(largest[FAMILY[h]], one[h])
+    after, best = np.zeros(FAMILIES), np.full(FAMILIES, -np.inf)
+    for h in range(COUNT):
+        f = FAMILY[h]
+        after[f] += np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h] + one[h] - largest[f])
+        log_likelihood[h] += one[h]
+        best[f] = max(best[f], log_likelihood[h])
+    most, smallest, shown = -np.inf, smallest_slow_std(claimed_std), np.empty(FAMILIES)
+    for f in range(FAMILIES):  # the first has no slow error
+        shown[f] = largest[f] + np.log(max(after[f] / before[f], 1e-300))
+        of_family[f] += shown[0] if FAMILY_STD[f] < smallest else shown[f]
+        most = max(most, of_family[f])
+    for f in range(FAMILIES):
+        of_family[f] = max(of_family[f] - most, UNLIKELIEST_FAMILY)
+    for h in range(COUNT):
+        log_likelihood[h] = max(log_likelihood[h] - best[FAMILY[h]], UNLIKELIEST)
+
+
+@register_jitable
+def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-untyped-def]
+    """Write the weights of the hypotheses, given what positions claim horizontally [m]."""
+    within, of_each = np.zeros(FAMILIES), np.empty(FAMILIES)
+    for h in range(COUNT):
+        weights[h] = np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h])
+        within[FAMILY[h]] += weights[h]
+    largest, total, smallest = -np.inf, 0.0, smallest_slow_std(claimed_std)
+    for f in range(FAMILIES):
+        of_each[f] = of_family[f] + _PRIOR_OF_FAMILY[f]
+        if FAMILY_STD[f] > 0.0 and FAMILY_STD[f] < smallest:
+            of_each[f] = -np.inf
+        largest = max(largest, of_each[f])
+    for f in range(FAMILIES):
+        of_each[f] = np.exp(of_each[f] - largest)
+        total += of_each[f]
+    for h in range(COUNT):
+        weights[h] *= of_each[FAMILY[h]] / (within[FAMILY[h]] * total)
+
+
+@register_jitable
+def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
+    """
+    Set the factors to the mixture's mean; return whether one has risen much.
+
+    ``factors``, shape (7,): on accelerometer, gyroscope and R; the standard deviation [m] of a slow
+    error, by the mixture's second moment, 0 where it is improbable, and its probability; and the
+    standard deviation of the stamps of fixes [s], likewise.
+    """
+    in_question, slow_variance, stamp_variance = np.empty(4), 0.0, 0.0
+    slow_probability, stamp_probability = 0.0, 0.0
+    for i in range(3):
+        decades = 0.0
+        for h in range(COUNT):
+            decades += HYPOTHESES[LOG_FACTORS.start + i, h] * weights[h]
+        beyond = max(0.0, abs(decades) - DEAD_BAND)
+        factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
+        in_question[i] = factors[i]
+    for h in range(COUNT):
+        if HYPOTHESES[SLOW_STD, h] > 0.0:
+            slow_probability += weights[h]
+            slow_variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
+        if HYPOTHESES[STAMP_STD, h] > 0.0:
+            stamp_probability += weights[h]
+            stamp_variance += HYPOTHESES[STAMP_STD, h] ** 2 * weights[h]
+    factors[3] = np.sqrt(slow_variance) if slow_probability > IMPROBABLE else 0.0
+    factors[4] = slow_probability
+    factors[5] = np.sqrt(stamp_variance) if stamp_probability > IMPROBABLE else 0.0
+    factors[6] = stamp_probability
+    in_question[3] = 1.0 + (factors[5] / EXACT_STAMP) ** 2
+    risen = False
+    for i in range(4):
+        risen |= in_question[i] >= CORRECTION_RATIO * lowest[i]
+    for i in range(4):
+        lowest[i] = in_question[i] if risen else min(lowest[i], in_question[i])
+    return risen

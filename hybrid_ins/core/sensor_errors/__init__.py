@@ -1,0 +1,1 @@
+"""Errors of clock, antenna and IMU scale, estimated beside the 15 states."""

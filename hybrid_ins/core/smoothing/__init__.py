@@ -1,0 +1,1 @@
+"""The state at every time, given all measurements before and after it."""

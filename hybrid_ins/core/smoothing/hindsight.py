@@ -1,0 +1,242 @@
+"""
+The smoother of a recorded stretch: what the forward run decided, with hindsight.
+
+Measurements, decisions and noise are those of the forward run, but for four things that only later
+data show. Measurements that the gate rejected are fused if they fit after all; where the
+innovations showed that the noise had been too small for a while, it is raised over that while; the
+clock offset of each fix is the one that later fixes confirm; and a heading that had to be found is
+linearised about the one that was found.
+
+References
+----------
+.. [1] H. Rauch, F. Tung, C. Striebel, "Maximum likelihood estimates of linear dynamic systems",
+       AIAA Journal 3, 1965.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.alignment.alignment import yaw_of
+from hybrid_ins.core.filter.events import ClockShift, CovarianceInflation
+from hybrid_ins.core.filter.filter_record import Decided, FilterRecord, FilterStart
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.inertial.rotations import quat_from_rotvec, quat_multiply
+from hybrid_ins.core.inertial.state import N_ERROR, NavState
+from hybrid_ins.core.noise.weights import MEMORY
+from hybrid_ins.core.smoothing.forward_record import Stretch
+from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
+from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_STATE, Smoother, Store
+from hybrid_ins.core.update.measurements import GNSS, clock_offset_ns
+
+Array = NDArray[np.float64]
+
+LOOSE = 5.0  # times its deviation: how far off a heading may be that is found once more
+LEAST_HEADING_STD = 0.05  # rad
+HEAD_NS = 20_000_000_000  # after the filter ran: what is smoothed to find the first heading
+CLOCK_WALK = 3e-4  # s per sqrt(s), of one clock against the other beside its drift
+CLOCK_JUMP = 5.0  # standard deviations
+MEMORY_NS = int(MEMORY * 1e9)
+
+
+def smoother_of(
+    stretch: Stretch,
+    make_store: Callable[[int], Store],
+    progress: Callable[[int], None] = lambda n: None,
+) -> tuple[Smoother, SmoothedLeverArm | None]:
+    """
+    Return a smoother of a stretch in which a filter ran, and the lever arm that nobody gave.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        Of a `RunRecord`.
+    make_store : callable
+        Given the length of the rows, returns a `Store`.
+    progress : callable
+        See `Smoother`.
+    """
+    last = stretch.filters[-1][0]
+    interval, gap_ns = last.covariance_interval, last.long_step_ns
+    start, updates = _plan(stretch.filters)
+    samples = stretch.samples
+    if stretch.heading_found:
+        end = np.searchsorted(samples["t_ns"], stretch.running_ns + HEAD_NS)
+        head = Smoother(start, samples[:end], updates, interval, gap_ns, {}, {})
+        head.run()
+        start = _about_heading(start, head.first())
+    stores = make_store(N_STATE), make_store(N_ADJOINT)
+    lever_arm = None if _lever_arm_is_given(updates) else SmoothedLeverArm()
+    smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, lever_arm)
+    return smoother, lever_arm
+
+
+def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
+    """Return whether any measurement has a lever arm other than zero."""
+    levers = (getattr(update.measurement, "lever_b", None) for update in updates)
+    return any(lever is not None and lever.any() for lever in levers)
+
+
+def clock_offsets(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
+    """Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s]."""
+    steps, moved = _steps(stretch.filters)
+    found = [
+        (decided.verdict.measurement, dt)
+        for decided, dt in zip((step.decided for step in steps), moved, strict=True)
+        if decided.verdict is not None and decided.verdict.measurement.sensor == GNSS
+    ]
+    offsets_ns = np.array([clock_offset_ns(measurement) for measurement, _ in found], np.int64)
+    stamps = np.array([measurement.t_ns for measurement, _ in found], np.int64) - offsets_ns
+    return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found])
+
+
+@dataclass(slots=True)
+class _Step:
+    """What was decided, with the clock offset applied to it and the noise then in force."""
+
+    decided: Decided
+    applied: float  # s, beyond what the first filter's clock added
+    levels: Array
+    r_scale: float
+
+
+def _steps(filters: Sequence[tuple[InsFilter, float]]) -> tuple[list[_Step], Array]:
+    """Return what was decided in the end, and what is to be added to the stamps of each [s]."""
+    steps: list[_Step] = []
+    applied, shifted = 0.0, len(filters) > 1
+    for running, offset in filters:
+        record = _record(running)
+        while steps and steps[-1].decided.event.t_ns > record.start.t_ns:
+            applied = steps.pop().applied
+        applied += offset
+        for decided in record.decided:
+            if isinstance(decided.event, ClockShift):
+                applied += decided.event.by
+                shifted = True
+            steps.append(_Step(decided, applied, decided.levels, decided.r_scale))
+        steps += [_Step(late, applied, late.levels, late.r_scale) for late in record.too_old]
+    steps.sort(key=lambda step: step.decided.event.t_ns)
+    return steps, _clock(steps) if shifted else np.zeros(len(steps))
+
+
+def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Update]]:
+    """Return what the smoother begins with and does, by hindsight."""
+    first = _record(filters[0][0])
+    steps, moved = _steps(filters)
+    psd = filters[0][0].noise.process.psd
+    first_levels = _raise(steps, first.start)
+    updates: list[Update] = []
+    levels = first_levels
+    for step, dt in zip(steps, moved, strict=True):
+        update = _update(step, round(dt * 1e9), psd(step.levels))
+        if update is not None or not np.array_equal(step.levels, levels):
+            updates.append(update or Update(step.decided.event.t_ns, psd(step.levels)))
+            levels = step.levels
+    slow = next((u.split.slow_variance for u in updates if u.split is not None), None)
+    start = Start(first.start.t_ns, first.start.sample, first.start.state, psd(first_levels), slow)
+    return start, sorted(updates, key=lambda update: update.t_ns)
+
+
+def _record(running: InsFilter) -> FilterRecord:
+    assert running.record is not None, "the filter keeps no record"
+    return running.record
+
+
+def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
+    event, verdict = step.decided.event, step.decided.verdict
+    if isinstance(event, CovarianceInflation):
+        return Update(event.t_ns, psd, inflation=event)
+    if verdict is None:
+        return None
+    plain, split = verdict.accepted and not verdict.inflated, step.decided.split
+    white = 1.0 if split is None else split.share
+    measurement = verdict.measurement
+    if measurement.sensor == GNSS:
+        measurement = replace(measurement, t_ns=measurement.t_ns + moved_ns)  # type: ignore[type-var]
+    return Update(
+        measurement.t_ns,
+        psd,
+        measurement,
+        step.r_scale * white / verdict.weight if measurement.sensor == GNSS else 1.0,
+        math.inf if plain else verdict.threshold,
+        verdict.inflated,
+        split=split,
+    )
+
+
+def _raise(steps: Sequence[_Step], start: FilterStart) -> Array:
+    """
+    Raise the noise before each `StateCorrection` to what was found by it; return the first levels.
+
+    It was found from the innovations of so long before.
+    """
+    levels = start.levels
+    for k, step in enumerate(steps):
+        if not step.decided.state_moved:
+            continue
+        since = step.decided.event.t_ns - MEMORY_NS
+        after = next((s.r_scale for s in steps[k + 1 :] if _is_gnss(s)), step.r_scale)
+        for earlier in steps[:k]:
+            if earlier.decided.event.t_ns >= since:
+                earlier.levels = np.maximum(earlier.levels, step.levels)
+                if _is_gnss(earlier):
+                    earlier.r_scale = max(earlier.r_scale, after)
+        if start.t_ns >= since:
+            levels = np.maximum(levels, step.levels)
+    return levels
+
+
+def _is_gnss(step: _Step) -> bool:
+    verdict = step.decided.verdict
+    return verdict is not None and verdict.measurement.sensor == GNSS
+
+
+def _clock(steps: Sequence[_Step]) -> Array:
+    """
+    Return how much more [s] belongs to each step's stamp, by the smoothed clock offset.
+
+    The offset is a random walk with the drift that was found in the end, estimated forward by
+    `ClockOffsetObserver` and smoothed by [1]_; where it jumps (a receiver that was set anew), later
+    estimates say nothing of earlier ones.
+    """
+    moved = np.zeros(len(steps))
+    later: tuple[int, float, float] | None = None  # stamp [ns], smoothed offset, variance before it
+    drift = 0.0
+    for k in range(len(steps) - 1, -1, -1):
+        step = steps[k]
+        if not _is_gnss(step):
+            continue
+        missing, variance = step.decided.clock_residual, step.decided.clock_variance
+        offset, t_ns = step.applied + missing, step.decided.event.t_ns
+        if later is None:
+            drift = step.decided.clock_drift
+        else:
+            dt = max(later[0] - t_ns, 0) * 1e-9
+            grown = variance + CLOCK_WALK**2 * dt
+            change = later[1] - drift * dt - offset
+            if abs(change) < CLOCK_JUMP * math.sqrt(grown + later[2]):
+                offset += variance / grown * change
+        later = t_ns, offset, variance
+        moved[k] = offset - step.applied
+    return moved
+
+
+def _about_heading(start: Start, found: NavState) -> Start:
+    """
+    Return the start with the heading of a state that was smoothed already, and little trust in it.
+
+    The same measurements find it again: what counts twice is one part in ``LOOSE`` squared.
+    """
+    state, std = start.state, max(LOOSE * math.sqrt(found.P[8, 8]), LEAST_HEADING_STD)
+    turn = np.array([0.0, 0.0, yaw_of(found.quat_xyzw) - yaw_of(state.quat_xyzw)])
+    scale = np.ones(N_ERROR)  # the correlations stay, or P might be indefinite
+    scale[8] = std / math.sqrt(state.P[8, 8])
+    P = state.P * np.outer(scale, scale)
+    quat = quat_multiply(quat_from_rotvec(turn), state.quat_xyzw)
+    return replace(start, state=replace(state, quat_xyzw=quat, P=P))

@@ -1,0 +1,342 @@
+"""
+Robust weighting of innovations, with covariance inflation after sustained disagreement.
+
+A GNSS measurement with a large innovation is fused with a larger R, as if its errors had
+Student's t distribution, [2]_. No threshold separates used from unused, so that a covariance that
+is a little too small costs some weight, never a run of valid fixes. Rejected is only what no error
+of an INS explains: a jump.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+       Navigation*, 2001, section 5.4.
+.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", Journal of the American Statistical Association 84, 1989.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.shallow_copy import ShallowCopy
+from hybrid_ins.core.update import chi_square
+from hybrid_ins.core.update.linalg import log_determinant
+from hybrid_ins.core.update.measurements import GNSS, Measurement
+
+Array = NDArray[np.float64]
+
+MARGINAL = 0.5  # of the threshold: a NIS above it, after consistent rejections, is no agreement
+TAIL_DOF = 6.0  # degrees of freedom of the t distribution, [2]_
+TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outliers
+ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
+MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
+ORDINARY_ACCELERATION_ERROR = 2.0  # m/s², of an INS that agreed with the fixes
+CERTAIN = 50.0  # NIS that errors of such an INS hardly make
+SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
+UNREMARKABLE = 1.5  # a scale that is forgotten
+UNCONFIRMED = "innovation beyond the gate after a pause: waits for a fix that agrees"
+LEAST_PATIENCE_NS = 1_000_000_000  # with a state that rests on one fix
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """
+    The decision on one measurement.
+
+    Attributes
+    ----------
+    measurement : Measurement
+        The one that was decided on.
+    accepted : bool
+        It was fused.
+    reason : str
+        Why it was rejected, or what was done besides fusing; empty for a plain fusion.
+    age : float
+        How far it lay behind the IMU when it was decided on [s].
+    nis : float
+        Normalised innovation squared; NaN where it was not computed.
+    threshold : float
+        Largest NIS of a measurement that agrees with the state.
+    sigma : ndarray, shape (m,)
+        Standard deviations used for the measurement, NED [m or m/s].
+    log_det : float
+        Logarithm of the determinant of the innovation's covariance.
+    inflated : bool
+        The covariance was inflated for this measurement, see `Gate`.
+    jump : bool
+        It is rejected, in a run of rejections that began with a jump: no error of an INS grows
+        that fast.
+    receiver_jumped : bool
+        The receiver's positions have jumped: the state agreed with them until then, no error of an
+        INS grows that fast, and they stayed there. Either the covariance was inflated for that, or
+        it is the second large innovation, and no larger than the first: an error of an INS that
+        made that would have grown by now.
+    surprises : bool
+        It is a position with a NIS that no ordinary error makes of a state that is believed and
+        agreed with the fixes until then: that state is wrong, or the receiver has jumped.
+    disagrees : bool
+        A jump that does not show the same error as the one before: evidence on the fixes.
+    weight : float
+        At most 1; R is divided by it.
+    """
+
+    measurement: Measurement
+    accepted: bool
+    reason: str
+    age: float
+    nis: float
+    threshold: float
+    sigma: Array
+    log_det: float = 0.0
+    inflated: bool = False
+    jump: bool = False
+    receiver_jumped: bool = False
+    surprises: bool = False
+    disagrees: bool = False
+    weight: float = 1.0
+
+    @classmethod
+    def rejected(cls, measurement: Measurement, reason: str, age: float = np.nan) -> Verdict:
+        """Return the verdict on a measurement that was not compared with the state."""
+        return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Rejections:
+    """A run of measurements above the threshold, one after the other."""
+
+    first_ns: int
+    consistent_ns: int  # since when they are consistent with each other
+    z: Array  # innovation of the last
+    count: int
+    certain: bool  # none had a NIS below `CERTAIN`, and the innovations before were ordinary
+    jump: bool  # the first was one, or one after it
+    began_with_jump: bool
+
+
+class _Innovation(NamedTuple):
+    """An innovation, and what it is compared with."""
+
+    z: Array
+    R: Array
+    claimed: Array  # covariance that the measurement claims
+    interval: float  # s, since the last correction
+    is_pause: bool
+
+
+class Gate(ShallowCopy):
+    """
+    Weight of a measurement by its innovation, with a limit on the duration of disagreement.
+
+    GNSS measurements are weighted; jumps among them, and other measurements above the threshold,
+    are rejected. Measurements that are above the threshold without interruption for ``patience``
+    seconds, and are consistent with each other, are assumed right and the state wrong: for the
+    next one the covariance is inflated (`Verdict.inflated`). Inconsistent ones have to wait three
+    times as long. Where the covariance has grown meanwhile until such a measurement is just below
+    the threshold, the state is as wrong, and the covariance is inflated as well.
+
+    A state is believed no longer than it has been confirmed for: after a pause one measurement
+    decides where it is, and if that was the outlier, the following ones need to agree for as long
+    as it was followed, not for ``patience``. One above the threshold has to wait then for another
+    one that agrees with it.
+
+    A jump is out of proportion to what the measurement claims, even where it scatters by less, and
+    to the innovations before it: a receiver that claims centimetres and scatters by decimetres does
+    not jump at every fix. The scale, the mean of NIS / m of those that were fused last, is counted
+    from the first above the threshold until it is ordinary again. It does not count where two in a
+    row show one error of the state.
+
+    Parameters
+    ----------
+    thresholds : mapping of int to float
+        Largest NIS of a measurement that agrees with the state, by the number of components.
+    patience : float
+        [s].
+    """
+
+    def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
+        self._thresholds = thresholds
+        self._patience_ns = int(patience * 1e9)
+        self._confirmed_since_ns = -self._patience_ns
+        self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
+        self._scales: dict[str, float] = {}  # likewise; 1 where there is none
+
+    def threshold(self, components: int) -> float:
+        """Return the largest NIS of a measurement that agrees, by its number of components."""
+        return self._thresholds[components]
+
+    def ordinary_limit(self, kind: str, components: int, interval: float) -> float:
+        """
+        Return the NIS up to which `judge` accepts a GNSS measurement by its NIS alone.
+
+        -1 after rejections, large innovations and a pause: more than its NIS counts then.
+        """
+        is_pause = interval * 1e9 > self._patience_ns
+        if kind in self._rejections or kind in self._scales or is_pause:
+            return -1.0
+        return self._thresholds.get(components, -1.0)
+
+    @property
+    def rejects(self) -> bool:
+        """The last measurement of a kind was rejected as a jump: it is wrong, or the state."""
+        return any(run.jump for run in self._rejections.values())
+
+    def judge(
+        self,
+        measurement: Measurement,
+        z: Array,
+        R: Array,
+        S: Array,
+        nis: float,
+        age: float,
+        interval: float = np.inf,
+        claimed: Array | None = None,
+    ) -> Verdict:
+        """
+        Decide by the innovation z (m,), its NIS, and the covariances R and S, (m, m).
+
+        ``interval`` is the time since the last correction [s], ``claimed`` the covariance that the
+        measurement claims where R is its scatter, which may be less.
+        """
+        last = self._rejections.get(measurement.kind)
+        rejected_ns = measurement.t_ns - last.first_ns if last else 0  # that is no pause
+        is_pause = interval * 1e9 - rejected_ns > self._patience_ns
+        plain = Verdict(
+            measurement,
+            True,
+            "",
+            age,
+            nis,
+            self._thresholds[len(R)],
+            np.sqrt(R.diagonal()),
+            log_determinant(S),
+            weight=weight(nis, len(R)) if measurement.sensor == GNSS else 1.0,
+        )
+        claimed = R if claimed is None else claimed
+        verdict = self._decide(plain, _Innovation(z, R, claimed, interval, is_pause))
+        if verdict.accepted and measurement.sensor == GNSS:
+            self._learn_scale(verdict)
+            if is_pause:
+                self._confirmed_since_ns = measurement.t_ns
+        return verdict
+
+    def _learn_scale(self, verdict: Verdict) -> None:
+        kind, m = verdict.measurement.kind, len(verdict.sigma)
+        if kind not in self._scales and verdict.nis <= verdict.threshold:
+            return
+        scale = self._scales.get(kind, 1.0)
+        scale += (verdict.nis / m - scale) / SCALE_LENGTH
+        others = {k: one for k, one in self._scales.items() if k != kind}
+        is_remarkable = scale > UNREMARKABLE and not verdict.inflated
+        self._scales = {**others, kind: scale} if is_remarkable else others
+
+    def _decide(self, plain: Verdict, seen: _Innovation) -> Verdict:
+        """Return ``plain``, or what the measurements of its kind before it make of it."""
+        measurement, (z, R, *_) = plain.measurement, seen
+        kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
+        last = self._rejections.get(kind)
+        first_ns = last.first_ns if last else t_ns
+        consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
+        patience_ns = min(self._patience_ns, self._confirmed_ns(first_ns))
+        long_consistent = t_ns - consistent_ns > patience_ns // 3
+        if plain.nis <= plain.threshold:
+            marginal = plain.nis > MARGINAL * plain.threshold and long_consistent
+            if not (marginal and is_gnss):
+                self._end_run(kind)
+                return plain
+        elif not is_gnss or (
+            t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
+        ):
+            return self._continue_run(plain, seen, consistent_ns)
+        self._end_run(kind)
+        seconds = (t_ns - first_ns) * 1e-9
+        reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
+        jumped = kind == "position" and last is not None and last.began_with_jump
+        jumped = jumped and t_ns - consistent_ns >= patience_ns // 3
+        jumped = jumped and self._was_believed(first_ns)
+        return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
+
+    def _continue_run(self, plain: Verdict, seen: _Innovation, consistent_ns: int) -> Verdict:
+        """Note one more measurement above the threshold; return its weight or its rejection."""
+        z, R, claimed, interval, is_pause = seen
+        measurement, kind = plain.measurement, plain.measurement.kind
+        last = self._rejections.get(kind)
+        of_state = last is not None and consistent_ns == last.consistent_ns
+        scale = 1.0 if of_state else self._scales.get(kind, 1.0)
+        expected = max(scale * float(np.trace(R)), float(np.trace(claimed)))
+        jump = _is_jump(kind, z, expected, interval) or (last is not None and last.jump)
+        run = _Rejections(
+            last.first_ns if last else measurement.t_ns,
+            consistent_ns,
+            z,
+            last.count + 1 if last else 1,
+            plain.nis > CERTAIN and (last.certain if last else kind not in self._scales),
+            jump,
+            last.began_with_jump if last else jump,
+        )
+        self._rejections = {**self._rejections, kind: run}
+        if measurement.sensor != GNSS or jump:
+            reason, disagrees = "innovation beyond the gate", jump and not of_state
+            return replace(plain, accepted=False, reason=reason, jump=jump, disagrees=disagrees)
+        if is_pause and not of_state:
+            return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
+        jumped, surprises = False, False
+        if kind == "position" and run.certain and self._was_believed(run.first_ns):
+            surprises = run.count == 1
+            if last is not None and run.count == 2:
+                jumped = _has_jumped(last.z, z, R, interval)
+        reason = "large innovation"
+        return replace(plain, reason=reason, receiver_jumped=jumped, surprises=surprises)
+
+    def _end_run(self, kind: str) -> None:
+        """Forget the measurements of a kind above the threshold."""
+        self._rejections = {k: run for k, run in self._rejections.items() if k != kind}
+
+    def _confirmed_ns(self, t_ns: int) -> int:
+        """Return for how long [ns] the state at a stamp [ns] had been confirmed."""
+        return max(t_ns - self._confirmed_since_ns, LEAST_PATIENCE_NS)
+
+    def _was_believed(self, t_ns: int) -> bool:
+        """Return whether the state at a stamp [ns] had been confirmed for long enough."""
+        return self._confirmed_ns(t_ns) >= self._patience_ns
+
+
+def weight(nis: float, m: int) -> float:
+    """
+    Return the weight of a GNSS measurement with ``m`` components by its NIS, [2]_.
+
+    It is 1 for 95 % of ordinary measurements, so that their fusion stays optimal.
+    """
+    return float(min(1.0, (TAIL_DOF + ORDINARY[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT)
+
+
+def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
+    """Return whether two innovations of positions are alike, and larger than those of an INS."""
+    m, tolerance = min(len(first), len(second)), 4.0 * float(np.sqrt(np.trace(R)))
+    size = float(np.linalg.norm(first[:m]))
+    change = float(np.linalg.norm(second[:m] - first[:m]))
+    grown = 0.5 * ORDINARY_ACCELERATION_ERROR * interval**2
+    return size > grown + tolerance and change <= max(0.2 * size, tolerance)
+
+
+def _is_jump(kind: str, z: Array, expected: float, interval: float) -> bool:
+    """
+    Return whether no acceleration error can have made an innovation so large.
+
+    ``expected`` is the mean square of the measurement's error.
+    """
+    grown = MAX_ACCELERATION_ERROR * interval * (0.5 * interval if kind == "position" else 1.0)
+    return float(np.linalg.norm(z)) > grown + 5.0 * math.sqrt(expected)
+
+
+def _are_consistent(last: Array, z: Array, R: Array) -> bool:
+    """Return whether two innovations show one error of the state: constant, or growing."""
+    m = min(len(last), len(z))
+    change = float(np.linalg.norm(z[:m] - last[:m]))
+    return change <= max(0.5 * float(np.linalg.norm(z)), 4.0 * float(np.sqrt(np.trace(R))))

@@ -1,0 +1,1 @@
+"""What helps where fixes are missing, and what is claimed then."""

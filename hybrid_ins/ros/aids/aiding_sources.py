@@ -1,0 +1,211 @@
+"""
+Sensors besides GNSS into the navigator: velocity in the vehicle, heading, pressure height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.aiding.sensors import (
+    AidingSensor,
+    AidingState,
+    HeadingSensor,
+    HeightSensor,
+    VelocitySensor,
+)
+from hybrid_ins.core.navigator.fix_watch import FixWatch
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.update.measurements import Measurement
+from hybrid_ins.ros.messages.aiding_conversions import AidingMessages, substituted
+from hybrid_ins.ros.messages.conversions import FLIP, Message, Refused
+from hybrid_ins.ros.messages.interface import AIDING
+from hybrid_ins.ros.reporting.diagnostics import status
+from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.reporting.reports import Status
+
+Array = NDArray[np.float64]
+
+TOPICS = {topic.name: topic.type_name for topic in AIDING}
+QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
+KEPT = 12  # states, one with each tenth of a second: readings may be a second late
+EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
+REMEDIES = {
+    "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
+    "heading": "check the sensor's mount and what is magnetic near it",
+    "baro": "check the unit, Pa, and the sensor's ventilation",
+}
+
+STD_PARAMETERS = {
+    "velocity": "aiding.velocity_std_min",
+    "heading": "aiding.heading_std_min",
+    "baro": "aiding.height_std_min",
+}
+
+
+class AidingSources:
+    """
+    Checks and uses the messages of aiding sensors.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    navigator : Navigator
+    fixes : FixWatch
+    inputs : InputLog
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], navigator: Navigator, fixes: FixWatch, inputs: InputLog
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._fixes = fixes
+        self._inputs = inputs
+        self._states: deque[tuple[int, Array]] = deque(maxlen=KEPT)
+
+    def configure(self, arm_b: Array) -> None:
+        """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
+        values = self._values
+        self._messages = AidingMessages.from_parameters(values, arm_b)
+        self._velocity = VelocitySensor(
+            values["aiding.velocity_scale"],
+            values["aiding.velocity_scale_std"],
+            np.broadcast_to(values["aiding.velocity_position_std"], 3),
+        )
+        self._heading, self._height = HeadingSensor(), HeightSensor()
+        self._logged: dict[str, AidingState] = {}
+        self._quiet_until_ns: dict[tuple[str, AidingState], int] = {}
+        self._excessive: set[str] = set()  # names of sensors
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart, as the filter did; the sensors are the same."""
+        self._states.clear()
+        self._quiet_until_ns.clear()
+
+    def handle(self, topic: str, message: Message) -> None:
+        """Use a message of one of the ``TOPICS``."""
+        messages = self._messages
+        sensor: AidingSensor
+        convert: Callable[[Message], Measurement | Refused]
+        sensor, convert = {
+            "aiding/velocity": (self._velocity, messages.twist),
+            "aiding/odometry": (self._velocity, messages.odometry),
+            "aiding/heading": (self._heading, messages.heading),
+            "aiding/pressure": (self._height, messages.pressure),
+        }[topic]
+        reading = convert(message)
+        if isinstance(reading, BodyVelocity):
+            text = substituted(message, messages.velocity_std_min)
+            if text:
+                self._inputs.note(f"{topic}: covariance", f"{topic}: {text}")
+        self._use(topic, sensor, reading)
+
+    def _use(self, topic: str, sensor: AidingSensor, reading: Measurement | Refused) -> None:
+        if isinstance(reading, Refused):
+            self._inputs.count_and_warn(topic, reading)
+            return
+        if self._navigator.filter is None or not sensor.admit(reading.t_ns):
+            return
+        nav = self._state_at(reading.t_ns)
+        if nav is None:
+            self._inputs.counts[f"{sensor.name}: too old"] += 1
+            return
+        fixes_come = self._fixes.settled(self._navigator.last_ns)
+        outage = self._fixes.outage(self._navigator.last_ns)
+        measurement = sensor.check(reading, nav, checked=fixes_come, outage=outage)
+        self._log_change(sensor)
+        if measurement is not None:
+            self._navigator.measure(measurement)
+
+    def _state_at(self, t_ns: int) -> Array | None:
+        """Return the flat state nearest to a stamp [ns]; None where it is older than all."""
+        running = self._navigator.filter
+        assert running is not None
+        if t_ns > running.t_ns - 30_000_000 or not self._states:
+            return running.flat_state()
+        if t_ns < self._states[0][0] - 60_000_000:
+            return None
+        return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1]
+
+    def run_periodic(self, t_ns: int) -> None:
+        """Keep the state at a stamp [ns]; some times a second."""
+        running = self._navigator.filter
+        heard = (self._velocity, self._heading, self._height)
+        if running is None or all(s.state(t_ns) is AidingState.ABSENT for s in heard):
+            return
+        self._states.append((t_ns, running.flat_state()))
+        for sensor in heard:
+            self._log_change(sensor)
+
+    # For the user.
+
+    def _log_change(self, sensor: AidingSensor) -> None:
+        """Log a change of a sensor's state, and errors beyond what it claims."""
+        self._log_excess(sensor)
+        state = sensor.state(self._navigator.last_ns)
+        before = self._logged.get(sensor.name)
+        if state is before or state is AidingState.ABSENT:
+            return
+        self._logged[sensor.name] = state
+        change, now_ns = (sensor.name, state), self._navigator.last_ns
+        if now_ns < self._quiet_until_ns.get(change, 0):
+            return
+        self._quiet_until_ns[change] = now_ns + QUIET_NS
+        if state is AidingState.REFUSED:
+            self._inputs.log(
+                "warn",
+                f"aiding: {sensor.name} disagrees with the motion (NIS {sensor.nis:.0f} per "
+                f"component): it is not used; {REMEDIES[sensor.name]}",
+            )
+        elif state is AidingState.LOST:
+            self._inputs.log("warn", f"aiding: {sensor.name}: no messages for 2 s")
+        elif state is AidingState.AIDING:
+            self._inputs.log("info", f"aiding: {sensor.name} agrees with the motion: it is used")
+
+    def _log_excess(self, sensor: AidingSensor) -> None:
+        factor = sensor.factor
+        if factor < BOUNDED:
+            self._excessive.discard(sensor.name)
+        elif factor > EXCESSIVE and sensor.name not in self._excessive:
+            self._excessive.add(sensor.name)
+            self._inputs.log(
+                "warn",
+                f"aiding: {sensor.name} errs by more than it claims, or for longer: its variance "
+                f"counts {factor:.0f}-fold; {REMEDIES[sensor.name]}, or raise "
+                f"{STD_PARAMETERS[sensor.name]}",
+            )
+
+    def status(self, t_ns: int) -> Status:
+        """Return the status on ``/diagnostics`` at a stamp [ns]."""
+        values: dict[str, object] = {}
+        level, parts = 0, []
+        for sensor in (self._velocity, self._heading, self._height):
+            state = sensor.state(t_ns)
+            values[sensor.name] = state.value
+            if state is AidingState.ABSENT:
+                continue
+            parts.append(f"{sensor.name} {state.value}")
+            values[f"{sensor.name}_nis"] = sensor.nis
+            values[f"{sensor.name}_factor"] = sensor.factor
+            if state in (AidingState.REFUSED, AidingState.LOST):
+                level = 1
+        sigma = self._velocity.sigma
+        values["velocity_scale"] = self._velocity.scale
+        values["velocity_scale_std"] = float(sigma[0])
+        place = np.array(self._values["aiding.velocity_position"]) + FLIP @ self._velocity.shift_b
+        for axis, along, std in zip("xyz", place.tolist(), sigma[1:].tolist(), strict=True):
+            values[f"velocity_position_{axis}"] = along
+            values[f"velocity_position_{axis}_std"] = std
+        if math.isfinite(self._height.offset_std):
+            values["baro_offset"] = self._height.offset
+            values["baro_offset_std"] = self._height.offset_std
+        return status("aiding", level, ", ".join(parts) or "no sensors besides GNSS", values)

@@ -1,0 +1,302 @@
+"""
+The estimator that the node and ``ins_replay`` share: messages in, reports out.
+
+It owns no topic, no file and no clock: time is the stamps of the IMU samples. Its owner hands it
+messages, publishes the odometry that it returns and the reports of `Estimator.pop_reports`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.navigator.events import (
+    ClockOffsetFound,
+    Event,
+    HeadingCorrected,
+    RestartCause,
+    Restarted,
+)
+from hybrid_ins.core.smoothing.forward_record import RunRecord
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import Measurement
+from hybrid_ins.resources import shortened
+from hybrid_ins.ros.aids.aids import Aids
+from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
+from hybrid_ins.ros.estimator.estimator_status import EstimatorStatus
+from hybrid_ins.ros.estimator.filter_factory import FilterFactory
+from hybrid_ins.ros.estimator.fix_input import FixInput
+from hybrid_ins.ros.estimator.imu_admission import NO_READING, is_usable, refusal
+from hybrid_ins.ros.estimator.noise_input import NoiseInput
+from hybrid_ins.ros.estimator.reporter import Reporter
+from hybrid_ins.ros.messages import conversions
+from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.conversions import MapFrame, Message, Refused
+from hybrid_ins.ros.output.odometry import OdometrySource
+from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
+from hybrid_ins.ros.reporting import wording
+from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.reporting.reports import Odometry, Report
+from hybrid_ins.ros.reporting.wording import STAMP_FAULTS
+from hybrid_ins.ros.review.input_review import InputReview
+
+Array = NDArray[np.float64]
+
+REPORT_NS = 100_000_000  # between two reports of the state
+KEEP_CLOCK = (RestartCause.NO_SAMPLES, RestartCause.IMU_UNUSABLE, RestartCause.NOT_FINITE)
+"""What makes a state useless, but not what is known of the clock offset of the fixes."""
+
+
+class Estimator:
+    """
+    An INS/GNSS estimator for ROS messages: the parts that share the work, connected.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters, see `parameters.check_all`.
+    log : callable
+        Called with a level (info, warn, error) and a line for the user.
+    record : RunRecord, optional
+        Filled for a smoother.
+
+    Attributes
+    ----------
+    values : dict
+        Parameters in force.
+    navigator : Navigator
+        Alignment and filter.
+    inputs : InputLog
+        Counts of what was refused.
+    placement : SensorPlacement
+        Where the sensors are.
+    clock : ClockCorrection
+        Offset of the fixes' clock.
+    odometry : OdometrySource
+        The map, and odometry in it.
+    noise : NoiseInput
+        Noise levels of a regressor.
+    reporter : Reporter
+        What was reported so far.
+    aids : Aids
+        Constraint of the vehicle, aiding sensors, validity.
+    status : EstimatorStatus
+        Diagnostics, and what the estimator waits for.
+    due_ns : int
+        Stamp [ns] from which on `run_periodic` has something to do.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        log: Callable[[str, str], None],
+        record: RunRecord | None = None,
+    ) -> None:
+        self.values = dict(values)
+        self.inputs = InputLog(log)
+        self._parts = FilterFactory(values, record is not None)
+        self.placement = SensorPlacement(values, self.inputs)
+        self.navigator = self._parts.navigator(record)
+        self.clock = ClockCorrection(values, self.navigator, self.inputs)
+        self.odometry = OdometrySource()
+        self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
+        self._review = InputReview(values, self.navigator, self.placement, self.inputs)
+        self.reporter = Reporter(values, self.navigator, self.inputs, self.odometry)
+        self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
+        self.noise = NoiseInput(self.navigator, log)
+        self.noise.configure(values, self.placement.mount)
+        self.aids = Aids(self.values, self.navigator, self.inputs, self.placement)
+        parts = self.inputs, self._review, self.reporter, self.clock, self.noise, self.aids
+        self.status = EstimatorStatus(self.values, self.navigator, *parts)
+        self._restart(keep_clock=False)
+        if values["datum"]:
+            self.set_datum(conversions.lla_from_degrees(*values["datum"]), 1)
+
+    def set_datum(self, lla: Array, t_ns: int) -> None:
+        """Give the map its origin: latitude, longitude [rad], height [m], shape (3,)."""
+        self.odometry.map = MapFrame(lla)
+        self.reporter.report_datum(t_ns, lla)
+
+    @property
+    def aligned(self) -> bool:
+        """The filter runs and odometry is valid."""
+        return self.odometry.map is not None and self.navigator.filter is not None
+
+    def pop_reports(self) -> Sequence[Report]:
+        """Return what is to be published since the last call."""
+        return self.reporter.pop()
+
+    # Control.
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Use checked values of run-time parameters without losing the state."""
+        self.values.update(changes)
+        for name, value in changes.items():
+            self.inputs.log("info", f"parameter {name} is {shortened(str(value))} from now on")
+        self._parts.change(changes)
+        self.clock.change(changes)
+        self._fixes.configure()
+        self.reporter.set_odometry_rate(self.values["odometry_rate"])
+        for running in self.navigator.phases.filters:
+            self._parts.change_running(running, changes)
+        if any(name.startswith("noise.") for name in changes):
+            self.noise.configure(self.values, self.placement.mount)
+
+    def reset(self) -> None:
+        """Discard the state and align anew; the map stays where it is."""
+        self.inputs.log("info", "reset: aligning anew")
+        self.navigator.reset()
+        self._restart(keep_clock=False)
+
+    def _restart(self, keep_clock: bool) -> None:
+        """Restart everything that reports, as the navigator did."""
+        for part in (self.odometry, self.reporter, self.noise, self.aids):
+            part.restart()
+        self.clock.restart(keep_clock)
+        self._fixes.configure()
+        self.due_ns, self._report_ns = 1, 0  # everything at the next sample
+
+    def handle_initial_pose(self, message: Message) -> None:
+        """Use a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
+        yaw = conversions.initial_yaw(message, self.values["map_frame"])
+        if isinstance(yaw, Refused):
+            self.inputs.count_and_warn("initialpose", yaw)
+            return
+        self.inputs.log("info", f"initialpose: {wording.describe_heading(*yaw)}: aligning anew")
+        self.navigator.realign().set_yaw(self.navigator.last_ns, *yaw)
+        self._restart(keep_clock=True)
+
+    def handle_static_transforms(self, message: Message) -> None:
+        """Use a tf2_msgs/TFMessage of /tf_static."""
+        if self.placement.add_transforms(message):
+            self._on_moved_sensors()
+
+    def handle_frame_id(self, topic: str, frame: str) -> None:
+        """Use the frame_id of the messages on ``imu/data`` or ``gnss/fix``."""
+        if self.placement.set_frame(topic, frame):
+            self._on_moved_sensors()
+
+    def _on_moved_sensors(self) -> None:
+        self._fixes.configure()
+        self._review.axes.restart()
+        self.noise.configure(self.values, self.placement.mount)
+        self.aids.configure(self.placement)
+        if self.navigator.ring.count:
+            self.navigator.reset()
+            self._restart(keep_clock=False)
+
+    # IMU.
+
+    def handle_imu(self, imu: ImuFields, received_ns: int | None = None) -> Odometry | None:
+        """
+        Use an Imu message; returns the odometry after it, if there is any.
+
+        `run_periodic` is due once that is published. See `imu_block` for many at once.
+        """
+        navigator, placement = self.navigator, self.placement
+        if imu.frame_id != placement.frame_of("imu/data"):
+            self.handle_frame_id("imu/data", imu.frame_id)
+        if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
+            self.inputs.count_and_warn("imu/data", NO_READING)
+            return None
+        if navigator.filter is None and imu.orientation_cov0 != -1.0:
+            self._use_orientation(imu.orientation_xyzw)
+        t_ns, force, rate = imu.stamp_ns, imu.specific_force, imu.angular_rate
+        if received_ns is not None and self.values["use_receive_time"]:
+            t_ns = received_ns
+        if not is_usable(t_ns, *force, *rate, *self._limits):
+            self.inputs.count_and_warn("imu/data", refusal(t_ns, force, rate, self._limits[0]))
+            return None
+        fault = navigator.imu(t_ns, *placement.to_body(*force), *placement.to_body(*rate))
+        if fault is not None:
+            self.inputs.count_and_warn("imu/data", STAMP_FAULTS[fault])
+            return None
+        running = navigator.filter
+        if running is None or self.odometry.map is None:
+            return None
+        rate_variance = running.noise.levels()[3:]
+        odometry = self.odometry.make(t_ns, running.nav, placement.arm_b, rate_variance)
+        if odometry is None:
+            navigator.give_up(RestartCause.NOT_FINITE)
+        return odometry
+
+    def _use_orientation(self, quat_xyzw: Sequence[float]) -> None:
+        alignment = self.navigator.alignment
+        if alignment is not None and self.values["alignment.heading_source"] == "imu":
+            yaw = conversions.imu_yaw(quat_xyzw, self.placement.mount)
+            if yaw is not None:
+                alignment.observe_yaw(yaw)
+
+    # GNSS.
+
+    def handle_fix(self, message: Message, received_ns: int | None = None) -> None:
+        """Use a sensor_msgs/NavSatFix."""
+        if message.header.frame_id != self.placement.frame_of("gnss/fix"):
+            self.handle_frame_id("gnss/fix", message.header.frame_id)
+        fix = self._fixes.position(message, received_ns)
+        if not isinstance(fix, Refused) and self.odometry.map is None:
+            self.set_datum(np.nan_to_num(fix.lla), fix.t_ns)
+        self._review.on_fix(message, fix)
+        self._measure("gnss/fix", fix)
+
+    def handle_velocity(self, message: Message, received_ns: int | None = None) -> None:
+        """Use a geometry_msgs/TwistWithCovarianceStamped with ENU components."""
+        self._measure("gnss/velocity", self._fixes.velocity(message, received_ns))
+
+    def _measure(self, topic: str, measurement: Measurement | Refused) -> None:
+        if not isinstance(measurement, Refused):
+            measurement = self._fixes.admit(topic, measurement)
+        if isinstance(measurement, Refused):
+            self.inputs.count_and_warn(topic, measurement)
+            return
+        self._review.axes.observe(measurement)
+        self.navigator.measure(measurement)
+        self._handle_events()
+        self.clock.run_periodic(self._review.axes.are_plausible)
+        self._fixes.follow()
+
+    # What happens, and what is due.
+
+    def run_periodic(self) -> None:
+        """Do what is not done with every sample; call it after each, once that is published."""
+        t_ns = self.navigator.last_ns
+        if t_ns < self.due_ns and not self.navigator.has_events:
+            self.navigator.phases.advance_search()
+            return
+        self._handle_events()
+        self.noise.run_periodic(t_ns)
+        if t_ns >= self._report_ns:
+            self._report_ns = t_ns + REPORT_NS
+            self.reporter.add(self.aids.run_periodic(t_ns))
+            self.navigator.check_imu()
+            if self._review.run_periodic():
+                self._on_moved_sensors()
+            self.navigator.continue_search()
+            self._handle_events()
+            self.reporter.report_state(t_ns, self.placement.arm_b)
+            if self.reporter.is_diagnostics_due(t_ns):
+                self.reporter.report_diagnostics(t_ns, self.status.diagnostics(t_ns))
+                self._review.note_second()
+        self.due_ns = min(self._report_ns, self.noise.next_ns)
+
+    def _handle_events(self) -> None:
+        for event in self.navigator.pop_events():
+            self.on_event(event)
+
+    def on_event(self, event: Event) -> None:
+        """Report what happened in the navigator, and follow it."""
+        self.reporter.on_event(event)
+        self._review.on_event(event)
+        self.aids.on_event(event)
+        if isinstance(event, Verdict):
+            self.clock.on_verdict(event)
+        elif isinstance(event, Restarted):
+            self._restart(event.cause in KEEP_CLOCK)
+        elif isinstance(event, HeadingCorrected) and self.navigator.filter is None:
+            self._restart(keep_clock=False)
+        elif isinstance(event, ClockOffsetFound):
+            self.clock.on_found(event)
+            self._fixes.configure()

@@ -1,0 +1,70 @@
+"""
+What an estimator says of itself: diagnostics, what it waits for, a summary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.ros.aids.aids import Aids
+from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
+from hybrid_ins.ros.estimator.noise_input import NoiseInput
+from hybrid_ins.ros.estimator.reporter import Reporter
+from hybrid_ins.ros.reporting import diagnostics, wording
+from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.reporting.reports import Status
+from hybrid_ins.ros.review.input_review import InputReview
+
+LONG_WITHOUT = 10.0  # s without a fix at the end, of which a summary says so
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorStatus:
+    """
+    The parts of an estimator that have something to report.
+
+    Attributes
+    ----------
+    values : mapping
+        The parameters in force.
+    """
+
+    values: Mapping[str, Any]
+    navigator: Navigator
+    inputs: InputLog
+    review: InputReview
+    reporter: Reporter
+    clock: ClockCorrection
+    noise: NoiseInput
+    aids: Aids
+
+    @property
+    def waiting_for(self) -> str:
+        """What alignment lacks, in words for the user; empty once the filter runs."""
+        waiting = wording.waiting_for(self.navigator)
+        return "; ".join([waiting, *self.review.causes]) if waiting else ""
+
+    def diagnostics(self, t_ns: int) -> list[Status]:
+        """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
+        mode, reporter, axes = self.values["noise.mode"], self.reporter, self.review.axes
+        return [
+            diagnostics.filter_status(
+                self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
+            ),
+            diagnostics.input_status(self.navigator, self.inputs, t_ns, axes.fault, axes.moved_b),
+            diagnostics.noise_status(self.navigator, self.noise.reader, mode),
+            self.clock.status(),
+            *self.aids.statuses(t_ns),
+        ]
+
+    def summary(self) -> str:
+        """Return a line on what was fused and what was not."""
+        refused = ", ".join(f"{name} ×{n}" for name, n in sorted(self.inputs.counts.items()))
+        reporter = self.reporter
+        without = (self.navigator.last_ns - reporter.fused_ns) * 1e-9 if reporter.fused_ns else 0.0
+        ended = f"none in the last {without:.0f} s" if without > LONG_WITHOUT else ""
+        lines = (f"{reporter.fixes_fused} fixes fused", ended, refused, self.review.summary())
+        return "; ".join(filter(None, lines))

@@ -1,0 +1,91 @@
+"""
+Messages of the receiver into measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.update.measurements import Measurement, PositionFix
+from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
+from hybrid_ins.ros.estimator.filter_factory import FilterFactory
+from hybrid_ins.ros.estimator.flood_guard import FloodGuard
+from hybrid_ins.ros.messages.conversions import GnssInput, Message, Refused
+from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
+
+
+class FixInput:
+    """
+    Converts fixes by the parameters, the placement and the clock offset in force.
+
+    Parameters
+    ----------
+    values : mapping
+        The parameters in force: they may change.
+    navigator : Navigator
+    parts : FilterFactory
+        How late fixes may be depends on the clock offset.
+    placement : SensorPlacement
+        Where the antenna is.
+    clock : ClockCorrection
+        Offset of the fixes' clock.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Any],
+        navigator: Navigator,
+        parts: FilterFactory,
+        placement: SensorPlacement,
+        clock: ClockCorrection,
+    ) -> None:
+        self._values = values
+        self._navigator = navigator
+        self._parts = parts
+        self._placement = placement
+        self._clock = clock
+        self._flood = FloodGuard()
+        self.configure()
+
+    def configure(self) -> None:
+        """Use the present parameters, placement and clock offset."""
+        placement = self._placement
+        is_placed = placement.antenna_is_placed
+        self._parts.set_antenna(placement.lever_b, placement.antenna_std, is_placed)
+        clock = self._clock
+        self._parts.set_clock_offset(clock.offset, clock.prior, clock.drift)
+        self._prior = clock.prior
+        for running in self._navigator.phases.filters:
+            running.change_settings(self._parts.settings)
+        self._gnss = replace(
+            GnssInput.from_parameters(self._values),
+            lever_b=self._placement.lever_b,
+            time_offset=self._clock.offset,
+        )
+
+    def follow(self) -> None:
+        """Use the present place of the antenna, clock offset and its prior where they changed."""
+        clock, lever_b = self._clock, self._placement.lever_b
+        moved = lever_b is not self._gnss.lever_b
+        if moved or clock.offset != self._gnss.time_offset or clock.prior != self._prior:
+            self.configure()
+
+    def position(self, message: Message, received_ns: int | None) -> PositionFix | Refused:
+        """Convert a sensor_msgs/NavSatFix; see `GnssInput.position`."""
+        self.follow()
+        return self._gnss.position(message, self._by_receipt(received_ns))
+
+    def velocity(self, message: Message, received_ns: int | None) -> Measurement | Refused:
+        """Convert a geometry_msgs/TwistWithCovarianceStamped; see `GnssInput.velocity`."""
+        self.follow()
+        return self._gnss.velocity(message, self._by_receipt(received_ns))
+
+    def _by_receipt(self, received_ns: int | None) -> int | None:
+        return received_ns if self._values["use_receive_time"] else None
+
+    def admit(self, topic: str, measurement: Measurement) -> Measurement | Refused:
+        """Return a measurement of a topic, or why it is one too many."""
+        return self._flood.check(topic, self._navigator.last_ns, measurement.t_ns) or measurement

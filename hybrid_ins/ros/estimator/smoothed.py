@@ -1,0 +1,115 @@
+"""What a smoother says of a run, as odometry and reports: the estimator's, with hindsight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.inertial.state import PSD
+from hybrid_ins.core.smoothing.forward_record import RunRecord
+from hybrid_ins.core.smoothing.hindsight import clock_offsets, smoother_of
+from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
+from hybrid_ins.core.smoothing.smoother import Store
+from hybrid_ins.ros.estimator.estimator import REPORT_NS, Estimator
+from hybrid_ins.ros.estimator.reporter import state_reports
+from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.output.odometry import OdometrySource
+from hybrid_ins.ros.reporting.reports import OdometryBlock, Report, Status
+
+Array = NDArray[np.float64]
+
+
+def smoothed_run(
+    estimator: Estimator,
+    record: RunRecord,
+    make_store: Callable[[int], Store],
+    progress: Callable[[int], None] = lambda n: None,
+) -> Iterator[tuple[OdometryBlock, list[tuple[int, Report]]]]:
+    """
+    Yield the smoothed run in order: odometry, and reports of the same samples with their stamps.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        After the forward run.
+    record : RunRecord
+        That it filled.
+    make_store, progress
+        See `hindsight.smoother_of`; ``progress`` is called for each sample three times.
+    """
+    source, report_ns = OdometrySource(), 0
+    source.map = estimator.odometry.map
+    frame = estimator.values["base_frame"]
+    for stretch in record.finish():
+        process = stretch.filters[-1][0].noise.process
+        source.restart()
+        smoother, lever_arm = smoother_of(stretch, make_store, progress)
+        arm_b, told = estimator.placement.arm_b, lever_arm is None
+        for t_ns, rows in smoother.smooth():
+            if lever_arm is not None:  # what is known is where the antenna was
+                arm_b = estimator.placement.arm_b - lever_arm.lever_b
+            if not told and lever_arm is not None:
+                told = True
+                _report_lever_arm(estimator, lever_arm)
+            for part in _parts(rows):
+                levels = process.q(rows[part.start, PSD][:6])
+                block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])
+                if block is None:
+                    continue
+                reports: list[tuple[int, Report]] = []
+                for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
+                    if stamp >= report_ns:
+                        report_ns = stamp + REPORT_NS
+                        made = state_reports(stamp, row, levels, arm_b, frame)
+                        reports += [(stamp, report) for report in made]
+                yield block, reports
+
+
+def _report_lever_arm(estimator: Estimator, found: SmoothedLeverArm) -> None:
+    """Say where the antenna is relative to the IMU, if that is not at the IMU."""
+    std = np.sqrt(found.covariance_b.diagonal())
+    if np.any(np.abs(found.lever_b) > 3.0 * std):
+        place = ", ".join(
+            f"{name} {value:.3f} ± {sigma:.3f} m"
+            for name, value, sigma in zip(
+                ("forward", "left", "up"), FLIP @ found.lever_b, std, strict=True
+            )
+        )
+        estimator.inputs.log(
+            "info",
+            f"smoothing: the antenna is away from the IMU ({place}), which neither "
+            "gnss.antenna_position nor imu.position says: the track is that of the antenna",
+        )
+
+
+def smoothed_verdicts(
+    record: RunRecord, verdicts: Iterable[tuple[int, Report]]
+) -> Iterator[tuple[int, Report]]:
+    """
+    Yield the filter's verdicts (log time [ns], report) with the smoothed clock offset of each fix.
+
+    It says which time of the reference each smoothed state belongs to.
+    """
+    parts = [clock_offsets(stretch) for stretch in record.finish()]
+    stamps, offsets = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    order = np.argsort(stamps, kind="stable")
+    for log_ns, report in verdicts:
+        if len(stamps) and isinstance(report.content, Status):
+            fix_ns = int(dict(report.content.values)["stamp"])
+            offset = float(np.interp(fix_ns, stamps[order], offsets[order]))
+            values = {**dict(report.content.values), "time_offset": f"{offset:.6g}"}
+            content = report.content._replace(values=list(values.items()))
+            report = replace(report, content=content)
+        yield log_ns, report
+
+
+def _parts(rows: Array) -> Iterator[slice]:
+    """Yield stretches of flat states (N, N_NAV) with the same noise."""
+    changes = (np.diff(rows[:, PSD], axis=0) != 0.0).any(axis=1)
+    bounds = [0, *(np.flatnonzero(changes) + 1).tolist(), len(rows)]
+    for start, stop in pairwise(bounds):
+        yield slice(start, stop)

@@ -1,0 +1,1 @@
+"""ROS messages as records and arrays: bytes, axes, units, topics."""

@@ -1,0 +1,1 @@
+"""Odometry and reports on their way out."""

@@ -1,0 +1,1 @@
+"""Where the sensors are on the vehicle."""

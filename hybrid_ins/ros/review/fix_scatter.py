@@ -1,0 +1,90 @@
+"""
+Receivers whose fixes scatter by far more than they claim, so that most are rejected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.inertial.earth import displacement
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.ros.messages.conversions import Refused
+from hybrid_ins.ros.reporting.input_log import InputLog
+
+Array = NDArray[np.float64]
+
+KEPT = 40  # fixes
+REJECTED = 0.4  # share of the fixes, from which the receiver is suspected
+EXCESS = 5.0  # times the claimed standard deviation
+JERK = 3.0  # m/s³, of a vehicle
+NEXT_WARNING = 200  # fixes
+
+
+class FixScatter:
+    """
+    Compares the scatter of fixes, from one to the next, with what they claim.
+
+    Parameters
+    ----------
+    inputs : InputLog
+        Warns.
+    """
+
+    def __init__(self, inputs: InputLog) -> None:
+        self._inputs = inputs
+        self._fixes: deque[tuple[int, Array, float, bool]] = deque(maxlen=KEPT)
+        self._quiet = 0  # fixes until the next warning
+
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Note the verdict on a fix that was compared with the state."""
+        fix = verdict.measurement
+        self._quiet = max(self._quiet - 1, 0)
+        if not isinstance(fix, PositionFix) or not math.isfinite(verdict.nis):
+            return
+        if self._fixes and fix.t_ns <= self._fixes[-1][0]:
+            return
+        sigma = float(np.sqrt(0.5 * (fix.covariance_n[0, 0] + fix.covariance_n[1, 1])))
+        self._fixes.append((fix.t_ns, fix.lla, sigma, verdict.accepted))
+        if self._quiet or verdict.accepted or len(self._fixes) < KEPT:
+            return
+        rejected = sum(not accepted for *_, accepted in self._fixes)
+        if rejected < REJECTED * KEPT:
+            return
+        scatter = self._scatter()
+        claimed = float(np.median([sigma for _, _, sigma, _ in self._fixes]))
+        if scatter > EXCESS * claimed:
+            self._quiet = NEXT_WARNING
+            self._inputs.count_and_warn(
+                "gnss/fix",
+                Refused(
+                    "gnss: claimed accuracy is not kept",
+                    f"{rejected} of {KEPT} fixes rejected: they scatter by {scatter:.2g} m from "
+                    f"one to the next, σ {claimed:.2g} m is used: set gnss.position_std_min to "
+                    f"{_rounded_up(scatter):g}",
+                ),
+            )
+
+    def _scatter(self) -> float:
+        """Return the standard deviation of the fixes' white errors [m], per horizontal axis."""
+        t = np.array([stamp for stamp, *_ in self._fixes]) * 1e-9
+        dt = float(np.median(np.diff(t)))
+        even = np.abs(np.diff(t) - dt) < 0.25 * dt
+        places = np.array([place for _, place, *_ in self._fixes])
+        places = displacement(places[0], places)[:, :2]
+        third = np.diff(places, 3, axis=0)[even[:-2] & even[1:-1] & even[2:]]
+        if len(third) < KEPT // 3:
+            return 0.0
+        motion = JERK * dt**3
+        variance = (float(np.median(np.abs(third))) / 0.6745) ** 2 - motion**2
+        return math.sqrt(max(variance, 0.0) / 20.0)
+
+
+def _rounded_up(value: float) -> float:
+    """Return a value with one digit, not smaller."""
+    unit = 10.0 ** math.floor(math.log10(value))
+    return math.ceil(value / unit - 1e-9) * unit

@@ -1,0 +1,120 @@
+"""When filters of several headings have become one."""
+
+from __future__ import annotations
+
+from collections import deque
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.filter.filter_settings import FilterSettings
+from hybrid_ins.core.inertial.state import N_ERROR, NavState
+from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import PositionFix
+
+SECOND = 1_000_000_000
+
+
+def begin(state: NavState, settings: FilterSettings) -> Any:
+    return SimpleNamespace(nav=state.to_flat(), t_ns=SECOND, verdicts=deque())
+
+
+@pytest.fixture
+def bank() -> MultipleModelBank:
+    """Return filters of several headings, of which one is left: it knows its own to 3°."""
+    level = NavState(
+        np.array([0.5, 0.1, 0.0]),
+        np.zeros(3),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        np.zeros(3),
+        0.05**2 * np.eye(N_ERROR),
+    )
+    found = MultipleModelBank([level] * N_HEADINGS, begin, FilterSettings())
+    assert found.heading_open
+    return found
+
+
+def decided(bank: MultipleModelBank, seconds: float) -> bool:
+    """Let the filters go on for a while; return whether they are one filter at its end."""
+    decision = None
+    for _ in range(round(10.0 * seconds)):
+        for one in bank.filters:
+            one.t_ns += SECOND // 10
+        decision = bank.decide()
+    return decision is not None
+
+
+def test_at_rest_no_heading_is_known(bank: MultipleModelBank) -> None:
+    assert not decided(bank, 20.0)
+
+
+def test_a_heading_counts_as_known_from_the_first_motion_on(bank: MultipleModelBank) -> None:
+    # GIVEN a vehicle that has stood for long, and begins to move
+    decided(bank, 20.0)
+    bank.motion.moves = True
+    assert not decided(bank, 1.5)
+    # WHEN the motion has lasted THEN what was known meanwhile has lasted, too
+    bank.motion.shown = True
+    assert decided(bank, 0.1)
+
+
+def test_a_stand_before_does_not_count(bank: MultipleModelBank) -> None:
+    decided(bank, 20.0)
+    bank.motion.moves = bank.motion.shown = True
+    assert not decided(bank, 0.5)
+    assert decided(bank, 1.0)
+
+
+def test_without_an_open_heading_one_filter_is_enough(bank: MultipleModelBank) -> None:
+    bank.heading_open = False
+    assert decided(bank, 0.1)
+
+
+def weigh(bank: MultipleModelBank, t: float, nis: np.ndarray, jump: bool = False) -> np.ndarray:
+    """Let a fix be evidence that has these NIS under the hypotheses; return the weights."""
+    fix = PositionFix(int(t * SECOND), np.zeros(3), np.eye(3), np.zeros(3))
+    bank._weigh([Verdict(fix, True, "", 0.0, v, 21.1, np.ones(3), jump=jump) for v in nis])
+    return np.exp(bank.log_weights)
+
+
+def nis_of(bank: MultipleModelBank, first: float, others: float) -> np.ndarray:
+    return np.concatenate(([first], np.full(len(bank.filters) - 1, others)))
+
+
+def test_what_follows_a_jump_that_no_hypothesis_explains_is_no_evidence(
+    bank: MultipleModelBank,
+) -> None:
+    before = np.exp(bank.log_weights)
+    # WHEN the first hypothesis is also the first to return to the fixes
+    after = [
+        weigh(bank, 1.0, nis_of(bank, 900.0, 1000.0), jump=True),
+        *[weigh(bank, 1.0 + 0.2 * k, nis_of(bank, 2.0, 900.0)) for k in range(1, 10)],
+        weigh(bank, 3.0, nis_of(bank, 1.0, 9.0)),
+    ]
+    # THEN that is no evidence, before all agree again
+    for weights in after[:-1]:
+        np.testing.assert_array_equal(weights, before)
+    assert after[-1][0] > 5.0 * after[-1][1]
+
+
+def test_hypotheses_that_never_return_are_wrong(bank: MultipleModelBank) -> None:
+    weigh(bank, 1.0, nis_of(bank, 900.0, 1000.0), jump=True)
+
+    weights = weigh(bank, 6.1, nis_of(bank, 2.0, 900.0))
+
+    assert weights[0] > 0.99
+
+
+@pytest.mark.parametrize(("first", "jump"), [(2.0, True), (25.0, False)])
+def test_what_one_explains_or_an_ins_may_have_done_is_evidence(
+    bank: MultipleModelBank, first: float, jump: bool
+) -> None:
+    """A large innovation of all is as likely under each, but the next one is weighed."""
+    weigh(bank, 1.0, nis_of(bank, first, 900.0), jump)
+    weights = weigh(bank, 1.2, nis_of(bank, 2.0, 20.0))
+
+    assert weights[0] > 0.9

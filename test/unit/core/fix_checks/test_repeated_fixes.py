@@ -1,0 +1,69 @@
+"""A driver that publishes every position several times is told from a receiver that rounds."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hybrid_ins.core.fix_checks.repeated_fixes import RECENT, RUNS, RepetitionCheck
+
+Array = NDArray[np.float64]
+
+
+def _refused(series: Array) -> Array:
+    """Return which of measurements (N, 3) would be refused."""
+    check = RepetitionCheck()
+    return np.array([check.is_again(one) and check.repeats for one in series])
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, 20.0])
+@pytest.mark.parametrize("times", [2, 5, 10])
+@pytest.mark.parametrize("vertical", [1.0, 0.0, np.nan])
+def test_each_repeat_is_refused_once_some_runs_have_shown_them(
+    speed: float, times: int, vertical: float
+) -> None:
+    rng = np.random.default_rng(1)
+    places = rng.normal(0.0, 0.01, (30, 3)) + speed * np.arange(30.0)[:, None]
+    series = np.repeat(places * np.array([1.0, 1.0, vertical]), times, axis=0)
+
+    refused = _refused(series).reshape(30, times)
+
+    assert not refused[:, 0].any(), "the first of each has the right stamp"
+    assert refused[RUNS:, 1:].all() and not refused[:RUNS].any()
+
+
+@pytest.mark.parametrize("unit", [0.003, 0.01, 0.03])
+def test_a_rounded_receiver_may_stand_drive_and_stand(unit: float) -> None:
+    """GIVEN fixes of 1 cm rounded to ``unit`` WHEN the vehicle stops and goes THEN all are used."""
+    rng = np.random.default_rng(2)
+    speed = 0.5 * np.maximum(np.sin(np.arange(5000) * 0.02), 0.0)
+    track = np.cumsum(speed * 0.2)[:, None] * np.array([0.8, 0.6, 0.02])
+
+    assert not _refused(np.round((track + rng.normal(0.0, 0.01, track.shape)) / unit) * unit).any()
+    assert not _refused(np.round(track / unit) * unit).any(), "without any noise"
+
+
+def test_new_measurements_end_it() -> None:
+    rng = np.random.default_rng(3)
+    repeated = np.repeat(rng.normal(size=(10, 3)), 2, axis=0)
+    fresh = rng.normal(size=(10, 3))
+    stand = np.repeat(rng.normal(size=(1, 3)), 20, axis=0)
+
+    assert not _refused(np.vstack((repeated, fresh, stand)))[len(repeated) :].any()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+@pytest.mark.parametrize(("receiver", "driver"), [(4, 5), (8, 10), (1, 1.4)])
+def test_a_driver_a_little_faster_than_its_receiver_is_found(
+    receiver: float, driver: float, speed: float
+) -> None:
+    """GIVEN positions of 4 Hz at 5 Hz THEN the repeated ones are refused after a while."""
+    rng = np.random.default_rng(4)
+    places = rng.normal(0.0, 0.01, (100, 3)) + speed * np.arange(100.0)[:, None]
+    of = (np.arange(int(100 * driver / receiver)) * receiver / driver).astype(int)
+    is_again = np.concatenate(([False], np.diff(of) == 0))
+
+    refused = _refused(places[of])
+
+    assert not refused[~is_again].any(), "the first of each has the right stamp"
+    late = of > RECENT + 2
+    assert refused[late & is_again].all()

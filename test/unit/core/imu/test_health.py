@@ -1,0 +1,99 @@
+"""What an IMU's readings show to be wrong with it, and what they do not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.imu.health import find_fault
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.ros.reporting.wording import describe_fault, name_of_fault
+
+RATE = 200.0
+
+
+def window(force_std=0.5, rate_std=0.05):
+    rng = np.random.default_rng(0)
+    n = int(RATE)
+    samples = np.zeros(n, SAMPLE_DTYPE)
+    samples["t_ns"] = np.rint(np.arange(n) / RATE * 1e9) + 1
+    samples["f"] = [0.0, 0.0, -9.8] + force_std * rng.standard_normal((n, 3))
+    samples["w"] = 0.1 + rate_std * rng.standard_normal((n, 3))
+    return samples
+
+
+def spoiled(kind):
+    samples = window()
+    if kind == "gravity removed":
+        samples["f"] += [0.0, 0.0, 9.8]
+    elif kind == "g":
+        samples["f"] /= 9.80665
+    elif kind == "millig":
+        samples["f"] *= 10.0
+    elif kind == "frozen":
+        samples["f"], samples["w"] = samples["f"][0], samples["w"][0]
+    elif kind == "saturated force":
+        samples["f"] = np.clip(samples["f"] * 3.0, -25.0, 25.0)
+    elif kind == "saturated rate":
+        samples["w"] = np.clip(samples["w"] * 40.0, -4.0, 4.0)
+    elif kind == "spike":
+        samples["f"][50] += 80.0
+    elif kind == "degrees":
+        # One turn of 60° about a level axis, told as 60 rad.
+        t = samples["t_ns"] * 1e-9
+        samples["w"] = [np.degrees(np.radians(60.0)), 0.0, 0.0]
+        angle = np.radians(60.0) * t
+        samples["f"] = -9.8 * np.stack((0.0 * t, np.sin(angle), np.cos(angle)), axis=1)
+        samples["w"] += 1e-3 * np.arange(len(t))[:, None] % 7e-3
+    return samples
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        ("gravity removed", "imu: no gravity", "specific force"),
+        ("g", "imu: no gravity", "9.80665"),
+        ("millig", "imu: too much gravity", "m/s²"),
+        ("frozen", "imu: frozen", "restart the driver"),
+        ("saturated force", "imu: saturated acceleration", "25.00"),
+        ("saturated rate", "imu: saturated rate", "4.00"),
+        ("spike", "imu: spikes in acceleration", "cables"),
+        ("degrees", "imu: degrees", "radians"),
+    ],
+)
+def test_faults_are_named_with_value_and_remedy(kind: str, name: str, words: str) -> None:
+    fault = find_fault(spoiled(kind))
+    assert fault is not None and name_of_fault(fault) == name
+    assert words in describe_fault(fault)
+
+
+@pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])
+def test_sound_readings_have_none(noise: tuple[float, float]) -> None:
+    assert find_fault(window(*noise)) is None
+
+
+def test_propellers_are_no_spikes(flights: Path) -> None:
+    from tools.field.flights import load
+
+    flight = load(flights, 20, 1)
+    samples = np.zeros(len(flight.stamp_ns), SAMPLE_DTYPE)
+    samples["t_ns"] = flight.stamp_ns
+    samples["f"], samples["w"] = flight.force, flight.rate
+    found = [find_fault(samples[k : k + 120]) for k in range(0, len(samples) - 120, 60)]
+    assert not any(found)
+
+
+def test_a_few_samples_tell_nothing() -> None:
+    assert find_fault(window()[:5]) is None
+
+
+@pytest.mark.parametrize(("thrust", "is_fault"), [(9.8, True), (13.0, False), (4.0, False)])
+def test_thrust_that_is_not_gravity_shows_no_degrees(thrust: float, is_fault: bool) -> None:
+    """A flip with constant thrust: the force stays along z, however the body turns."""
+    samples = spoiled("degrees")
+    samples["f"] = [0.0, 0.0, -thrust]
+    samples["f"] += 1e-3 * np.arange(len(samples))[:, None] % 7e-3
+    samples["w"][:, 0] = 3.5
+    samples["w"] += 1e-3 * np.arange(len(samples))[:, None] % 7e-3
+
+    assert (find_fault(samples) is not None) is is_fault

@@ -1,0 +1,120 @@
+"""Standing is told from vibration, hovering and cruising."""
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, as_numbers, readings_of
+from hybrid_ins.core.imu.standstill import (
+    StandingForce,
+    is_standing,
+    may_be_zero,
+    mean_and_std,
+    significant_speed,
+)
+
+RATE = 200.0
+
+
+def samples(force_std=0.02, rate_std=0.002, seconds=1.0, force=None, rate=None):
+    rng = np.random.default_rng(0)
+    n = int(seconds * RATE)
+    table = np.zeros(n, SAMPLE_DTYPE)
+    t = np.arange(n) / RATE
+    table["t_ns"] = np.rint(t * 1e9) + 1
+    table["f"] = [0.0, 0.0, -9.8] + force_std * rng.standard_normal((n, 3))
+    table["w"] = rate_std * rng.standard_normal((n, 3))
+    if force is not None:
+        table["f"] += force(t)[:, None]
+    if rate is not None:
+        table["w"] += rate(t)[:, None]
+    return table
+
+
+def test_a_calm_sensor_stands() -> None:
+    assert is_standing(samples())
+
+
+def test_mean_and_standard_deviation_are_those_of_the_readings() -> None:
+    table = samples(force=lambda t: t)
+    mean, std = mean_and_std(as_numbers(table))
+    readings = readings_of(table)
+    np.testing.assert_allclose(mean, readings.mean(axis=0), rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(std, readings.std(axis=0), rtol=1e-12)
+
+
+def test_a_biased_sensor_that_stands_stands() -> None:
+    assert is_standing(samples(rate=lambda t: 0.01 + 0.0 * t))
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("vibration", {"force_std": 0.5}),
+        ("a vibrating gyroscope", {"rate_std": 0.05}),
+        ("a hovering drone that balances", {"rate": lambda t: 0.015 * np.sin(2 * np.pi * 1.5 * t)}),
+        ("speeding up", {"force": lambda t: 0.5 * t}),
+        ("a slow turn", {"rate": lambda t: 0.1 + 0.0 * t}),
+        ("swaying", {"force": lambda t: 0.2 * np.sin(2 * np.pi * t)}),
+    ],
+)
+def test_motion_is_not_standing(what: str, changes: dict) -> None:
+    assert not is_standing(samples(**changes)), what
+
+
+def test_too_few_samples_tell_nothing() -> None:
+    assert not is_standing(samples(seconds=0.05))
+
+
+@pytest.mark.parametrize(("jerk", "seconds", "found"), [(0.03, 5.0, True), (0.0, 60.0, False)])
+def test_a_gentle_start_changes_the_mean_since_the_stand_began(
+    jerk: float, seconds: float, found: bool
+) -> None:
+    stand = StandingForce()
+    begins = np.arange(0.0, seconds, 0.5)
+
+    windows = [samples(force=lambda t, b=b: jerk * (t + b)) for b in begins]
+
+    assert all(is_standing(window) for window in windows)  # one second does not show it
+    assert any(stand.changes(window) for window in windows) == found
+
+
+def test_noise_is_no_change_of_the_mean() -> None:
+    stand = StandingForce()
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        window = samples()
+        window["f"] += 0.25 * rng.standard_normal(window["f"].shape)
+        assert not stand.changes(window)
+
+
+@pytest.mark.parametrize(("speed", "plausible"), [(1.0, True), (5.0, False)])
+def test_zero_is_plausible_within_the_covariance(speed: float, plausible: bool) -> None:
+    assert may_be_zero(np.array([speed, 0.0, 0.0]), np.eye(3)) == plausible
+
+
+def test_a_speed_across_the_date_line_is_no_other() -> None:
+    t_ns = np.arange(20) * 100_000_000
+    lla = np.zeros((20, 3))
+    lla[:, 1] = np.linspace(0.0, 2e-7, 20)
+    beyond = lla.copy()
+    beyond[:, 1] = (lla[:, 1] + np.pi - 1e-7 + np.pi) % (2.0 * np.pi) - np.pi
+
+    assert beyond[0, 1] > 0.0 > beyond[-1, 1]
+    assert significant_speed(t_ns, beyond) == pytest.approx(significant_speed(t_ns, lla), rel=1e-6)
+    assert significant_speed(t_ns, lla) > 0.5
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+@pytest.mark.parametrize("at", [0.3, 0.5, 0.8])
+def test_a_step_of_the_fixes_is_no_speed_and_a_steady_one_is(rate: float, at: float) -> None:
+    t = np.arange(0.0, 5.0, 1.0 / rate)
+    noise = np.random.default_rng(5).normal(0.0, 0.01, (len(t), 2)) / 6.4e6
+
+    def speed(north: np.ndarray) -> float:
+        lla = np.zeros((len(t), 3))
+        lla[:, :2] = noise
+        lla[:, 0] += north / 6.335e6
+        return float(significant_speed(np.round(t * 1e9).astype(np.int64), lla))
+
+    assert speed(np.where(t > 5.0 * at, 1.0, 0.0)) == 0.0
+    assert speed(0.5 * t) == pytest.approx(0.5, rel=0.1)

@@ -1,0 +1,279 @@
+"""The share of the claimed variance of positions that is white, and the slow rest."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.inertial.state import (
+    COVARIANCE,
+    DP,
+    N_ERROR,
+    SLOW_VARIANCE,
+    Array,
+    NavState,
+    covariance,
+    pack,
+    total_std,
+    unpack_total,
+)
+from hybrid_ins.core.noise.position_scatter import (
+    LEAST_SEARCHED,
+    MARGIN,
+    NO_GROWTH,
+    REFLECTED_STD,
+    SLOW_TIME,
+    PositionScatter,
+    Split,
+    change_slow_error,
+    scatter_evidence,
+)
+from hybrid_ins.core.update import iterated_update
+
+SECOND = 1_000_000_000
+H = np.eye(3, N_ERROR)
+ANY = Split(1.0, np.zeros(3), 0.2)
+
+
+def standing(P: Array) -> Array:
+    """Return a flat state whose position has the covariance P (3, 3)."""
+    full = 1e-12 * np.eye(N_ERROR)
+    full[DP, DP] = P
+    lla, identity = np.array([0.5, 0.6, 10.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    return NavState(lla, np.zeros(3), identity, np.zeros(3), np.zeros(3), full).to_flat()
+
+
+def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> PositionScatter:
+    """Return what fixes at 5 Hz teach, whose errors about a wandering position are white."""
+    rng = np.random.default_rng(3)
+    found, nav = PositionScatter(learning=True), standing(np.eye(3))
+    found.in_force = True
+    R, offset = claimed**2 * np.eye(3), rng.normal(0.0, 1.0, 3)  # true minus estimated
+    for k in range(1, count):
+        P = covariance(nav)
+        P[DP, DP] += walk**2 * np.eye(3)
+        pack(P, nav[COVARIANCE])
+        offset += rng.normal(0.0, walk, 3)
+        z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
+        dx, _ = iterated_update.update(nav, z, H, share * R)
+        offset -= dx[DP]
+        found.learn(ANY, evidence, k * SECOND // 5)
+    return found
+
+
+@pytest.mark.parametrize(("claimed", "least"), [(0.1, 0.0), (0.3, 0.0), (0.65, 0.25), (3.0, 0.5)])
+def test_metres_without_corrections_are_slow_in_part_whatever_they_scatter(
+    claimed: float, least: float
+) -> None:
+    covariance = claimed**2 * np.diag([1.0, 1.0, 4.0])
+
+    split = PositionScatter().split(covariance, SECOND, 0.0)
+    assert split.share == 1.0
+    np.testing.assert_allclose(split.slow_variance, least * covariance.diagonal(), atol=1e-12)
+    # A receiver that scatters by less shows a larger slow part.
+    split = PositionScatter(given=0.2).split(covariance, SECOND, 0.0)
+    assert (split.slow_variance >= (1.0 - split.share) * covariance.diagonal()).all()
+
+
+@pytest.mark.parametrize("walk", [0.02, 0.2])
+@pytest.mark.parametrize(("scatter", "claimed"), [(0.4, 1.0), (0.6, 3.0)])
+def test_a_scatter_below_the_claim_is_learned(scatter: float, claimed: float, walk: float) -> None:
+    true = (scatter / claimed) ** 2
+    assert learned(scatter, claimed, walk).learned == pytest.approx(MARGIN * true, rel=0.4)
+
+
+@pytest.mark.parametrize("walk", [0.02, 0.3])
+def test_a_right_claim_stays(walk: float) -> None:
+    assert learned(1.0, 1.0, walk).learned > 0.95
+
+
+@pytest.mark.parametrize("walk", [0.1, 0.5])
+def test_more_scatter_than_claimed_is_learned(walk: float) -> None:
+    assert learned(3.0, 1.0, walk).learned == pytest.approx(9.0, rel=0.3)
+
+
+def test_the_factor_of_the_innovations_is_not_counted_twice() -> None:
+    """GIVEN fixes with 9 times the claimed variance WHEN a factor of 4 is in force THEN 9 it is."""
+    found, claimed = learned(3.0, 1.0, 0.1), np.eye(3)
+    split = found.split(claimed, SECOND, 0.0, fix_factor=4.0)
+    assert 4.0 * split.share == pytest.approx(found.learned)
+    assert 4.0 * split.excess == pytest.approx(found.learned)
+    assert found.split(claimed, SECOND, 0.0, fix_factor=100.0).share == 1.0
+    assert found.split(1e-4 * claimed, SECOND, 0.0).share == 1.0  # centimetres are left as they are
+
+
+def test_centimetres_are_not_split() -> None:
+    found = learned(0.1, 1.0, 0.02)
+    assert found.share(np.eye(3)) < 0.1
+    assert found.share(1e-4 * np.eye(3)) == 1.0
+
+
+@pytest.mark.parametrize(("scatter", "waits"), [(0.2, False), (3.0, True)])
+def test_a_larger_share_than_the_given_one_waits_until_it_is_in_force(
+    scatter: float, waits: bool
+) -> None:
+    found = learned(scatter, 1.0, 0.02)
+    before = copy.copy(found)
+    before.in_force = False
+    assert found.share(np.eye(3)) == (found.learned if waits else pytest.approx(0.05, abs=0.03))
+    assert before.share(1e3 * np.eye(3)) == (1.0 if waits else LEAST_SEARCHED)
+
+
+def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None:
+    # GIVEN positions that scatter by less than they claim, while a heading is searched for
+    found = learned(0.2, 1.0, 0.02)
+    found.in_force = False
+    metres, one = 9.0 * np.eye(3), np.eye(3)
+    # THEN no position counts as better than reflections near walls leave it
+    assert found.share(one) == 1.0
+    assert found.share(metres) * 9.0 == pytest.approx(REFLECTED_STD**2)
+    # AND what one claims beyond the smallest claim counts in full: the receiver sees them
+    found.split(metres, SECOND, 0.0)
+    assert found.share(4.0 * metres) * 36.0 == pytest.approx(REFLECTED_STD**2 + 27.0)
+
+
+def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
+    """GIVEN positions that scatter by half of what they claim."""
+    found = learned(0.02, 0.04, 0.002)
+
+    split = found.split(0.04**2 * np.eye(3), 1_000_000_000, 0.0)
+    assert 0.2 < split.share < 0.5
+    np.testing.assert_allclose(split.slow_variance, (1.0 - split.share) * 0.04**2)
+    assert found.split(0.01**2 * np.eye(3), 1_000_000_000, 0.0).share == 1.0
+
+
+def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
+    found = PositionScatter(9.0, learning=True)
+    found.in_force = True
+    for k in range(200):
+        found.learn(ANY, (27.0, 3.0, np.zeros(3)), k * SECOND)
+    split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
+    assert split.share == pytest.approx(9.0, rel=0.05)
+    assert split.excess == 1.0
+
+
+@pytest.mark.parametrize("used", [0.01, 0.3, 2.0])
+def test_evidence_on_the_scatter_is_unbiased_whatever_factor_is_in_use(used: float) -> None:
+    # GIVEN innovations with a factor of 0.3 on what is claimed, among other errors
+    rng = np.random.default_rng(5)
+    root, other, third = rng.normal(size=(3, 3, 3))
+    nav, claimed, others = standing(root @ root.T), other @ other.T + np.eye(3), third @ third.T
+    true = 0.3
+    S = root @ root.T + true * claimed + others
+    drawn = rng.multivariate_normal(np.zeros(3), S, 4000)
+    # WHEN they are used with another one
+    evidence = [scatter_evidence(nav[COVARIANCE], z, H, claimed, used, others)[:2] for z in drawn]
+    totals, counts = np.array(evidence).T
+    # THEN they show the true one, and how much they show is what the information is
+    assert totals.mean() / counts.mean() == pytest.approx(
+        true, abs=4.0 * totals.std() / len(drawn) ** 0.5 / counts.mean()
+    )
+    S_used = S + (used - true) * claimed
+    shown = used * np.linalg.solve(S_used, claimed)
+    assert counts == pytest.approx(np.trace(shown @ shown))
+    assert counts.max() < 3.0
+
+
+def test_a_scatter_far_below_what_the_imu_does_between_fixes_is_learned() -> None:
+    assert learned(0.05, 1.0, 0.1, count=1500).learned < 0.01
+
+
+def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
+    # GIVEN a filter whose P is far too large, so that its innovations show less than no scatter
+    found = PositionScatter(learning=True)
+    found.in_force = True
+    for k in range(200):
+        found.learn(ANY, (-0.5, 1.8, np.full(3, 0.1)), k * SECOND // 5)
+    assert found.learned < 0.005
+    # WHEN they show a share of 0.09, THEN it is learned as from nothing
+    for k in range(200, 350):
+        found.learn(ANY, (0.18, 2.0, np.full(3, 0.1)), k * SECOND // 5)
+    assert found.learned > 0.05
+
+
+def test_the_slow_error_is_reported_and_walks() -> None:
+    nav, P = standing(0.01 * np.eye(3)), np.empty((N_ERROR, N_ERROR))
+    change_slow_error(nav, np.array([0.9, 0.9, 2.0]), 5.0, NO_GROWTH)
+    np.testing.assert_allclose(covariance(nav)[DP, DP], 0.01 * np.eye(3))  # there was none before
+
+    change_slow_error(nav, np.array([0.8, 0.8, 1.8]), 0.5, NO_GROWTH)
+
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], 0.01 + np.array([0.009, 0.009, 0.02]))
+    unpack_total(nav, P)
+    np.testing.assert_allclose(np.diag(P)[DP], [0.819, 0.819, 1.83])
+    np.testing.assert_allclose(total_std(nav), np.sqrt(np.diag(P)))
+
+
+@pytest.mark.parametrize(("walks", "least", "most"), [(False, 0.0, 0.1), (True, 0.3, 1.0)])
+def test_the_slow_error_walks_as_successive_innovations_show(
+    walks: bool, least: float, most: float
+) -> None:
+    """
+    GIVEN positions that scatter by 0.1 m about a slow error, which walks as claimed, or does not
+    WHEN a filter believes the walk of a claimed metre
+    THEN it learns from the sign of successive innovations how much of it there is.
+    """
+    rng = np.random.default_rng(4)
+    found, nav = PositionScatter(0.01, learning=True), standing(0.01 * np.eye(3))
+    found.in_force = True
+    claimed, offset = np.eye(3), np.zeros(3)  # offset: slow error minus estimate
+    walk = math.sqrt(2.0 * 0.2 / SLOW_TIME) if walks else 0.0
+    for k in range(1, 1500):
+        split = found.split(claimed, k * SECOND // 5, 0.0)
+        change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
+        offset += rng.normal(0.0, walk, 3)
+        z = offset + rng.normal(0.0, 0.1, 3)
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
+        dx, _ = iterated_update.update(nav, z, H, split.share * claimed)
+        offset -= dx[DP]
+        found.learn(split, evidence, k * SECOND // 5)
+
+    later = found.split(claimed, 1500 * SECOND // 5, 0.0)
+    assert least <= later.interval / 0.2 <= most
+
+
+def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
+    """GIVEN metres WHEN a fix claims a centimetre THEN it can correct what the former left."""
+    nav = standing(0.01 * np.eye(3))
+    nav[SLOW_VARIANCE] = 0.9, 0.9, 2.0
+
+    change_slow_error(nav, np.zeros(2), 0.2, NO_GROWTH)  # a fix without height
+
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], [0.91, 0.91, 0.01])
+    np.testing.assert_allclose(nav[SLOW_VARIANCE], [0.0, 0.0, 2.0])
+
+
+def test_a_poorer_solution_has_a_slow_error_of_its_own() -> None:
+    # GIVEN a receiver that has claimed centimetres, which are its scatter
+    found, nav = PositionScatter(), standing(1e-4 * np.eye(3))
+    fixed, lost = (std**2 * np.diag([1.0, 1.0, 3.0]) for std in (0.02, 0.4))
+    split = found.split(fixed, SECOND, 0.0)
+    found.learn(split, None, SECOND)
+    change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
+    assert not split.slow_variance.any()
+    # WHEN it claims decimetres
+    split = found.split(lost, 2 * SECOND, 0.0)
+    change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
+    # THEN what they claim beyond the centimetres is a slow error, to which the state can move
+    new = lost.diagonal() - 0.02**2 / 0.4**2 * lost.diagonal()
+    np.testing.assert_allclose(split.slow_variance, new)
+    np.testing.assert_allclose(split.claimed_growth, new)
+    np.testing.assert_allclose(np.diag(covariance(nav))[DP], 1e-4 + new)
+    # AND it counts as one only once
+    found.learn(split, None, 2 * SECOND)
+    later = found.split(lost, 3 * SECOND, 0.0).claimed_growth
+    np.testing.assert_allclose(later, 2.0 * new / SLOW_TIME)
+
+
+def test_a_slow_error_that_innovations_show_is_added_where_it_is_not_claimed() -> None:
+    scatter, claimed = PositionScatter(), np.diag([0.01, 0.01, 0.04]) ** 2
+    none, some = (scatter.split(claimed, SECOND, std) for std in (0.0, 0.5))
+    assert none.slow_variance == pytest.approx(np.zeros(3)) and none.unclaimed_std == 0.0
+    assert some.slow_variance == pytest.approx([0.25, 0.25, 0.5625]) and some.unclaimed_std == 0.5
+    # A receiver that claims metres has claimed it.
+    given = PositionScatter(0.1)
+    split = given.split(np.diag([4.0, 4.0, 9.0]), SECOND, 0.5)
+    assert split.slow_variance == pytest.approx([3.6, 3.6, 8.1])
+    assert split.unclaimed_std == 0.0

@@ -1,0 +1,116 @@
+"""Weights of the noise hypotheses: Bayes' rule, two memories, what a slow error of fixes adds."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from hybrid_ins.core.inertial.state import Array
+from hybrid_ins.core.noise.hypotheses import (
+    COUNT,
+    HYPOTHESES,
+    LOG_PRIOR,
+    SLOW_STD,
+    STAMP_STD,
+    smallest_slow_std,
+)
+from hybrid_ins.core.noise.weights import (
+    FAMILIES,
+    FAMILY,
+    FAMILY_STD,
+    MEMORY,
+    SLOW_MEMORY,
+    add_likelihood,
+    average,
+    fade,
+    weigh,
+)
+
+SLOW = HYPOTHESES[SLOW_STD]
+CENTIMETRE = 0.01  # m, claimed
+
+
+def weighed(found: Array, of_family: Array, claimed_std: float) -> Array:
+    weights = np.empty(COUNT)
+    weigh(found, of_family, claimed_std, weights)
+    return weights
+
+
+def test_without_fading_the_weights_are_those_of_bayes_rule() -> None:
+    rng = np.random.default_rng(3)
+    found, of_family, plain = np.zeros(COUNT), np.zeros(FAMILIES), HYPOTHESES[LOG_PRIOR].copy()
+    for _ in range(6):
+        one = rng.normal(0.0, 0.5, COUNT)
+        add_likelihood(one, CENTIMETRE, found, of_family)
+        plain = plain + one
+
+    expected = np.exp(plain - logsumexp(plain))
+    np.testing.assert_allclose(weighed(found, of_family, 0.01), expected, rtol=1e-9)
+
+
+def test_that_fixes_have_a_slow_error_is_remembered_longer_than_what_the_noise_is() -> None:
+    found, of_family = np.zeros(COUNT), np.zeros(FAMILIES)
+    one = -5.0 * (FAMILY == 0) - 3.0 * (np.arange(COUNT) % 2)
+    add_likelihood(one, CENTIMETRE, found, of_family)
+    before = of_family.copy()
+
+    fade(60.0, found, of_family)
+
+    np.testing.assert_allclose(of_family, before * np.exp(-60.0 / SLOW_MEMORY))
+    assert found.min() == pytest.approx(-3.0 * np.exp(-60.0 / MEMORY))
+
+
+def test_a_claim_that_contains_a_slow_error_is_no_evidence_on_it() -> None:
+    found, of_family = np.zeros(COUNT), np.zeros(FAMILIES)
+
+    add_likelihood(-5.0 * (FAMILY == 0), 0.3, found, of_family)
+
+    contained = (FAMILY_STD > 0.0) & (smallest_slow_std(0.3) > FAMILY_STD)
+    assert contained.any() and (smallest_slow_std(0.3) < FAMILY_STD).any()
+    np.testing.assert_allclose(of_family[contained], of_family[0])
+    np.testing.assert_allclose(of_family[smallest_slow_std(0.3) < FAMILY_STD], 0.0)
+    assert of_family[0] == pytest.approx(-5.0)
+
+
+def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
+    rng = np.random.default_rng(4)
+    weights = rng.uniform(size=COUNT)
+    weights /= weights.sum()
+    factors, lowest = np.ones(7), np.ones(4)
+
+    average(weights, factors, lowest)
+    assert factors[3] == pytest.approx(np.sqrt(weights @ SLOW**2))
+
+    weights[SLOW > 0.0] *= 0.05 / weights[SLOW > 0.0].sum()
+    average(weights, factors, lowest)
+    assert factors[3] == 0.0
+    assert factors[4] == pytest.approx(0.05)
+
+
+def test_scattering_stamps_have_the_second_moment_of_what_is_probable_and_move_the_state() -> None:
+    rng, stamps = np.random.default_rng(4), HYPOTHESES[STAMP_STD]
+    weights = rng.uniform(size=COUNT) * (stamps > 0.0)
+    weights /= weights.sum()
+    factors, lowest = np.ones(7), np.ones(4)
+
+    assert average(weights, factors, lowest)
+    assert factors[5:] == pytest.approx([np.sqrt(weights @ stamps**2), 1.0])
+    assert not average(weights, factors, lowest)
+
+    weights = np.where(stamps > 0.0, 0.05 * weights, 0.95 / np.sum(stamps == 0.0))
+    average(weights, factors, lowest)
+    assert factors[5:] == pytest.approx([0.0, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("claimed_std", "smallest"), [(0.01, 0.02), (0.1, 0.2), (0.3, 0.6), (1.0, 20.0), (2.0, 40.0)]
+)
+def test_uncorrected_receivers_contain_slow_errors_already(
+    claimed_std: float, smallest: float
+) -> None:
+    assert smallest_slow_std(claimed_std) == pytest.approx(smallest)
+
+    weights = weighed(np.zeros(COUNT), np.zeros(FAMILIES), claimed_std)
+
+    assert np.all((weights > 0.0) == ((SLOW == 0.0) | (smallest <= SLOW)))
+    assert weights.sum() == pytest.approx(1.0)
+    assert FAMILY_STD[0] == 0.0
