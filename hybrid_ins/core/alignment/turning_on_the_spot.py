@@ -35,12 +35,12 @@ SEEN = 2.0  # standard deviations of fixes: a smaller motion of the antenna is n
 LARGEST_SWING = LONGEST_LEVER / math.sqrt(2.0)  # m, root mean square over a turn
 LEFT = 0.3  # of the motion: less is left where the lever arm may be all there is to it
 LEAST_STD = 0.03  # m: so little is left by the errors of fixes that resolve small swings
-HARDLY_LEFT = 0.2  # likewise, where it certainly is
+HARDLY_LEFT = 0.12  # likewise, where it certainly is: a pedestrian's first steps leave more
 LEAST_MOTION = 0.15  # m, of the antenna: filters that were misled by less can go on
 LAGS_NS = np.arange(-700_000_000, 700_000_001, 100_000_000)  # of the fixes behind the IMU
 WINDOW_NS = 10_000_000_000
 SPACING_NS = 150_000_000  # between two fixes: more of them show hardly more
-LEAST_FIXES = 3
+LEAST_FIXES, MANY_FIXES = 3, 8  # fewer of them a lever arm, a velocity and a clock always explain
 
 
 class TurningOnTheSpot:
@@ -97,8 +97,8 @@ class TurningOnTheSpot:
         seen = SEEN * std
         least = math.hypot(LEFT * moved, min(std, LEAST_STD))
         self.hides_heading = left < least and seen < LARGEST_SWING
-        is_all = self.hides_heading and left < HARDLY_LEFT * moved
-        self.misleads = is_all and moved > max(LEAST_MOTION, seen)
+        is_all = left < HARDLY_LEFT * moved and len(t_ns) >= MANY_FIXES
+        self.misleads = self.hides_heading and is_all and moved > max(LEAST_MOTION, seen)
 
     def _follow(self, follower: InsFilter, begin_ns: int) -> None:
         """Integrate the yaw rate up to the last IMU sample, at first from ``begin_ns`` on."""

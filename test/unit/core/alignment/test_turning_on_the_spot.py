@@ -87,5 +87,15 @@ def test_speeding_up_straight_ahead_shows_it() -> None:
     assert not turning.hides_heading
 
 
+@pytest.mark.parametrize(("begin", "acceleration"), [(10.0, 0.9), (10.4, 1.4)])
+def test_first_steps_in_a_turn_restart_nothing(begin: float, acceleration: float) -> None:
+    def steps(t: Array) -> Array:
+        return np.append(0.5 * acceleration * np.maximum(t - begin, 0.0) ** 2, 0.0)
+
+    turning = observed(lambda t: 0.5 * np.maximum(t - begin, 0.0), steps)
+
+    assert not turning.misleads
+
+
 def test_what_fixes_do_not_resolve_is_of_no_consequence() -> None:
     assert not observed(swaying, still, lever=1.5, claimed=3.0).hides_heading
