@@ -553,6 +553,28 @@ def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_a
     assert len(refused) < 10
 
 
+@pytest.mark.parametrize("start", [12.0, 40.0])
+def test_a_turn_beyond_the_gyroscopes_range_leaves_no_attitude(start: float) -> None:
+    # GIVEN half a second in which the gyroscope reads as much as it can
+    run = scene(car_drive(90.0, 1), seed=1)
+    run.rate[(run.t >= start) & (run.t < start + 0.5), 2] = 4.36
+    navigator = make_navigator()
+    claimed = []
+
+    def note(t: float) -> None:
+        if navigator.filter is not None:
+            error, std = run.errors(navigator, t)[2], navigator.filter.state.P[8, 8] ** 0.5
+            claimed.append(error / std)
+
+    play(run, navigator, after=note)
+
+    # THEN alignment begins anew, and no other heading is claimed for more than a moment
+    causes = {event.cause for event in run.events if isinstance(event, Restarted)}
+    assert causes == {RestartCause.TURN_UNMEASURED}
+    assert np.mean(np.array(claimed) > 6.0) < 0.02
+    assert run.errors(navigator, 90.0)[2] < 0.05
+
+
 def test_first_fixes_that_are_far_off_do_not_spoil_the_start() -> None:
     # GIVEN a receiver whose first fixes are 300 m off, claiming centimetres
     run = scene(car_drive(60.0, 1), seed=1)

@@ -7,7 +7,8 @@ for the user are in `hybrid_ins.ros.reporting.wording`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -66,11 +67,14 @@ class ImuFault:
         of gravity, the reading [m/s² or rad/s] for the others; 0 for a frozen sensor.
     axis : int
         Of a saturated sensor: 0 to 2 for x, y, z of b.
+    lost_turn : float
+        Of a saturated gyroscope: by how much more than it says the IMU may have turned [rad].
     """
 
     kind: FaultKind
     value: float = 0.0
     axis: int = 0
+    lost_turn: float = field(default=0.0, compare=False)
 
     @property
     def unusable(self) -> bool:
@@ -99,7 +103,9 @@ def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
         for axis in np.flatnonzero(top[sensor] >= least).tolist():
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))
             if frozen < steps and at_limit[sensor][axis] >= most:
-                return ImuFault(kind, round(float(top[sensor][axis]), 2), axis)
+                limit = float(top[sensor][axis])
+                lost = _lost_turn(samples, limit) if sensor is RATE else 0.0
+                return ImuFault(kind, round(limit, 2), axis, lost)
     for kind, sensor, least in (
         (FaultKind.SPIKES_FORCE, FORCE, SPIKE_FORCE),
         (FaultKind.SPIKES_RATE, RATE, SPIKE_RATE),
@@ -154,6 +160,26 @@ def _survey(t_ns, readings):  # type: ignore[no-untyped-def]
                 off[c] = max(off[c], abs(middle - 0.5 * (value + readings[k - 2, c])))
         frozen = frozen + 1 if same else 0
     return means, size, top, at_limit, off, frozen, turned
+
+
+def _lost_turn(samples: NDArray[np.void], limit: float) -> float:
+    """
+    Return by how much more the IMU may have turned than a gyroscope says that stays at ``limit``.
+
+    A rate that passes the limit with the slope s, and falls below it a time d later, exceeds it
+    like a parabola: by s d²/6. Of a longer turn it is taken to be twice the limit. What vibration
+    loses to and fro is no turn.
+    """
+    t, lost = samples["t_ns"] * 1e-9, np.zeros(3)
+    for axis, rate in enumerate(samples["w"].T):
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], abs(rate) >= limit, [0]))))
+        for begin, end in edges.reshape(-1, 2):  # of the samples at the limit
+            lasted = t[end - 1] - t[begin]
+            steps = [k for k in (begin - 2, begin - 1, end - 1, end) if 0 <= k < len(t) - 1]
+            slopes = [abs(rate[k + 1] - rate[k]) / (t[k + 1] - t[k]) for k in steps]
+            slope = max(slopes, default=math.inf)
+            lost[axis] += math.copysign(min(slope * lasted / 6.0, limit) * lasted, rate[begin])
+    return float(np.abs(lost).sum())
 
 
 def _largest_spike(readings: Array, least: float) -> float:

@@ -24,6 +24,7 @@ class RestartCause(Enum):
     STAMPS_WENT_BACK = "the IMU's stamps went back"
     NO_SAMPLES = "no IMU samples"
     IMU_UNUSABLE = "the IMU is unusable"
+    TURN_UNMEASURED = "a turn beyond the gyroscope's range"
     NOT_FINITE = "the state was lost"
     REPEATED_RESETS = "the state did not fit the fixes"
     FIXES_JUMPED = "the fixes jumped before the heading was known"
@@ -44,7 +45,7 @@ class Restarted:
 
     cause: RestartCause
     seconds: float = 0.0  # by which the stamps went back or were missing
-    fault: ImuFault | None = None  # of an IMU that is unusable
+    fault: ImuFault | None = None  # of the IMU
 
 
 @dataclass(frozen=True, slots=True)

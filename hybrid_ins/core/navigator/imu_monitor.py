@@ -206,7 +206,7 @@ def _error_std_after(fault: ImuFault) -> Array | None:
     if fault.kind in MISLEADING_FORCE:
         std[B_A], std[DV] = UNKNOWN_BIAS_STD_A, MISLED_SPEED
     elif fault.kind in MISLEADING_RATE:
-        std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, MISLED_TURN
+        std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, max(MISLED_TURN, fault.lost_turn)
     else:
         return None
     return std

@@ -29,7 +29,7 @@ from hybrid_ins.core.navigator.events import (
 from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import Aligning, FilterParts, Phase, Searching, speed
-from hybrid_ins.core.navigator.restart import ResetCount, heading_after, outlasts
+from hybrid_ins.core.navigator.restart import ResetCount, heading_after, loses_attitude, outlasts
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.update.gate import Verdict
@@ -44,6 +44,7 @@ STATE_WAS_WRONG = (
     RestartCause.VELOCITIES_WRONG,
 )
 """What makes a state useless, and what it has shown of the antenna."""
+IMU_WAS_WRONG = (RestartCause.IMU_UNUSABLE, RestartCause.TURN_UNMEASURED)
 
 
 class Navigator:
@@ -115,7 +116,7 @@ class Navigator:
 
     def give_up(self, cause: RestartCause) -> None:
         """Give up the state for a cause, and align again."""
-        fault = self.monitor.fault if cause is RestartCause.IMU_UNUSABLE else None
+        fault = self.monitor.fault if cause in IMU_WAS_WRONG else None
         self._events.append(Restarted(cause, fault=fault))
         if cause in STATE_WAS_WRONG:
             self.phases.kept.discard_antenna()
@@ -267,6 +268,9 @@ class Navigator:
             self._events.append(FaultFound(fault))
         if fault is not None and fault.unusable:
             self.give_up(RestartCause.IMU_UNUSABLE)
+        elif fault is not None and loses_attitude(fault):
+            self.give_up(RestartCause.TURN_UNMEASURED)
+            self.ring.clear()  # levelling would rest on the same turn
 
     def pop_events(self) -> list[Event]:
         """Return what happened since the last call, in order."""

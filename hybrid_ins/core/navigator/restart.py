@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.filter.gap import turn_std
 from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.health import ImuFault
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
 
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
-HEADING_KEPT_STD = 0.35  # rad; a heading less certain than that is not kept over a gap
+HEADING_KEPT_STD = 0.35  # rad; an attitude less certain than that is not kept over a gap
 RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
 MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
 
@@ -56,6 +57,11 @@ def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
         Time without IMU samples [s].
     """
     return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
+
+
+def loses_attitude(fault: ImuFault) -> bool:
+    """Return whether a turn that a fault has hidden leaves no attitude worth keeping."""
+    return fault.lost_turn > HEADING_KEPT_STD
 
 
 def heading_after(

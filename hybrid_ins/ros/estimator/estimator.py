@@ -46,7 +46,12 @@ from hybrid_ins.ros.review.input_review import InputReview
 Array = NDArray[np.float64]
 
 REPORT_NS = 100_000_000  # between two reports of the state
-KEEP_CLOCK = (RestartCause.NO_SAMPLES, RestartCause.IMU_UNUSABLE, RestartCause.NOT_FINITE)
+KEEP_CLOCK = (
+    RestartCause.NO_SAMPLES,
+    RestartCause.IMU_UNUSABLE,
+    RestartCause.TURN_UNMEASURED,
+    RestartCause.NOT_FINITE,
+)
 """What makes a state useless, but not what is known of the clock offset of the fixes."""
 
 

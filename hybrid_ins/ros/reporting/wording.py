@@ -113,6 +113,9 @@ def describe_restart(restarted: Restarted) -> str:
         return "the filter's state became NaN or infinite"
     if cause is RestartCause.IMU_UNUSABLE and restarted.fault is not None:
         return f"the IMU is unusable: {describe_fault(restarted.fault)}"
+    if cause is RestartCause.TURN_UNMEASURED and restarted.fault is not None:
+        lost = math.degrees(restarted.fault.lost_turn)
+        return f"a turn beyond the gyroscope's range: up to {min(lost, 360.0):.0f}° are missing"
     if cause is RestartCause.FIXES_JUMPED:
         return "the fixes jumped before the heading was known, and fit none"
     if cause is RestartCause.FIXES_REPEATED:

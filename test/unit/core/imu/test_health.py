@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_ins.core.imu.health import find_fault
+from hybrid_ins.core.imu.health import FaultKind, find_fault
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.ros.reporting.wording import describe_fault, name_of_fault
 
@@ -65,6 +65,35 @@ def test_faults_are_named_with_value_and_remedy(kind: str, name: str, words: str
     fault = find_fault(spoiled(kind))
     assert fault is not None and name_of_fault(fault) == name
     assert words in describe_fault(fault)
+
+
+@pytest.mark.parametrize("peak", [5.0, 6.0, 8.0])
+@pytest.mark.parametrize("begin", [-0.2, 0.1, 0.6])
+def test_a_turn_beyond_the_range_is_missing_by_about_what_it_would_have_been(
+    peak: float, begin: float
+) -> None:
+    # GIVEN a flip of 0.6 s, of which the window may contain a part, and a range of 4 rad/s
+    samples = window(rate_std=0.01)
+    t = samples["t_ns"] * 1e-9
+    flip = peak * np.sin(np.pi * (t - begin) / 0.6) * (abs(t - begin - 0.3) < 0.3)
+    samples["w"][:, 1] += flip
+    lost = np.sum(np.maximum(np.abs(samples["w"][:, 1]) - 4.0, 0.0)) / RATE
+    samples["w"] = np.clip(samples["w"], -4.0, 4.0)
+
+    fault = find_fault(samples)
+
+    assert fault is not None
+    assert 0.5 * lost < fault.lost_turn < 4.0 * lost
+
+
+def test_vibration_beyond_the_range_hides_hardly_any_turn() -> None:
+    samples = window()
+    samples["w"] = np.clip(samples["w"] * 60.0 - 6.0, -4.0, 4.0)
+
+    fault = find_fault(samples)
+
+    assert fault is not None and fault.kind is FaultKind.SATURATED_RATE
+    assert fault.lost_turn < 0.2
 
 
 @pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])
