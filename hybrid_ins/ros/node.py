@@ -34,7 +34,7 @@ except ModuleNotFoundError as error:
     ) from None
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -194,6 +194,15 @@ class InsNode(LifecycleNode):
             self.get_logger().error(text)
 
     # Parameters.
+
+    def set_parameters_atomically(self, parameter_list: list[Any]) -> SetParametersResult:
+        """Set parameters together; a name that is none is refused with the one that is meant."""
+        try:
+            return super().set_parameters_atomically(parameter_list)
+        except ParameterNotDeclaredException as error:
+            return SetParametersResult(
+                successful=False, reason=node_parameters.unknown(parameter_list) or str(error)
+            )
 
     def _values(self) -> dict[str, Any]:
         """Return all parameters, checked."""

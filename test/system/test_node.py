@@ -186,6 +186,9 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     refused = client.set("gnss.patience", -1.0)
     assert not refused.successful
     assert "gnss.patience" in refused.reason
+    refused = client.set("gnss.patiense", 5.0)
+    assert not refused.successful
+    assert "gnss.patiense: unknown; did you mean gnss.patience?" in refused.reason
     refused = client.set("imu.position", [1.0, 0.0, 0.0])
     assert not refused.successful
     assert "read-only" in refused.reason
