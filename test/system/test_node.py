@@ -203,6 +203,37 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     assert "Traceback" not in log.read_text()
 
 
+def test_an_imu_that_is_missing_is_named_and_one_that_dies_is_lost(
+    processes: Processes, folder: Path, flight: Path, client: Client
+) -> None:
+    """GIVEN a wrong topic, then the right one WHEN the flight ends THEN log and validity say so."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    log, topic, told = folder / "silent.log", "/vehicle/imu", []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    client.node.create_subscription(DiagnosticStatus, "/validity", told.append, latched)
+    start_node(processes, log, "-r", f"imu/data:={topic}")
+    play = [sys.executable, "-m", "hybrid_ins.cli.play", str(flight)]
+    elsewhere = processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
+
+    until(lambda: f"no messages on {topic} for" in log.read_text(), 30.0)
+    line = next(line for line in log.read_text().splitlines() if "no messages on" in line)
+    assert "[WARN]" in line and "choose /imu/data with -r imu/data:=/imu/data" in line
+    processes.stop(elsewhere)
+    processes.start(
+        [*play, "--rate", "4", "--remap", f"/imu/data:={topic}"], subprocess.DEVNULL, ENVIRONMENT
+    )
+    client.spin_until(lambda: told and told[-1].message.startswith("position good"), 60.0)
+    client.spin_until(lambda: told[-1].message.startswith("position lost, velocity lost"), 30.0)
+
+    client.spin_until(lambda: "no IMU samples for" in client.diagnostics[-1].status[0].message)
+    last = {status.name: status for status in client.diagnostics[-1].status}
+    assert last["hybrid_ins: filter"].level == b"\2"
+    assert last["hybrid_ins: validity"].message == told[-1].message
+    assert f"{topic}: messages come, after" in log.read_text()
+
+
 @pytest.mark.slow
 def test_second_publisher_is_told_and_leaves_the_state_alone(
     processes: Processes, folder: Path, flight: Path, client: Client
