@@ -228,10 +228,17 @@ class InsNode(LifecycleNode):
 
     def _check_parameters(self, changes: list[Any]) -> SetParametersResult:
         try:
-            self._checked(changes)
+            self._check_model(self._checked(changes))
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_model(self, checked: dict[str, Any]) -> None:
+        """Refuse another model that cannot be used; the one in force goes on."""
+        if self._live is None or "noise.model" not in checked:
+            return
+        if checked["noise.model"] != self._live.estimator.values["noise.model"]:
+            find_regressor(str(checked["noise.model"]))
 
     def _checked(self, changes: list[Any]) -> dict[str, Any]:
         """Check changes of this package's parameters; others are not ours to check."""

@@ -180,9 +180,18 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     assert not client.set("odometry_rate", 5e-324).successful
     os.mkfifo(folder / "pipe.onnx")
     assert client.set("noise.mode", "learned").successful
-    for model in (folder / "pipe.onnx", "m" * 300, "x" * 300 + ".onnx"):
-        client.set("noise.model", str(model))
-    assert "not a regular file" in log.read_text()
+    (folder / "damaged.onnx").write_bytes(b"no model")
+    for model, reason in (
+        (folder / "pipe.onnx", "not a regular file"),
+        (folder / "damaged.onnx", "damaged.onnx: "),
+        ("/nope.onnx", "/nope.onnx: No such file or directory"),
+        ("platoon", "noise.model is plateau, spectral, paper, or"),
+        ("m" * 300, "noise.model is plateau, spectral, paper, or"),
+        ("x" * 300 + ".onnx", "File name too long"),
+    ):
+        refused = client.set("noise.model", str(model))
+        assert not refused.successful and reason in refused.reason, refused
+    assert "the spectral estimator is used" not in log.read_text()
     refused = client.set("gnss.patience", -1.0)
     assert not refused.successful
     assert "gnss.patience" in refused.reason
