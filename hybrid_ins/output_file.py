@@ -63,7 +63,7 @@ def replacing(path: Path) -> Iterator[Path]:
     unfinished = target.with_name(f".{os.getpid()}.{target.name}")
     try:
         yield unfinished
-        if target.is_dir():
+        if target.is_dir() and unfinished.is_dir():  # a file never takes a folder's place
             shutil.rmtree(target)
         unfinished.replace(target)
     finally:

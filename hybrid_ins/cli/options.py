@@ -11,6 +11,7 @@ from typing import Any
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import InputTopics
 from hybrid_ins.errors import InputError
+from hybrid_ins.noise_regressor.reader import check_model
 from hybrid_ins.parameters import parameter_file
 
 
@@ -117,7 +118,8 @@ def parameter_values(args: argparse.Namespace) -> parameters.Values:
     Raises
     ------
     InputError
-        See `parameter_file.load`; or an override is not ``name:=value``.
+        See `parameter_file.load`; an override is not ``name:=value``; or there is no such
+        ``noise.model``.
 
     """
     values: dict[str, Any] = {}
@@ -128,7 +130,9 @@ def parameter_values(args: argparse.Namespace) -> parameters.Values:
         if not separator:
             raise InputError(f"--param {text}: write NAME:=VALUE, e.g. -p gnss.patience:=5.0")
         values[name] = parameters.parse_value(name, value)
-    return parameters.check_all(values)
+    checked = parameters.check_all(values)
+    check_model(checked)
+    return checked
 
 
 def add_topics(parser: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from hybrid_ins.core.imu.samples import ImuRing, as_numbers
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
+from hybrid_ins.noise_regressor.onnx_model import LARGEST_MODEL_BYTES
 from hybrid_ins.noise_regressor.window import (
     find_fault,
     own_axes,
@@ -25,12 +27,57 @@ from hybrid_ins.noise_regressor.window import (
     rounded,
     sampling_rate,
 )
-from hybrid_ins.resources import share_path
+from hybrid_ins.resources import read_regular_file, share_path, shortened
 
 Array = NDArray[np.float64]
 
 ABSURD = 1e6  # m/s², rad/s
 LOOKAHEAD = 15  # windows of a recording that are read along with one
+NAMES = "plateau", "spectral", "paper"
+ALLOWED = f"noise.model is {', '.join(NAMES)}, or the path of an .onnx file"
+
+
+class UnknownModelError(InputError):
+    """What ``noise.model`` names does not come with the package, and is no file to read."""
+
+
+def model_path(model: str) -> Path:
+    """
+    Return the file of a model that ``noise.model`` names, other than ``spectral``.
+
+    Raises
+    ------
+    InputError
+        `UnknownModelError`, or this installation lacks a model of its own.
+    """
+    try:
+        if not model.endswith(".onnx"):
+            return share_path(f"models/{model}.onnx")
+        read_regular_file(Path(model), LARGEST_MODEL_BYTES, "a model")
+        return Path(model)
+    except InputError as error:
+        if model in NAMES:
+            raise
+        is_path = model.endswith(".onnx")
+        reason = str(error) if is_path else f"{shortened(model)!r} is no model"
+        raise UnknownModelError(f"{reason}; {ALLOWED}") from None
+
+
+def check_model(values: Mapping[str, Any]) -> None:
+    """
+    Check, before the work, that the regressor that checked parameters ask for exists.
+
+    Raises
+    ------
+    InputError
+        See `model_path`. A model that is damaged is found when it is loaded.
+    """
+    model = values["noise.model"]
+    if values["noise.mode"] == "learned" and model not in NAMES:
+        try:
+            model_path(model)
+        except InputError as error:
+            raise InputError(f"parameter noise.model: {error}") from None
 
 
 def find_regressor(model: str) -> NoiseRegressor:
@@ -49,7 +96,7 @@ def find_regressor(model: str) -> NoiseRegressor:
     """
     if model == "spectral":
         return SpectralRegressor()
-    return Regressor.load(model if model.endswith(".onnx") else share_path(f"models/{model}.onnx"))
+    return Regressor.load(model_path(model))
 
 
 def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegressor:
@@ -61,12 +108,13 @@ def load_regressor(model: str, log: Callable[[str, str], None]) -> NoiseRegresso
     model : str
         See `find_regressor`.
     log : callable
-        Called with the reason why a model cannot be used.
+        Called with a level and the reason why a model cannot be used: an error where it is none.
     """
     try:
         return find_regressor(model)
     except InputError as error:
-        log("warn", f"noise.model: {error}; the spectral estimator is used instead")
+        level = "error" if isinstance(error, UnknownModelError) else "warn"
+        log(level, f"noise.model: {error}; the spectral estimator is used instead")
         return SpectralRegressor()
 
 

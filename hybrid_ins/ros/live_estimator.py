@@ -7,7 +7,6 @@ active.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -50,6 +49,7 @@ from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.gps_fix_input import ABSENT, GpsFixInput
 from hybrid_ins.ros.geographic_services import GeographicServices
+from hybrid_ins.ros.input_watch import InputWatch
 from hybrid_ins.ros.messages import conversions, interface
 from hybrid_ins.ros.messages.cdr import ImuDecoder, ImuFields
 from hybrid_ins.ros.messages.node_messages import MESSAGES, new_message
@@ -58,14 +58,12 @@ from hybrid_ins.ros.output.message_types import OUTPUTS, fill_transforms
 from hybrid_ins.ros.output.output_topics import OutputTopics
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.placement.static_transforms import without_tf2
-from hybrid_ins.ros.reporting.diagnostics import status
 from hybrid_ins.ros.review.crowded_topics import CrowdedTopics
 from hybrid_ins.ros.start.memory import HypothesesHeap
 from hybrid_ins.ros.start.warm_start import WarmStart
 
 TRANSFORM_RATE = 50.0  # Hz, on /tf
 LAST_MESSAGES = Duration(seconds=0.2)  # of a publisher, to arrive before it is given up
-SILENCE = 2.0  # s without IMU data after which diagnostics come from the wall clock
 
 
 def _qos(topic: str) -> QoSProfile:
@@ -141,7 +139,6 @@ class LiveEstimator:
         self._by_receipt = bool(values["use_receive_time"])
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
         self._crowded = CrowdedTopics(node, self.estimator.inputs)
-        self._last_imu = time.monotonic()
         self._heap = HypothesesHeap()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
         self._gps_fix = GpsFixInput(self.estimator, new_message)
@@ -149,6 +146,7 @@ class LiveEstimator:
         self._warm_start = WarmStart(self.estimator, values)
         self._warm_start.load_at_start()
         self._topics = OutputTopics(values, node.get_namespace(), node.get_name())
+        self._watch = InputWatch(node, self.estimator, self._topics)
         self._transforms: Any = None
         self._transform_publisher: Any = None
 
@@ -191,7 +189,7 @@ class LiveEstimator:
         """
         if TFMessage is not None:
             self._subscribe(TFMessage, "/tf_static", self.estimator.handle_static_transforms)
-        self._last_imu = time.monotonic()
+        self._watch.start()
         self._subscribe(Imu, "imu/data", self._on_imu, self._decode_imu)
         self._subscribe(NavSatFix, "gnss/fix", self._on_fix)
         if GPSFix is None:
@@ -231,7 +229,7 @@ class LiveEstimator:
         self._publish_reports()
         self._warm_start.save_at_end()
         now = self._node.get_clock().now().nanoseconds
-        first, *others = self.estimator.status.diagnostics(now)
+        first, *others = self._watch.diagnostics()
         first = first._replace(text=f"{state}; {first.text}")
         self._topics.publish_diagnostics(now, [first, *others])
 
@@ -289,7 +287,7 @@ class LiveEstimator:
 
     def _on_imu(self, imu: ImuFields) -> None:
         estimator = self.estimator
-        self._last_imu = time.monotonic()
+        self._watch.imu_messages += 1
         odometry = estimator.handle_imu(imu, self._received_ns())
         if odometry is not None:
             self._topics.publish_odometry(odometry)
@@ -303,12 +301,14 @@ class LiveEstimator:
         return self._node.get_clock().now().nanoseconds if self._by_receipt else None
 
     def _on_fix(self, message: NavSatFix) -> None:
+        self._watch.fixes += 1
         self._gps_fix.note_fix(message)
         self.estimator.handle_fix(message, self._received_ns())
         self._warm_start.on_fix(message)
         self._publish_reports()
 
     def _on_gps_fix(self, message: Any) -> None:
+        self._watch.fixes += 1
         for fix in self._gps_fix.handle(message, self._received_ns())[:1]:
             self._warm_start.on_fix(fix)
         self._publish_reports()
@@ -336,28 +336,11 @@ class LiveEstimator:
     # The topics.
 
     def _on_second(self) -> None:
-        """Check the topics, and keep diagnostics alive when no IMU sample drives them."""
+        """Check the topics, save, and say what does not come."""
         self._topics.find_subscribers()
         self._crowded.find()
         self._warm_start.save_where_due()
         self._heap.update(len(self.estimator.navigator.phases.filters))
         if self._geographic is not None:
             self._geographic.offer()
-        silent = time.monotonic() - self._last_imu
-        if silent < SILENCE:
-            return
-        node = self._node
-        now, topic = node.get_clock().now().nanoseconds, node.resolve_topic_name("imu/data")
-        self._topics.publish_diagnostics(
-            now,
-            [
-                *self.estimator.status.diagnostics(now),
-                status(
-                    "imu",
-                    2,
-                    f"no messages on {topic} for {silent:.0f} s: is the driver running, the topic "
-                    "remapped, the QoS compatible?",
-                    {"topic": topic, "publishers": node.count_publishers(topic)},
-                ),
-            ],
-        )
+        self._watch.on_second()

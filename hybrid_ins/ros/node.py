@@ -34,7 +34,7 @@ except ModuleNotFoundError as error:
     ) from None
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -195,6 +195,15 @@ class InsNode(LifecycleNode):
 
     # Parameters.
 
+    def set_parameters_atomically(self, parameter_list: list[Any]) -> SetParametersResult:
+        """Set parameters together; a name that is none is refused with the one that is meant."""
+        try:
+            return super().set_parameters_atomically(parameter_list)
+        except ParameterNotDeclaredException as error:
+            return SetParametersResult(
+                successful=False, reason=node_parameters.unknown(parameter_list) or str(error)
+            )
+
     def _values(self) -> dict[str, Any]:
         """Return all parameters, checked."""
         given = {name: self.get_parameter(name).value for name in parameters.PARAMETERS}
@@ -219,10 +228,17 @@ class InsNode(LifecycleNode):
 
     def _check_parameters(self, changes: list[Any]) -> SetParametersResult:
         try:
-            self._checked(changes)
+            self._check_model(self._checked(changes))
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_model(self, checked: dict[str, Any]) -> None:
+        """Refuse another model that cannot be used; the one in force goes on."""
+        if self._live is None or "noise.model" not in checked:
+            return
+        if checked["noise.model"] != self._live.estimator.values["noise.model"]:
+            find_regressor(str(checked["noise.model"]))
 
     def _checked(self, changes: list[Any]) -> dict[str, Any]:
         """Check changes of this package's parameters; others are not ours to check."""

@@ -66,6 +66,16 @@ def _read_text(change: Any) -> Any:
         return change
 
 
+def unknown(changes: list[Any]) -> str:
+    """Return what is said of the first change whose name is no parameter; empty if all are."""
+    for change in changes:
+        try:
+            parameters.find(change.name)
+        except InputError as error:
+            return str(error)
+    return ""
+
+
 def help_text() -> str:
     """Return what ``ins_node --help`` prints."""
     rows = []

@@ -180,12 +180,24 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     assert not client.set("odometry_rate", 5e-324).successful
     os.mkfifo(folder / "pipe.onnx")
     assert client.set("noise.mode", "learned").successful
-    for model in (folder / "pipe.onnx", "m" * 300, "x" * 300 + ".onnx"):
-        client.set("noise.model", str(model))
-    assert "not a regular file" in log.read_text()
+    (folder / "damaged.onnx").write_bytes(b"no model")
+    for model, reason in (
+        (folder / "pipe.onnx", "not a regular file"),
+        (folder / "damaged.onnx", "damaged.onnx: "),
+        ("/nope.onnx", "/nope.onnx: No such file or directory"),
+        ("platoon", "noise.model is plateau, spectral, paper, or"),
+        ("m" * 300, "noise.model is plateau, spectral, paper, or"),
+        ("x" * 300 + ".onnx", "File name too long"),
+    ):
+        refused = client.set("noise.model", str(model))
+        assert not refused.successful and reason in refused.reason, refused
+    assert "the spectral estimator is used" not in log.read_text()
     refused = client.set("gnss.patience", -1.0)
     assert not refused.successful
     assert "gnss.patience" in refused.reason
+    refused = client.set("gnss.patiense", 5.0)
+    assert not refused.successful
+    assert "gnss.patiense: unknown; did you mean gnss.patience?" in refused.reason
     refused = client.set("imu.position", [1.0, 0.0, 0.0])
     assert not refused.successful
     assert "read-only" in refused.reason
@@ -198,6 +210,37 @@ def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Cli
     )
     assert node.wait(10.0) == 0
     assert "Traceback" not in log.read_text()
+
+
+def test_an_imu_that_is_missing_is_named_and_one_that_dies_is_lost(
+    processes: Processes, folder: Path, flight: Path, client: Client
+) -> None:
+    """GIVEN a wrong topic, then the right one WHEN the flight ends THEN log and validity say so."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    log, topic, told = folder / "silent.log", "/vehicle/imu", []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    client.node.create_subscription(DiagnosticStatus, "/validity", told.append, latched)
+    start_node(processes, log, "-r", f"imu/data:={topic}")
+    play = [sys.executable, "-m", "hybrid_ins.cli.play", str(flight)]
+    elsewhere = processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
+
+    until(lambda: f"no messages on {topic} for" in log.read_text(), 30.0)
+    line = next(line for line in log.read_text().splitlines() if "no messages on" in line)
+    assert "[WARN]" in line and "choose /imu/data with -r imu/data:=/imu/data" in line
+    processes.stop(elsewhere)
+    processes.start(
+        [*play, "--rate", "4", "--remap", f"/imu/data:={topic}"], subprocess.DEVNULL, ENVIRONMENT
+    )
+    client.spin_until(lambda: told and told[-1].message.startswith("position good"), 60.0)
+    client.spin_until(lambda: told[-1].message.startswith("position lost, velocity lost"), 30.0)
+
+    client.spin_until(lambda: "no IMU samples for" in client.diagnostics[-1].status[0].message)
+    last = {status.name: status for status in client.diagnostics[-1].status}
+    assert last["hybrid_ins: filter"].level == b"\2"
+    assert last["hybrid_ins: validity"].message == told[-1].message
+    assert f"{topic}: messages come, after" in log.read_text()
 
 
 @pytest.mark.slow

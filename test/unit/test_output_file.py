@@ -89,3 +89,11 @@ def test_a_pipe_is_written_not_replaced(tmp_path: Path) -> None:
 
     assert read == ["text"]
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_file_never_takes_the_place_of_a_folder(bag: Path) -> None:
+    with pytest.raises(IsADirectoryError):
+        write_text(bag, "text")
+
+    assert (bag / "flight_0.mcap").exists()
+    assert list(bag.parent.iterdir()) == [bag]

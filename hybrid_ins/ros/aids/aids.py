@@ -40,6 +40,7 @@ class Aids:
     ----------
     vehicle : VehicleInput
     sources : AidingSources
+    validity : ValidityMonitor
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Aids:
         self._reports: list[Report] = []
         self.vehicle = VehicleInput(values, navigator, self._fixes, inputs.log)
         self.sources = AidingSources(values, navigator, self._fixes, inputs)
-        self._validity = ValidityMonitor(values, navigator, self._fixes)
+        self.validity = ValidityMonitor(values, navigator, self._fixes)
         self.configure(placement)
 
     def configure(self, placement: SensorPlacement) -> None:
@@ -92,7 +93,7 @@ class Aids:
             self._navigator.measure(level)
         self.vehicle.run_periodic(t_ns)
         self.sources.run_periodic(t_ns)
-        changed = self._validity.changed(t_ns)
+        changed = self.validity.changed(t_ns)
         if changed is not None:
             self._report("validity", changed)
         reports, self._reports = self._reports, []
@@ -101,6 +102,7 @@ class Aids:
     def _report(self, topic: str, content: Status) -> None:
         self._reports.append(Report(topic, content, self._navigator.last_ns))
 
-    def statuses(self, t_ns: int) -> list[Status]:
-        """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
-        return [self.vehicle.status(), self.sources.status(t_ns), self._validity.status(t_ns)]
+    def statuses(self, t_ns: int, is_silent: bool = False) -> list[Status]:
+        """Return the statuses for ``/diagnostics`` at a stamp [ns]; the IMU may be silent."""
+        validity = self.validity.status(t_ns, is_silent)
+        return [self.vehicle.status(), self.sources.status(t_ns), validity]

@@ -25,7 +25,7 @@ class Validity(Enum):
     GOOD = "good"  # fixes come, and σ is within its limit
     COASTING = "coasting"  # no fixes; σ is within its limit
     WAITING = "waiting"  # there is no estimate yet
-    LOST = "lost"  # σ is beyond its limit, or there is no estimate any more
+    LOST = "lost"  # σ is beyond its limit, or there is no estimate any more, or no IMU sample
 
 
 LEVELS = {Validity.GOOD: 0, Validity.COASTING: 1, Validity.WAITING: 1, Validity.LOST: 2}
@@ -50,8 +50,12 @@ class ValidityMonitor:
         self._reported: tuple[Validity, ...] = ()
         self._had_estimate = False
 
-    def judge(self, t_ns: int) -> tuple[tuple[Validity, ...], list[float]]:
-        """Return the validity of position, velocity and heading at a stamp [ns], and any σ."""
+    def judge(self, t_ns: int, is_silent: bool = False) -> tuple[tuple[Validity, ...], list[float]]:
+        """
+        Return the validity of position, velocity and heading at a stamp [ns], and any σ.
+
+        Where the IMU is silent nothing propagates the state: what there was is lost.
+        """
         phase = self._navigator.phase
         self._had_estimate |= phase.filter is not None
         missing = Validity.LOST if self._had_estimate else Validity.WAITING
@@ -66,11 +70,14 @@ class ValidityMonitor:
         ]
         if phase.filter is None:
             judged[2] = missing  # the filters do not agree yet
+        if is_silent:
+            held_no_more = [one if one is Validity.WAITING else Validity.LOST for one in judged]
+            return tuple(held_no_more), []
         return tuple(judged), found
 
-    def status(self, t_ns: int) -> Status:
-        """Return the status at a stamp [ns]."""
-        judged, sigma = self.judge(t_ns)
+    def status(self, t_ns: int, is_silent: bool = False) -> Status:
+        """Return the status at a stamp [ns]; see `judge`."""
+        judged, sigma = self.judge(t_ns, is_silent)
         words = {part: one.value for part, one in zip(PARTS, judged, strict=True)}
         return status(
             "validity",
@@ -82,10 +89,10 @@ class ValidityMonitor:
             },
         )
 
-    def changed(self, t_ns: int) -> Status | None:
+    def changed(self, t_ns: int, is_silent: bool = False) -> Status | None:
         """Return the status at a stamp [ns] if it differs from the one last returned."""
-        judged, _ = self.judge(t_ns)
+        judged, _ = self.judge(t_ns, is_silent)
         if judged == self._reported:
             return None
         self._reported = judged
-        return self.status(t_ns)
+        return self.status(t_ns, is_silent)

@@ -232,7 +232,7 @@ class ClockCorrection:
         found, offset = self.found(), self.offset
         values: dict[str, object] = {
             "time_offset": offset,
-            "estimated": str(self._estimate).lower(),
+            "estimated": self._estimate,
         }
         if found is None:
             return status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)

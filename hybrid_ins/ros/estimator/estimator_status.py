@@ -47,17 +47,23 @@ class EstimatorStatus:
         waiting = wording.waiting_for(self.navigator)
         return "; ".join([waiting, *self.review.causes]) if waiting else ""
 
-    def diagnostics(self, t_ns: int) -> list[Status]:
-        """Return the statuses for ``/diagnostics`` at a stamp [ns]."""
+    def diagnostics(self, t_ns: int, silent: float = 0.0) -> list[Status]:
+        """
+        Return the statuses for ``/diagnostics`` at a stamp [ns].
+
+        ``silent`` is for how long no IMU sample has come [s], where that is long.
+        """
         mode, reporter, axes = self.values["noise.mode"], self.reporter, self.review.axes
         return [
-            diagnostics.filter_status(
+            diagnostics.silent_status(self.navigator, silent, reporter.fixes_fused)
+            if silent and self.navigator.last_ns
+            else diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
             diagnostics.input_status(self.navigator, self.inputs, t_ns, axes.fault, axes.moved_b),
             diagnostics.noise_status(self.navigator, self.noise.reader, mode),
             self.clock.status(),
-            *self.aids.statuses(t_ns),
+            *self.aids.statuses(t_ns, silent > 0.0),
         ]
 
     def summary(self) -> str:

@@ -184,8 +184,8 @@ PUBLISHED = (
         STATUS,
         LATEST,
         "position, velocity and heading: *good*, *waiting* (WARN: no estimate yet), *coasting* "
-        "(WARN: no fixes, σ within `validity.*_std_max`) or *lost* (ERROR: σ beyond it, or no "
-        "estimate any more); on every change",
+        "(WARN: no fixes, σ within `validity.*_std_max`) or *lost* (ERROR: σ beyond it, no "
+        "estimate any more, or no IMU sample for a second); on every change",
     ),
     Topic("datum", FIX, LATEST, "origin of `map`; late subscribers receive it, too"),
     Topic(

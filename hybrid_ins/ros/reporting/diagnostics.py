@@ -38,11 +38,14 @@ CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 def status(name: str, level: int, text: str, values: Mapping[str, object]) -> Status:
     """Return a status; level 0 OK, 1 WARN, 2 ERROR."""
-    words = [
-        (key, f"{value:.6g}" if isinstance(value, float) else str(value))
-        for key, value in values.items()
-    ]
+    words = [(key, _word(value)) for key, value in values.items()]
     return Status(level, f"hybrid_ins: {name}", text, words)
+
+
+def _word(value: object) -> str:
+    if isinstance(value, bool | np.bool_):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def verdict_status(verdict: Verdict) -> Status:
@@ -58,7 +61,7 @@ def verdict_status(verdict: Verdict) -> Status:
     values = {
         "stamp": measurement.t_ns - offset_ns,
         "kind": measurement.kind,
-        "accepted": str(verdict.accepted).lower(),
+        "accepted": verdict.accepted,
         "reason": verdict.reason,
         **_test(verdict),
         "sigma_e": sigma.get("sigma_e", math.nan),
@@ -78,7 +81,7 @@ def aiding_verdict_status(verdict: Verdict) -> Status:
     values = {
         "stamp": measurement.t_ns,
         "kind": measurement.kind,
-        "accepted": str(verdict.accepted).lower(),
+        "accepted": verdict.accepted,
         **_test(verdict),
         **{f"sigma_{k}": float(s) for k, s in enumerate(verdict.sigma)},
         "age": verdict.age,
@@ -122,10 +125,22 @@ def filter_status(
             "sigma_position_vertical": float(sigma[2]),
             "sigma_heading_deg": math.degrees(sigma[8]),
             "fixes_fused": fixes_fused,
-            "standing": str(navigator.monitor.standing).lower(),
+            "standing": navigator.monitor.standing,
             "imu_samples": navigator.ring.count,
         },
     )
+
+
+def silent_status(navigator: Navigator, silent: float, fixes_fused: int) -> Status:
+    """Return how the filter is without IMU samples for ``silent`` [s]: nothing propagates σ."""
+    values = {
+        "state": "no IMU samples",
+        "since_last_imu_sample": silent,
+        "fixes_fused": fixes_fused,
+        "imu_samples": navigator.ring.count,
+    }
+    text = f"no IMU samples for {silent:.0f} s: nothing can be estimated until they come"
+    return status("filter", 2, text, values)
 
 
 def _alignment_status(navigator: Navigator, waiting: str) -> Status:

@@ -73,11 +73,11 @@ class InputLog:
         if self._informed[name] == 1:
             self.log("warn", text)
 
-    def inform(self, name: str, text: str) -> None:
+    def inform(self, name: str, text: str, level: str = "info") -> None:
         """Log the first, tenth, hundredth... information of a name; it is not counted as odd."""
         self._informed[name] += 1
         if is_logged(self._informed[name]):
-            self.log("info", text)
+            self.log(level, text)
 
 
 def is_logged(count: int) -> bool:

@@ -99,7 +99,7 @@ class NodeStatus:
 
     def _verdict_lines(self, width: int) -> list[str]:
         if not self.verdicts:
-            return ["no verdicts on fixes yet"]
+            return ["no verdict on a fix has come since this program started"]
         fixes = self._fixes()
         ratio = fixes["mean_nis_per_dof"]
         nis = "" if ratio is None else f"; NIS per dimension {ratio:.2f} (1 on average when right)"

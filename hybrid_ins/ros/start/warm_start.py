@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ class WarmStart:
         try:
             self.save()
         except InputError as error:
-            self._estimator.inputs.inform("state_file", f"state_file: {error}")
+            self._estimator.inputs.inform("state_file", f"state_file: {error}", "warn")
 
     # Loading.
 
@@ -135,8 +136,17 @@ class WarmStart:
         return f"loaded from {self.path}: biases, clock offset, pose"
 
     def load_at_start(self) -> None:
-        """Load the file where there is one; one that cannot be used is named and ignored."""
-        if self.path is None or not self.path.exists():
+        """
+        Load the file where there is one; one that cannot be used is named and ignored.
+
+        So is a folder in which no file can be written.
+        """
+        if self.path is None:
+            return
+        reason = why_not_writable(self.path)
+        if reason:
+            self._estimator.inputs.log("warn", f"state_file: {reason}")
+        if not self.path.exists():
             return
         try:
             self._estimator.inputs.log("info", f"state_file: {self.load()}")
@@ -191,3 +201,18 @@ class WarmStart:
         if tilt > SAME_DIRECTION:
             return f"the vehicle is tilted by {math.degrees(tilt):.1f}° since"
         return ""
+
+
+def why_not_writable(path: Path) -> str:
+    """Return why no file can be written at a path, and the remedy; empty where one can be."""
+    if path.is_dir():
+        return f"{path} is a folder: nothing will be saved; give the name of a file in it"
+    folder = path.resolve().parent
+    try:
+        with TemporaryFile(dir=folder):
+            return ""
+    except OSError as error:
+        return (
+            f"{folder}: {error.strerror}: nothing will be saved; create the folder, and let the "
+            "node's user write there"
+        )

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.cli import replay, simulate
+from hybrid_ins.cli import calibrate, replay, simulate
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.noise.process_noise import LearnedNoise, NoiseEstimate
 from hybrid_ins.errors import InputError
@@ -342,7 +342,8 @@ def test_an_unusable_model_gives_way_to_the_spectral_estimator_with_one_line(
 
     assert isinstance(load_regressor(str(path), lines), SpectralRegressor)
     assert len(lines) == 1
-    assert lines[0].startswith("warn: noise.model: ")
+    level = "error" if content is None else "warn"
+    assert lines[0].startswith(f"{level}: noise.model: ")
     assert str(path) in lines[0] and "spectral" in lines[0] and "\n" not in lines[0]
 
 
@@ -350,7 +351,8 @@ def test_an_unknown_name_gives_way_too() -> None:
     lines = Lines()
 
     assert isinstance(load_regressor("platoon", lines), SpectralRegressor)
-    assert len(lines) == 1 and "platoon" in lines[0]
+    assert len(lines) == 1 and lines[0].startswith("error: noise.model: ")
+    assert "platoon" in lines[0] and "plateau, spectral, paper" in lines[0]
 
 
 def test_without_onnxruntime_the_spectral_estimator_serves(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -537,15 +539,25 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "content", [pytest.param(None, marks=pytest.mark.slow), b"no model\n" * 1000]
-)
-def test_a_replay_goes_on_without_its_model_and_says_so(
-    recording: Path, tmp_path: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("program", [replay.main, calibrate.main])
+@pytest.mark.parametrize("model", ["foo", "foo.onnx"])
+def test_a_model_that_is_none_ends_a_program(
+    tmp_path: Path, program: Any, model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, out = str(tmp_path / "run.mcap"), str(tmp_path / "out.mcap")
+
+    assert program([bag, *([out] if program is replay.main else []), "-p", f"noise.model:={model}"])
+
+    [line] = capsys.readouterr().err.splitlines()
+    assert "error: parameter noise.model: " in line
+    assert model in line and "plateau, spectral, paper, or the path of an .onnx file" in line
+
+
+def test_a_replay_goes_on_with_a_damaged_model_and_says_so(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model, out = tmp_path / "model.onnx", tmp_path / "out.mcap"
-    if content is not None:
-        model.write_bytes(content)
+    model.write_bytes(b"no model\n" * 1000)
     assert replay.main([str(recording), str(out), "-p", f"noise.model:={model}"]) == 0
 
     said = [line for line in capsys.readouterr().err.splitlines() if "noise.model" in line]

@@ -96,3 +96,16 @@ def test_only_changes_are_reported() -> None:
     later = watched.changed(110 * SECOND)
     assert later is not None
     assert later.text == "position coasting, velocity coasting, heading coasting"
+
+
+def test_without_imu_samples_what_there_was_is_lost() -> None:
+    watched = monitor(1.0, 0.1, 0.02, 99.0)
+    first, silent = watched.changed(99 * SECOND), watched.changed(100 * SECOND, is_silent=True)
+
+    assert first is not None and silent is not None
+    assert silent.text == "position lost, velocity lost, heading lost"
+    assert silent.level == 2
+    assert not any(key.startswith("sigma") for key, _ in silent.values)
+    assert watched.changed(101 * SECOND, is_silent=True) is None
+    back = watched.changed(101 * SECOND)
+    assert back is not None and back.text == first.text

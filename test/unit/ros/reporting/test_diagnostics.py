@@ -13,7 +13,7 @@ from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial.state import N_FLAT, W_G
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
-from hybrid_ins.ros.reporting.diagnostics import noise_conditions
+from hybrid_ins.ros.reporting.diagnostics import noise_conditions, status
 
 
 def navigator(factor: float, turning: float, extra_std: float) -> Any:
@@ -85,3 +85,9 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     text = found.get("fixes drift by more than they claim", "")
     assert bool(found) is is_blamed
     assert (f"{drift:.1f} m although they claim {claimed:.2g} m" in text) is is_blamed
+
+
+def test_truths_are_written_as_json_reads_them() -> None:
+    found = status("vehicle", 0, "", {"stands": False, "fused": True, "count": 1, "x": 0.5})
+
+    assert [word for _, word in found.values] == ["false", "true", "1", "0.5"]

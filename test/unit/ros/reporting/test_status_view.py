@@ -78,3 +78,7 @@ def test_old_verdicts_are_forgotten() -> None:
     shown.verdicts.extend([verdict(False)] * 5 + [verdict(True)] * VERDICTS_KEPT)
 
     assert shown.as_dict()["fixes"]["fused"] == VERDICTS_KEPT
+
+
+def test_without_a_verdict_the_text_says_since_when() -> None:
+    assert "no verdict on a fix has come since this program started" in status().as_text(0.0)

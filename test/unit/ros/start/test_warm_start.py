@@ -31,11 +31,17 @@ class Parked:
     def __init__(self, file: Path, start: float = 0.0, **values: Any) -> None:
         given = {**parameters.defaults(), "state_file": str(file), **values}
         self.log: list[str] = []
-        self.estimator = Estimator(given, lambda level, text: self.log.append(text))
+        self.warned: list[str] = []
+        self.estimator = Estimator(given, self._note)
         self.warm_start = WarmStart(self.estimator, given)
         self.warm_start.load_at_start()
         self.t = start
         self.rng = np.random.default_rng(1)
+
+    def _note(self, level: str, text: str) -> None:
+        self.log.append(text)
+        if level == "warn":
+            self.warned.append(text)
 
     def wait(self, seconds: float, place: tuple[float, ...] = PLACE, tilt: float = 0.0) -> None:
         for k in range(round(100 * seconds)):
@@ -205,6 +211,32 @@ def test_nothing_can_be_saved_without_a_file_or_a_filter(tmp_path: Path) -> None
     nowhere.wait(3.0)
     with pytest.raises(InputError, match="No such file or directory: not saved"):
         nowhere.warm_start.save()
+
+
+@pytest.mark.parametrize("name", ["none/state.yaml", "a_file/state.yaml", "a_folder"])
+def test_a_file_that_cannot_be_written_is_named_at_the_start_and_when_saving_fails(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "a_file").write_text("")
+    (tmp_path / "a_folder").mkdir()
+    kept = tmp_path / "a_folder" / "kept"
+    kept.write_text("")
+
+    run = Parked(tmp_path / name, **{"alignment.heading_source": "parameter"})
+    assert run.warned[0].startswith("state_file: ") and "nothing will be saved" in run.warned[0]
+    assert str((tmp_path / name).parent) in run.warned[0]
+    run.wait(3.0)
+    run.warned.clear()
+    for _ in range(9):
+        run.warm_start.save_where_due()
+
+    assert len(run.warned) == 1 and run.warned[0].endswith(": not saved")
+    assert kept.exists()
+
+
+def test_a_file_that_can_be_written_leaves_the_log_alone(tmp_path: Path) -> None:
+    assert not Parked(tmp_path / "state.yaml").warned
+    assert not list(tmp_path.iterdir())
 
 
 def test_nothing_is_saved_while_the_clock_offset_is_searched_for(file: Path) -> None:

@@ -1,0 +1,148 @@
+"""
+Watches whether IMU samples and fixes come, by the time of their arrival.
+
+The estimator's time is the stamps of the samples, which stops with them. Here the computer's clock
+goes on, or the simulated one, which stops with a bag that is paused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.messages import interface
+from hybrid_ins.ros.output.message_types import OUTPUTS
+from hybrid_ins.ros.output.output_topics import OutputTopics
+from hybrid_ins.ros.reporting.diagnostics import status
+from hybrid_ins.ros.reporting.reports import Report, Status
+from hybrid_ins.ros.review.silent_input import OutageLog, Silence, why_missing
+
+SILENCE = 0.9  # s: a second of the timer without a sample
+IMU, FIX = "imu/data", "gnss/fix"
+LAUNCH_ARGUMENTS = {IMU: "imu_topic", FIX: "fix_topic"}
+KINDS = {topic.name: topic.type_name for topic in interface.SUBSCRIBED}
+DRIVER_STOPPED = "restart the driver, check the cable; until they come the state is lost"
+
+
+class Clocks:
+    """How far the computer's clock and that of a node of rclpy go on."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._last = self._read()
+
+    def _read(self) -> tuple[float, float, bool]:
+        """Return both [s], and whether the node's is simulated."""
+        clock, wall = self._node.get_clock(), time.monotonic()
+        is_simulated = bool(clock.ros_time_is_active)
+        return wall, clock.now().nanoseconds * 1e-9 if is_simulated else wall, is_simulated
+
+    def elapsed(self) -> tuple[float, float]:
+        """Return how far each went on since the last call [s]; a clock that was set did not."""
+        (wall, node, was_simulated), self._last = self._last, self._read()
+        is_same = was_simulated is self._last[2]
+        return self._last[0] - wall, max(self._last[1] - node, 0.0) if is_same else 0.0
+
+
+class InputWatch:
+    """
+    Says what is missing: in diagnostics, on ``validity``, and in the log.
+
+    Parameters
+    ----------
+    node : Node
+        Of rclpy.
+    estimator : Estimator
+    topics : OutputTopics
+
+    Attributes
+    ----------
+    imu_messages, fixes : int
+        How many came, to be counted by the owner.
+    """
+
+    def __init__(self, node: Any, estimator: Estimator, topics: OutputTopics) -> None:
+        self._node = node
+        self._estimator = estimator
+        self._topics = topics
+        self.imu_messages = self.fixes = 0
+        self.start()
+
+    def start(self) -> None:
+        """Begin to wait: the node is active from now on."""
+        log, name = self._estimator.inputs.log, self._node.resolve_topic_name
+        self._heard, self._used, self._located = Silence(), Silence(), Silence()
+        self._imu_outage, self._fix_outage = OutageLog(log, name(IMU)), OutageLog(log, name(FIX))
+        self._clocks = Clocks(self._node)
+
+    def on_second(self) -> None:
+        """Say what does not come; called by a timer of the computer's clock."""
+        elapsed, of_node = self._clocks.elapsed()
+        heard = self._heard.update(self.imu_messages, elapsed)
+        self._used.update(self._estimator.navigator.last_ns, of_node)
+        self._log_outages(heard, elapsed)
+        if self.silent:
+            changed = self._estimator.aids.validity.changed(self._now_ns, is_silent=True)
+            if changed is not None:
+                self._topics.publish_all([Report("validity", changed, self._now_ns)])
+        if self.silent or heard >= SILENCE:
+            now = self._node.get_clock().now().nanoseconds
+            self._topics.publish_diagnostics(now, [*self.diagnostics(), self._imu_status(heard)])
+
+    @property
+    def silent(self) -> float:
+        """For how long no IMU sample was used [s]; 0 while they come."""
+        return self._used.seconds if self._used.seconds >= SILENCE else 0.0
+
+    @property
+    def _now_ns(self) -> int:
+        """The present in the clock of the samples' stamps [ns]."""
+        return self._estimator.navigator.last_ns + round(self.silent * 1e9)
+
+    def diagnostics(self) -> list[Status]:
+        """Return the estimator's statuses at present."""
+        return self._estimator.status.diagnostics(self._now_ns, self.silent)
+
+    def _imu_status(self, heard: float) -> Status:
+        topic = self._node.resolve_topic_name(IMU)
+        text = (
+            f"no messages on {topic} for {heard:.0f} s: is the driver running, the topic remapped, "
+            "the QoS compatible?"
+            if heard >= SILENCE
+            else f"no message on {topic} was of use for {self.silent:.0f} s: the status of the "
+            "input says why"
+        )
+        publishers = self._node.count_publishers(topic)
+        return status("imu", 2, text, {"topic": topic, "publishers": publishers})
+
+    # The log.
+
+    def _log_outages(self, heard: float, elapsed: float) -> None:
+        located = self._located.update(self.fixes, elapsed)
+        if self.imu_messages:  # a bag that is paused is no outage
+            self._imu_outage.note(min(heard, self._used.seconds), lambda: DRIVER_STOPPED)
+        else:
+            self._imu_outage.note(heard, self._since_the_start(IMU))
+        self._fix_outage.note(0.0 if self.fixes else located, self._since_the_start(FIX))
+
+    def _since_the_start(self, name: str) -> Callable[[], str]:
+        """Return what says why nothing has come on a topic yet."""
+        node, kind = self._node, KINDS[name]
+
+        def describe() -> str:
+            publishers = node.count_publishers(node.resolve_topic_name(name))
+            return why_missing(name, kind, publishers, self._others(kind), LAUNCH_ARGUMENTS[name])
+
+        return describe
+
+    def _others(self, kind: str) -> list[str]:
+        """Return the topics of a type that others publish and the node has no use for."""
+        node = self._node
+        ours = {node.resolve_topic_name(name) for name in (*KINDS, *OUTPUTS)}
+        return sorted(
+            name
+            for name, kinds in node.get_topic_names_and_types()
+            if kind in kinds and name not in ours and node.count_publishers(name)
+        )
