@@ -26,7 +26,7 @@ from hybrid_ins.output_file import check_output, write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.replay import log_message
-from hybrid_ins.ros.review.axes_monitor import describe
+from hybrid_ins.ros.review.axes_monitor import WRONG_UNIT, describe
 from hybrid_ins.worker_processes import worker_processes
 
 DESCRIPTION = """\
@@ -104,6 +104,7 @@ def _body(args: argparse.Namespace) -> int:
             **options.topics(args),
             use_truth=args.use_truth,
             longest=args.longest,
+            search=args.search,
         )
         for path in args.bags
     ]
@@ -116,7 +117,10 @@ def _body(args: argparse.Namespace) -> int:
             )
         fault = axes_fault(recording, values)
         if fault is not None:
-            log_message("warn", f"{recording.name}: {describe(fault).text}")
+            found = describe(fault)
+            if found.name == WRONG_UNIT:  # nothing can be found with it
+                raise InputError(f"{recording.name}: {args.imu_topic}: {found.text}")
+            log_message("warn", f"{recording.name}: {found.text}")
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _replays(args, recordings) as replay:
         before = () if args.use_truth else replay(values)  # while calibrating, by other processes
