@@ -15,22 +15,22 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from hybrid_ins.bags.mcap_reader import Channel
-from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import cannot_be_written
 
 CHUNK_SIZE = 1 << 18  # bytes; a killed writer loses two at most
 
 
 class McapWriter:
     """
-    Writes one MCAP file with chunks, checksums and an index.
+    Writes one MCAP file with chunks, checksums and an index; errors call it ``name``.
 
     What was given is on the disk after `close`, which may be repeated after an interruption. The
     file is locked until then, and the attributes are those of what is written.
 
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, name: Path) -> None:
+        self.path, self._name = path, name
         self.start_ns = self.end_ns = 0
         self.counts: Counter[int] = Counter()  # of messages, by channel
         self._channels = 0
@@ -91,7 +91,7 @@ class McapWriter:
         self._size = 0
         self._thread.submit(self._work).result()
         if self._error is not None:
-            raise InputError(f"{self.path}: cannot be written: {self._error.strerror}")
+            raise cannot_be_written(self._name, self._error)
 
     def _work(self) -> None:
         """Do the tasks; after an error, none."""

@@ -23,6 +23,7 @@ from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
+from hybrid_ins.parameters.parameter_file import check_replaceable
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.replay import log_message
@@ -91,8 +92,9 @@ def _body(args: argparse.Namespace) -> int:
     inputs = [*args.bags, *([Path(args.params_file)] if args.params_file else [])]
     if args.out:
         check_output(args.out, inputs, args.overwrite)
+        check_replaceable(args.out)
     if args.plot:
-        style.check(args.plot, inputs)
+        style.check(args.plot, inputs, args.overwrite)
     given = values
     values = with_placement(args.bags, given, args.imu_topic, args.fix_topic)
     if values != given:

@@ -47,19 +47,19 @@ pre {{ overflow-x: auto }}
 """
 
 
-def check(path: Path, inputs: Sequence[Path] = ()) -> None:
+def check(path: Path, inputs: Sequence[Path] = (), overwrite: bool = False) -> None:
     """
     Check, before the work, that a report can be written to `path`.
 
     Raises
     ------
     InputError
-        Not ``.html``, no such folder, or one of the `inputs`.
+        Not ``.html``; for the rest see `output_file.check_output`.
 
     """
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report's name ends in .html")
-    check_output(path, inputs, overwrite=True)
+    check_output(path, inputs, overwrite)
 
 
 def page(run: Run, result: Result, picture_png: bytes) -> str:

@@ -30,6 +30,22 @@ def load(path: str | Path) -> parameters.Values:
     return parameters.check_all(_flatten(_ros_parameters(path, content), path))
 
 
+def check_replaceable(path: Path) -> None:
+    """Raise `InputError` where there is a file that is no parameter file, of whichever node."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return
+    try:
+        content = yaml_reader.read(path, "a parameter file")
+    except InputError:
+        content = None
+    sections = content.values() if isinstance(content, dict) else ()
+    if not any(isinstance(body, dict) and "ros__parameters" in body for body in sections):
+        raise InputError(
+            f"{path}: is not a parameter file (no ros__parameters in it): not overwritten; choose "
+            "another name"
+        )
+
+
 def _ros_parameters(path: Path, content: object) -> dict[str, object]:
     """Merge the sections of a parameter file that concern the node."""
     node = parameters.NODE_NAME

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +27,8 @@ from hybrid_ins.plotting.style import (
     SKY,
     STYLE,
     VERMILLION,
-    check,
     mark_missing,
+    require_matplotlib,
     thin,
     thin_path,
 )
@@ -62,7 +61,7 @@ def comparison(runs: Sequence[tuple[str, Run, Result]]) -> Figure:
     matplotlib.figure.Figure
         For `style.save`.
     """
-    check(Path("comparison.svg"))
+    require_matplotlib()
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 

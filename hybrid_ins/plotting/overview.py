@@ -21,7 +21,7 @@ from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.plotting.error_panels import draw_error
 from hybrid_ins.plotting.map_view import draw_height, draw_map
 from hybrid_ins.plotting.sensor_panels import draw_bias, draw_nis, draw_noise
-from hybrid_ins.plotting.style import DPI, MUTED, SHADE, STYLE, check, save
+from hybrid_ins.plotting.style import DPI, MUTED, SHADE, STYLE, require_matplotlib, save
 from hybrid_ins.plotting.view import RunView
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def overview(run: Run, result: Result) -> Figure:
         For `style.save`.
 
     """
-    check(Path("overview.svg"))
+    require_matplotlib()
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 

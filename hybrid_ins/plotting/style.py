@@ -59,26 +59,31 @@ STYLE = {
 }
 
 
-def check(path: Path, inputs: Sequence[Path] = ()) -> None:
+def check(path: Path, inputs: Sequence[Path] = (), overwrite: bool = False) -> None:
     """
     Check, before the work, that a picture can be written to `path`.
 
     Raises
     ------
     InputError
-        Unknown suffix, no such folder, one of the `inputs`, or matplotlib is not installed.
+        Unknown suffix, or matplotlib is not installed; for the rest see `output_file.check_output`.
 
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: a picture's name ends in {' or '.join(SUFFIXES)}")
-    check_output(path, inputs, overwrite=True)
+    check_output(path, inputs, overwrite)
+    require_matplotlib()
+
+
+def require_matplotlib() -> None:
+    """Raise `InputError` where matplotlib is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError('pictures need matplotlib: pip install "hybrid_ins[plot]"')
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the suffix of `path`."""
-    check(path)
+    """Write a figure as PNG or SVG, by the suffix of `path`, also in place of another."""
+    check(path, overwrite=True)
     with replacing(path) as unfinished, unfinished.open("wb") as file:
         write(figure, file, path.suffix.lower().removeprefix("."))
 

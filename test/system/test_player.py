@@ -293,7 +293,8 @@ def test_a_full_disk_ends_with_one_line(
     assert process.returncode == 2
     assert "Traceback" not in output
     last = output.strip().splitlines()[-1]
-    assert re.fullmatch("ins_play: error: .*out_0.mcap: cannot be written: File too large", last)
+    told = r"ins_play: error: .*out: cannot be written \(File too large\): make room.*"
+    assert re.fullmatch(told, last)
     with BagReader(tmp_path / "out.part") as bag:
         assert bag.count("/odometry") > 100  # what there was room for
 

@@ -90,7 +90,7 @@ def test_no_input_is_replaced(
     assert run("bag", "--params-file", "given.yaml", option, out, "--overwrite") == 2
 
     error = capsys.readouterr().err
-    assert ("is the input" if option == "--out" else ".png") in error
+    assert ("the input" if option == "--out" else ".png") in error
     assert Path("bag/bag_0.mcap").read_bytes() == b"recording"
     assert "max_delay" in Path("given.yaml").read_text()
 
@@ -229,3 +229,29 @@ def test_a_wrong_unit_that_the_motion_shows_ends_it_before_the_work(
     shown = capsys.readouterr()
     assert "bag: /imu/data: angular_velocity fits the motion only if it is divided" in shown.err
     assert not shown.out
+
+
+@pytest.mark.parametrize(
+    ("content", "may"),
+    [
+        ("#!/bin/sh\necho important\n", False),
+        ("key: value\n", False),
+        ("- 1\n", False),
+        ("", True),
+        ("/**:\n  ros__parameters:\n    gnss.max_delay: 1.0\n", True),
+        ("other_node:\n  ros__parameters:\n    rate: 1\n", True),
+    ],
+)
+def test_only_a_parameter_file_is_replaced(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str], content: str, may: bool
+) -> None:
+    out = Path("t.sh")
+    out.write_text(content)
+
+    assert run("bag", "--out", "t.sh") == 2  # it exists
+    capsys.readouterr()
+    assert run("bag", "--out", "t.sh", "--overwrite") == (0 if may else 2)
+
+    error = capsys.readouterr().err
+    assert ("t.sh: is not a parameter file" in error) is not may
+    assert (out.read_text() == content) is not may
