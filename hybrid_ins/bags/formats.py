@@ -178,9 +178,7 @@ def _open_directory(path: Path) -> Source:
     if not names:
         names = sorted(file.name for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
         if not names:
-            raise InputError(
-                f"{path}: is not a bag ({trouble}): {A_BAG}"
-            )
+            raise InputError(f"{path}: is not a bag ({trouble}): {A_BAG}")
         _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
     missing = [name for name in names if not (path / name).is_file()]
     if missing:

@@ -52,7 +52,9 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="write smoothed states: each uses the measurements after it, too",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace OUT, and FILE of --plot and --export")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace OUT, and the FILEs written"
+    )
     parser.add_argument(
         "--plot",
         metavar="FILE",

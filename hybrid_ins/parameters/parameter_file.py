@@ -27,7 +27,8 @@ def load(path: str | Path) -> parameters.Values:
     """
     path = Path(path)
     content = yaml_reader.read(path, "a parameter file")
-    return parameters.check_all(_flatten(_ros_parameters(path, content), path))
+    yaml_reader.check_lists(content, path)
+    return parameters.check_all(_ros_parameters(path, content))
 
 
 def check_replaceable(path: Path) -> None:
@@ -47,7 +48,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def _ros_parameters(path: Path, content: object) -> dict[str, object]:
-    """Merge the sections of a parameter file that concern the node."""
+    """Merge the sections of a parameter file that concern the node, under dotted names."""
     node = parameters.NODE_NAME
     if not isinstance(content, dict):
         raise InputError(
@@ -61,7 +62,7 @@ def _ros_parameters(path: Path, content: object) -> dict[str, object]:
             continue
         if not isinstance(body, dict) or not isinstance(body.get("ros__parameters"), dict):
             raise InputError(f"{path}: section '{section}' holds no 'ros__parameters:'")
-        merged.update(body["ros__parameters"])
+        merged.update(_flatten(body["ros__parameters"], path))
         found = True
     if not found and content:
         raise InputError(f"{path}: no section for {node}: use '/**:' or '{node}:'")

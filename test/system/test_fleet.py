@@ -153,7 +153,10 @@ def test_several_named_bags_and_options_for_one(
     empty = flights_dir.parent / "empty"
     empty.mkdir(exist_ok=True)
     assert replay.main([str(empty), str(flights_dir.parent / "out")]) == 2
-    assert "no bag in there: a bag is a folder with metadata.yaml, or an .mcap" in capsys.readouterr().err
+    assert (
+        "no bag in there: a bag is a folder with metadata.yaml, or an .mcap"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow
