@@ -65,6 +65,11 @@ class McapWriter:
         """Append many messages: log times (N,) and their bytes, a row each."""
         self._append(channel, log_ns.tolist(), map(bytes, rows), rows.nbytes)
 
+    def flush(self) -> None:
+        """Write what is pending as a chunk, which can be read although the file has no end yet."""
+        self._tasks.append((self._flush, ()))
+        self._hand_over()
+
     def close(self) -> None:
         """Write what is pending, the summary and the end of the file."""
         self._tasks.append((self._finish, ()))
@@ -110,6 +115,12 @@ class McapWriter:
         self.counts[channel] += len(log_ns)
         for time_ns, data in zip(log_ns, messages, strict=True):
             self._writer.add_message(channel, time_ns, data, time_ns)
+
+    def _flush(self) -> None:
+        if not self._file.closed:
+            with suppress(AttributeError):  # early releases end a chunk only when it is full
+                self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
 
     def _finish(self) -> None:
         if not self._file.closed:

@@ -113,6 +113,11 @@ class BagWriter:
                 raise InputError(f"{self.path}: exists meanwhile: the new bag is {self._part}")
             self._take_place()
 
+    def flush(self) -> None:
+        """Bring what was written into the file, where it survives that the process is killed."""
+        if self._is_open:
+            self._writer.flush()
+
     @property
     def folder(self) -> Path:
         """Where the bag will lie; there is room for temporary files there."""

@@ -119,10 +119,10 @@ def _body(args: argparse.Namespace) -> int:
             )
         fault = axes_fault(recording, values)
         if fault is not None:
-            found = describe(fault)
-            if found.name == WRONG_UNIT:  # nothing can be found with it
-                raise InputError(f"{recording.name}: {args.imu_topic}: {found.text}")
-            log_message("warn", f"{recording.name}: {found.text}")
+            wrong = describe(fault)
+            if wrong.name == WRONG_UNIT:  # nothing can be found with it
+                raise InputError(f"{recording.name}: {args.imu_topic}: {wrong.text}")
+            log_message("warn", f"{recording.name}: {wrong.text}")
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _replays(args, recordings) as replay:
         before = () if args.use_truth else replay(values)  # while calibrating, by other processes

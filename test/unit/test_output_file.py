@@ -29,7 +29,7 @@ def test_an_input_is_no_output_whatever_it_is_called(
     (bag.parent / "sub").mkdir()
     monkeypatch.chdir(bag.parent)
 
-    with pytest.raises(InputError, match="(is|lies in|contains) the input (flight|itself)"):
+    with pytest.raises(InputError, match=r"(is|lies in|contains) the input (flight|itself)"):
         check_output(Path(out), [Path("flight")], overwrite=True, folder=True)
 
 
