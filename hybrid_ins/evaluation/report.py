@@ -93,6 +93,8 @@ def _accuracy(result: Result) -> str:
     parts = [f"PRMSE {result.prmse:.3g} m, largest error {result.largest_error:.3g} m"]
     if result.heading_rmse is not None:
         parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
+    elif not result.heading_known:
+        parts.append("the heading was never known")
     median = result.outage_error(50)
     if median is not None:
         parts.append(f"{median:.3g} m at the end of an outage (median of {len(result.outages)})")

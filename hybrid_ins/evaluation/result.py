@@ -118,6 +118,7 @@ class Result:
     outages: tuple[Outage, ...]
     notes: tuple[str, ...]
     errors: Errors | None
+    heading_known: bool = True  # at some time: otherwise nothing of it is scored
 
     def outage_error(self, percentile: float) -> float | None:
         """Return a percentile of the position errors at the ends of outages [m], or None."""

@@ -90,6 +90,8 @@ def _headline(run: Run, result: Result) -> str:
         parts += [f"PRMSE {result.prmse:.3g} m", f"PMAE {result.pmae:.3g} m"]
     if result.heading_rmse is not None:
         parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
+    elif not result.heading_known:
+        parts.append("heading never known")
     for name, consistency in (
         ("position NEES", result.nees_position),
         ("NIS", result.nis_position),

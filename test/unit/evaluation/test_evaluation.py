@@ -1,6 +1,7 @@
 """The evaluation: figures with analytic answers, what is scored, and what is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -310,7 +311,24 @@ class TestWhatIsScored:
         assert result.attitude_rmse is None
         assert result.nees_velocity is None
         assert result.nees_position is not None
-        assert "not known" in table(result)
+        assert re.search(r"velocity RMSE +-$", table(result), re.MULTILINE)
+
+    def test_a_heading_that_was_never_known_is_not_scored(self) -> None:
+        """GIVEN a heading with the σ of any WHEN it is by chance the true one THEN it is not."""
+        stated = with_sigma(flight(FAST), 0.5)
+        assert stated.attitude_cov is not None
+        attitude_cov = stated.attitude_cov.copy()
+        attitude_cov[:, 2, 2] = 1.84**2
+
+        known = evaluate(stated, flight(TRUTH))
+        unknown = evaluate(replace(stated, attitude_cov=attitude_cov), flight(TRUTH))
+
+        assert known.heading_known
+        assert known.heading_rmse == pytest.approx(0.0, abs=1e-6)
+        assert unknown.heading_rmse is unknown.attitude_rmse is unknown.nees_attitude is None
+        assert unknown.tilt_rmse is not None
+        assert "heading -   tilt 0" in table(unknown)
+        assert any("heading was never known (its σ is 105° at least)" in n for n in unknown.notes)
 
     def test_few_epochs_are_said(self) -> None:
         result = evaluate(flight(FAST), flight(TRUTH), scoring=Scoring(end=0.5))

@@ -202,6 +202,20 @@ def test_evaluation_does_not_load_matplotlib() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_a_heading_that_was_never_known_is_not_drawn() -> None:
+    stated = with_sigma(flight(FAST), 0.5)
+    assert stated.attitude_cov is not None
+    attitude_cov = stated.attitude_cov.copy()
+    attitude_cov[:, 2, 2] = 1.84**2
+    run = Run("run", replace(stated, attitude_cov=attitude_cov), flight(TRUTH))
+
+    shown = texts(overview(run, evaluate_run(run)))
+
+    assert "heading never known" in shown
+    assert "heading error" in shown
+    assert "not known" in shown
+
+
 def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with bag(tmp_path / "run", flight(TRUTH)) as out:
         write_track(out, "/odometry", with_sigma(flight(FAST), 0.5))
