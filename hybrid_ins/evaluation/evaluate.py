@@ -188,6 +188,7 @@ def _least_heading_std(estimate: Trajectory) -> float:
 def _accuracy(errors: Errors | None, heading_known: bool) -> dict[str, Any]:
     position = None if errors is None else errors.position_enu[errors.scored]
     velocity = None if errors is None else _scored(errors, errors.velocity_enu)
+    of_body = None if errors is None else _scored(errors, errors.velocity_base)
     rotation = None if errors is None else _scored(errors, errors.rotation_enu)
     return {
         "prmse": _rms(position),
@@ -198,6 +199,7 @@ def _accuracy(errors: Errors | None, heading_known: bool) -> dict[str, Any]:
         if position is None
         else float(np.max(np.linalg.norm(position, axis=1))),
         "velocity_rmse": _rms(velocity),
+        "body_velocity_rmse": _rms(of_body),
         "attitude_rmse": _rms(rotation) if heading_known else None,
         "heading_rmse": _rms(rotation, slice(2, 3)) if heading_known else None,
         "tilt_rmse": _rms(rotation, slice(0, 2)),

@@ -20,6 +20,7 @@ from hybrid_ins.ros.messages.trajectory import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 SUFFIXES = (".png", ".svg")
 
@@ -31,6 +32,7 @@ MUTED = "#8A8A8A"
 TEXT = "#333333"
 
 DPI = 100
+SMALLEST = 6.0  # points, of a text that is to be read
 _POINTS = 1500  # per line: what a panel of this width can show
 STYLE = {
     "font.size": 9.0,
@@ -120,6 +122,14 @@ def legend_inside(axes: Axes, font_size: float = 7.5) -> float:
         if box.width < 0.98 * panel.width:
             break
     return float(box.height / panel.height)
+
+
+def fit_width(text: Text, right: float) -> None:
+    """Make a text smaller until it ends before ``right`` [pixels from the left]."""
+    size = float(text.get_fontsize())
+    while text.get_window_extent().x1 > right and size > SMALLEST:
+        size *= 0.97
+        text.set_fontsize(size)
 
 
 def mark_missing(axes: Axes, why: str) -> None:

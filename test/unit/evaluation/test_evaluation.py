@@ -313,6 +313,21 @@ class TestWhatIsScored:
         assert result.nees_position is not None
         assert re.search(r"velocity RMSE +-$", table(result), re.MULTILINE)
 
+    def test_both_velocity_errors_are_named(self) -> None:
+        """GIVEN a heading 90° off WHEN the velocity is right THEN it is not along the body."""
+        right = flight(FAST)
+        assert right.velocity_enu is not None and right.quat_xyzw is not None
+        quarter = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+        turned = replace(right, quat_xyzw=rotations.quat_multiply(right.quat_xyzw, quarter))
+        speed = float(np.sqrt(np.mean(np.sum(right.velocity_enu**2, axis=1))))
+
+        result = evaluate(turned, flight(TRUTH))
+
+        assert result.velocity_rmse == pytest.approx(0.0, abs=1e-6)
+        assert result.body_velocity_rmse == pytest.approx(np.sqrt(2.0) * speed, rel=0.01)
+        assert f"along the body's axes {result.body_velocity_rmse:.3g} m/s" in table(result)
+        assert result.as_dict()["body_velocity_rmse_mps"] == result.body_velocity_rmse
+
     def test_a_heading_that_was_never_known_is_not_scored(self) -> None:
         """GIVEN a heading with the σ of any WHEN it is by chance the true one THEN it is not."""
         stated = with_sigma(flight(FAST), 0.5)
