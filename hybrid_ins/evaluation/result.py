@@ -144,13 +144,14 @@ class Result:
             ``prmse_m, pmae_m, horizontal_rmse_m, vertical_rmse_m, largest_error_m,
             velocity_rmse_mps, body_velocity_rmse_mps, attitude_rmse_deg, heading_rmse_deg,
             tilt_rmse_deg``: numbers, or null. ``nees_position, nees_velocity, nees_attitude,
-            nis_position, nis_velocity, nis_tested``: null or ``{mean, dof, per_dof,
-            count, band, effective_count, effective_band, verdict}``, bands of per_dof at 95 %. ``outages``: ``{count,
-            end_error_median_m, end_error_p90_m, largest_error_m, each: [{start_s, duration_s,
-            end_error_m, end_horizontal_error_m, largest_error_m}]}``. ``fixes``: null or ``{total,
-            accepted, refused: {reason: count}}``. ``epochs``: null or ``{truth, scored, fed,
-            skipped, uncovered, invalid}``. ``coverage, largest_gap_s``, ``time_offset_s``: ``{mean,
-            low, high, source}``. ``scoring``: the options as given. ``notes``: list of texts.
+            nis_position, nis_velocity, nis_tested``: null or ``{mean, dof, per_dof, count, band,
+            effective_count, effective_band, verdict}``, bands of per_dof at 95 %. ``outages``:
+            ``{count, end_error_median_m, end_error_p90_m, largest_error_m, each: [{start_s,
+            duration_s, end_error_m, end_horizontal_error_m, largest_error_m}]}``. ``fixes``: null
+            or ``{total, accepted, refused: {reason: count}}``. ``epochs``: null or ``{truth,
+            scored, fed, skipped, uncovered, invalid}``. ``coverage, largest_gap_s``,
+            ``time_offset_s``: ``{mean, low, high, source}``. ``scoring``: the options as given.
+            ``notes``: list of texts.
 
         """
 

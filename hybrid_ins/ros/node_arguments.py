@@ -67,6 +67,7 @@ def _value(text: str) -> str:
         read = yaml_reader.parse(value)
     except ValueError:  # ROS says what is wrong
         return text
+    yaml_reader.check_lists({name: read}, Path("-p"))
     same = of_one_type(read)
     return text if repr(same) == repr(read) else f"{name}{separator}{same}"
 
