@@ -80,7 +80,10 @@ def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
                 raise InputError(f"{sources[name]} and {bag} would both become {name}: rename one")
             sources[name] = bag
     if not sources:
-        raise InputError(f"{', '.join(map(str, paths))}: no bags found there")
+        raise InputError(
+            f"{', '.join(map(str, paths))}: no bag in there: a bag is a folder with {METADATA}, or "
+            "an .mcap, .db3 or ROS 1 .bag file"
+        )
     return [Job(name, bag, out and out / f"{name}.json") for name, bag in sorted(sources.items())]
 
 
@@ -222,7 +225,7 @@ def _attempt(
             job.record.parent.mkdir(parents=True, exist_ok=True)
             write_text(job.record, json.dumps({"fingerprint": mark, "row": row}, indent=1))
     except InputError as error:
-        return Outcome(job.name, {}, str(error))
+        return Outcome(job.name, {}, str(error).removeprefix(f"{job.source}: "))
     except OSError as error:
         return Outcome(job.name, {}, f"{error.filename or job.source}: {error.strerror or error}")
     except Exception as error:  # a defect must not cost the other bags

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,20 +34,46 @@ def check_output(
     ------
     InputError
         The output is one of the inputs, contains one or lies in one; it exists and may not be
-        replaced; or its folder does not exist.
+        replaced; or its folder does not exist, or cannot be written.
 
     """
     target = path.resolve()
     for given in inputs:
         source = given.resolve()
-        if target == source or source in target.parents or target in source.parents:
-            raise InputError(f"{path}: is the input {given}: choose another name")
+        if target == source:
+            name = "itself" if str(given) == str(path) else given
+            raise InputError(f"{path}: is the input {name}: give the output another name")
+        if source in target.parents:
+            raise InputError(f"{path}: lies in the input {given}: choose another folder")
+        if target in source.parents:
+            raise InputError(f"{path}: contains the input {given}: choose another folder")
     if path.is_dir() and not folder:
         raise InputError(f"{path}: is a folder: choose another name")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists: give --overwrite, or choose another name")
     if not folder and not target.parent.is_dir():
         raise InputError(f"{path}: no such folder")
+    _check_folder(path, target)
+
+
+def _check_folder(path: Path, target: Path) -> None:
+    """Raise `InputError` where no file can be made beside an output, or in the folder above it."""
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        return  # a device or a pipe
+    folder = next(parent for parent in target.parents if parent.exists())
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise cannot_be_written(path, error) from None
+
+
+def cannot_be_written(path: Path, error: OSError) -> InputError:
+    """Return the error of an output that the system refuses, by the name that the user gave."""
+    remedy = "choose a folder that can be written"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        remedy = "make room, or choose another folder"
+    return InputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}")
 
 
 @contextmanager
@@ -66,6 +94,10 @@ def replacing(path: Path) -> Iterator[Path]:
         if target.is_dir() and unfinished.is_dir():  # a file never takes a folder's place
             shutil.rmtree(target)
         unfinished.replace(target)
+    except OSError as error:
+        if error.filename not in (None, str(unfinished)):
+            raise  # another file's
+        raise cannot_be_written(path, error) from None
     finally:
         if unfinished.is_dir():
             shutil.rmtree(unfinished, ignore_errors=True)

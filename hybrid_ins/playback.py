@@ -13,18 +13,9 @@ from hybrid_ins.bags.messages import LATCHED, absolute, is_standard
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages.interface import PUBLISHED
 
-ESTIMATES = (
-    "/odometry",
-    "/odometry/local",
-    "/gnss/filtered",
-    "/q/accelerometer",
-    "/q/gyroscope",
-    "/imu/bias",
-    "/gnss/verdict",
-    "/diagnostics",
-    "/datum",
-)
+ESTIMATES = tuple(absolute(topic.name) for topic in PUBLISHED if topic.name != "/tf")
 NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/tf_static", "/rosout", "/parameter_events")
 TRUTH = "/truth/"
 
@@ -83,7 +74,8 @@ def play(
 
     """
     try:
-        from hybrid_ins.ros.player import Player, Recorder, Timeline, started_node
+        from hybrid_ins.ros.player import Player, Timeline, started_node
+        from hybrid_ins.ros.recorder import Recorder
     except ImportError as error:
         raise InputError(
             f"ROS 2 is not installed ({error}): source its setup file, or install hybrid_ins[ros]"
@@ -109,7 +101,8 @@ def play(
         player = Player(node, topics, selection.remap, latched=LATCHED, clock=selection.clock)
         recorder = None
         if out is not None and recording is not None:
-            recorder = stack.enter_context(Recorder(node, out.write_raw, is_standard, timeline))
+            recorder = Recorder(node, out.write_raw, is_standard, timeline, out.flush)
+            stack.enter_context(recorder)
             names = [absolute(topic) for topic in recording.topics]
             recorder.subscribe(names, selection.remap, selection.patience)
         player.wait_for_subscribers(selection.patience)

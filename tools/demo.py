@@ -137,7 +137,7 @@ def fly(args: argparse.Namespace, processes: Processes) -> None:
         raise Failed(f"ins_node did not end cleanly, status {status}{last_words(log)}")
 
     step(3, "compare with the truth")
-    run("ins_evaluate", estimate, "--truth", flight, "--plot", picture)
+    run("ins_evaluate", estimate, "--truth", flight, "--plot", picture, "--overwrite")
 
     print(f"\nDone in {time.monotonic() - started:.0f} s. Look at {picture}")
     print(f"bags: {flight} and {estimate}; what the node said: {log}")

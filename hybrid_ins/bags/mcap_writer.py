@@ -15,22 +15,22 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from hybrid_ins.bags.mcap_reader import Channel
-from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import cannot_be_written
 
 CHUNK_SIZE = 1 << 18  # bytes; a killed writer loses two at most
 
 
 class McapWriter:
     """
-    Writes one MCAP file with chunks, checksums and an index.
+    Writes one MCAP file with chunks, checksums and an index; errors call it ``name``.
 
     What was given is on the disk after `close`, which may be repeated after an interruption. The
     file is locked until then, and the attributes are those of what is written.
 
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, name: Path) -> None:
+        self.path, self._name = path, name
         self.start_ns = self.end_ns = 0
         self.counts: Counter[int] = Counter()  # of messages, by channel
         self._channels = 0
@@ -65,6 +65,11 @@ class McapWriter:
         """Append many messages: log times (N,) and their bytes, a row each."""
         self._append(channel, log_ns.tolist(), map(bytes, rows), rows.nbytes)
 
+    def flush(self) -> None:
+        """Write what is pending as a chunk, which can be read although the file has no end yet."""
+        self._tasks.append((self._flush, ()))
+        self._hand_over()
+
     def close(self) -> None:
         """Write what is pending, the summary and the end of the file."""
         self._tasks.append((self._finish, ()))
@@ -91,7 +96,7 @@ class McapWriter:
         self._size = 0
         self._thread.submit(self._work).result()
         if self._error is not None:
-            raise InputError(f"{self.path}: cannot be written: {self._error.strerror}")
+            raise cannot_be_written(self._name, self._error)
 
     def _work(self) -> None:
         """Do the tasks; after an error, none."""
@@ -110,6 +115,12 @@ class McapWriter:
         self.counts[channel] += len(log_ns)
         for time_ns, data in zip(log_ns, messages, strict=True):
             self._writer.add_message(channel, time_ns, data, time_ns)
+
+    def _flush(self) -> None:
+        if not self._file.closed:
+            with suppress(AttributeError):  # early releases end a chunk only when it is full
+                self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
 
     def _finish(self) -> None:
         if not self._file.closed:

@@ -20,7 +20,7 @@ from hybrid_ins.bags.mcap_reader import Channel
 from hybrid_ins.bags.mcap_writer import McapWriter
 from hybrid_ins.bags.messages import LATCHED, TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import check_output
+from hybrid_ins.output_file import cannot_be_written, check_output
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -80,12 +80,15 @@ class BagWriter:
         self._part = self._target.with_name(f"{self._target.name}.part")
         self._set_aside_abandoned()
         file = self._part
-        if self.path.suffix != ".mcap":
-            self._part.mkdir(parents=True)
-            file = self._part / f"{self._target.name}_0.mcap"
-        else:
-            self._part.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = McapWriter(file)
+        try:
+            if self.path.suffix != ".mcap":
+                self._part.mkdir(parents=True)
+                file = self._part / f"{self._target.name}_0.mcap"
+            else:
+                self._part.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = McapWriter(file, self.path)
+        except OSError as error:
+            raise cannot_be_written(self.path, error) from None
         self._numbers: dict[tuple[str, str], int] = {}
 
     def __enter__(self) -> Self:
@@ -109,6 +112,11 @@ class BagWriter:
             if self._target.exists() and not self._overwrite:
                 raise InputError(f"{self.path}: exists meanwhile: the new bag is {self._part}")
             self._take_place()
+
+    def flush(self) -> None:
+        """Bring what was written into the file, where it survives that the process is killed."""
+        if self._is_open:
+            self._writer.flush()
 
     @property
     def folder(self) -> Path:

@@ -13,6 +13,13 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.calibration.admission import (
+    FEWEST_SAMPLES,
+    check_fixes,
+    check_imu,
+    check_rest,
+    check_stamps,
+)
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding.measurements import BodyVelocity
 from hybrid_ins.core.filter.gap import LONG_GAP
@@ -31,8 +38,6 @@ from hybrid_ins.ros.review.fix_refusals import describe_clocks
 Array = NDArray[np.float64]
 
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
-FEWEST_FIXES = 15
-SHORTEST = 8.0  # s of fixes
 MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
@@ -121,6 +126,12 @@ class Recording:
             body_velocity=tuple(one for one in shifted if 0 <= one.t_ns <= length * 1e9),
         )
 
+    def fixes_within(self, offset: float, margin: float) -> Array:
+        """Return the times (K,) [s] of the fixes within the samples, whatever the clock offset."""
+        first, last = self.t[0] - offset + margin, self.t[-1] - offset - margin
+        fixes = self.aid_t[self.aid_kind == POSITION]
+        return fixes[(fixes >= first) & (fixes <= last)]
+
     @property
     def end_ns(self) -> int:
         """The IMU's stamp of the last sample."""
@@ -150,6 +161,7 @@ def read_recording(
     velocity_topic: str = "/gnss/velocity",
     use_truth: bool = False,
     longest: float = math.inf,
+    search: float = 0.0,
 ) -> Recording:
     """
     Read the IMU samples and GNSS measurements of a bag.
@@ -166,6 +178,8 @@ def read_recording(
         Use the positions of the truth in place of the fixes.
     longest : float
         Use only so much time [s], see `Recording.part_in_motion`.
+    search : float
+        Clock offsets within this of the nominal one will be searched [s].
 
     Returns
     -------
@@ -175,11 +189,13 @@ def read_recording(
     Raises
     ------
     InputError
-        A topic is missing, there are too few samples or fixes, they are stamped by two clocks, or
+        A topic is missing, the IMU's stamps or units are wrong, there are too few samples or fixes
+        or too few are left by ``longest`` and ``search``, they are stamped by two clocks, or
         velocities contradict the positions.
     """
     with BagReader(path) as bag:
         imu = bag.imu(imu_topic)
+        check_stamps(imu.stamp_ns, f"{path}: {imu_topic}")
         wheels = _wheels(bag, values)
         aid: list[tuple[int, int, Array, Array]] = []
         ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
@@ -215,7 +231,10 @@ def read_recording(
     if ahead_ns:
         ahead = (np.median(ahead_ns) - np.median(imu.stamp_ns - imu.log_ns)) * 1e-9
         if abs(ahead) > BEFORE_AND_AFTER:
-            raise InputError(f"{path}: {fix_topic}: fixes: {describe_clocks(float(ahead))}")
+            raise InputError(
+                f"{path}: fixes on {fix_topic}: {describe_clocks(float(ahead))}: let both drivers "
+                "stamp by one clock, and record again"
+            )
     aid.sort(key=lambda row: row[:2])
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     stamps = imu.stamp_ns
@@ -224,22 +243,21 @@ def read_recording(
     stamps, samples = stamps[usable], samples[usable]
     usable = stamps > np.maximum.accumulate(np.concatenate(([0], stamps[:-1])))
     stamps, samples = stamps[usable], samples[usable]
-    if len(stamps) < 100:
+    if len(stamps) < FEWEST_SAMPLES:
         raise InputError(
-            f"{path}: {imu_topic} has {len(stamps)} usable samples: calibration needs 100"
+            f"{path}: {imu_topic} has {len(stamps)} usable samples: calibration needs "
+            f"{FEWEST_SAMPLES}"
         )
     part = _longest_without_gap(stamps)
     stamps, samples = stamps[part], samples[part]
     origin = int(stamps[0])
     t = np.asarray((stamps - origin) * 1e-9, float)
+    check_imu(t, samples, f"{path}: {imu_topic}")
     first, last = -BEFORE_AND_AFTER, t[-1] + BEFORE_AND_AFTER
     rows = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
-    positions = [row for row in rows if row[1] == POSITION]
-    if len(positions) < FEWEST_FIXES or (positions[-1][0] - positions[0][0]) < SHORTEST * 1e9:
-        raise InputError(
-            f"{path}: {len(positions)} usable fixes within {t[-1]:.0f} s of IMU samples: "
-            f"calibration needs {FEWEST_FIXES} over {SHORTEST:g} s; do both clocks have one epoch?"
-        )
+    positions = np.array([row[0] - origin for row in rows if row[1] == POSITION]) * 1e-9
+    others = sum(row[1] == POSITION for row in aid) - len(positions)
+    check_fixes(positions, others, float(t[-1]), str(path))
     _refuse_wrong_velocities(path, velocity_topic, rows)
     reference = None
     if attitude is not None:
@@ -261,7 +279,10 @@ def read_recording(
         np.array(delay_ns) * 1e-9,
         origin_ns=origin,
     )
-    return whole.part_in_motion(longest)
+    used = whole.part_in_motion(longest)
+    left = used.fixes_within(values["gnss.time_offset.value"], search)
+    check_rest(left, float(used.t[-1]), search, used is not whole, str(path))
+    return used
 
 
 def _refuse_wrong_velocities(

@@ -23,10 +23,11 @@ from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import check_output, write_text
+from hybrid_ins.parameters.parameter_file import check_replaceable
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
 from hybrid_ins.replay import log_message
-from hybrid_ins.ros.review.axes_monitor import describe
+from hybrid_ins.ros.review.axes_monitor import WRONG_UNIT, describe
 from hybrid_ins.worker_processes import worker_processes
 
 DESCRIPTION = """\
@@ -91,8 +92,9 @@ def _body(args: argparse.Namespace) -> int:
     inputs = [*args.bags, *([Path(args.params_file)] if args.params_file else [])]
     if args.out:
         check_output(args.out, inputs, args.overwrite)
+        check_replaceable(args.out)
     if args.plot:
-        style.check(args.plot, inputs)
+        style.check(args.plot, inputs, args.overwrite)
     given = values
     values = with_placement(args.bags, given, args.imu_topic, args.fix_topic)
     if values != given:
@@ -104,6 +106,7 @@ def _body(args: argparse.Namespace) -> int:
             **options.topics(args),
             use_truth=args.use_truth,
             longest=args.longest,
+            search=args.search,
         )
         for path in args.bags
     ]
@@ -116,7 +119,10 @@ def _body(args: argparse.Namespace) -> int:
             )
         fault = axes_fault(recording, values)
         if fault is not None:
-            log_message("warn", f"{recording.name}: {describe(fault).text}")
+            wrong = describe(fault)
+            if wrong.name == WRONG_UNIT:  # nothing can be found with it
+                raise InputError(f"{recording.name}: {args.imu_topic}: {wrong.text}")
+            log_message("warn", f"{recording.name}: {wrong.text}")
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _replays(args, recordings) as replay:
         before = () if args.use_truth else replay(values)  # while calibrating, by other processes

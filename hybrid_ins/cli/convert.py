@@ -14,6 +14,7 @@ from hybrid_ins.dataset.convert import DEFAULT_MAP, Conversion, convert
 from hybrid_ins.dataset.convert_logs import convert_logs
 from hybrid_ins.errors import InputError
 from hybrid_ins.resources import share_path
+from hybrid_ins.ros.messages.conversions import place_of
 from hybrid_ins.simulation.sensors import RTK_STD
 
 OF_FOLDERS = "imu", "gnss_rate", "gnss_noise", "seed", "outage", "map"  # options
@@ -99,7 +100,9 @@ def _run(args: argparse.Namespace) -> None:
         origin = None
         if args.origin is not None:
             if not (abs(args.origin[0]) < 90.0 and abs(args.origin[1]) <= 180.0):
-                raise InputError(f"--origin: {args.origin[:2]} is no latitude and longitude [deg]")
+                raise InputError(
+                    f"--origin: {place_of(*args.origin[:2])} is no place on Earth [deg]"
+                )
             origin = np.array([*np.radians(args.origin[:2]), args.origin[2]])
         offset, overwrite = args.time_offset, args.overwrite
         print(convert_logs(args.input, args.out, offset, origin, overwrite=overwrite))

@@ -60,6 +60,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--report", metavar="FILE", type=Path,
         help="write an HTML report with questions and answers, picture and table",
     )  # fmt: skip
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace FILE of --plot, --export and --report"
+    )
 
     defaults = Scoring()
     scoring = parser.add_argument_group("scoring")
@@ -111,12 +114,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     inputs = [*args.estimate, *filter(None, [args.truth])]
     if args.plot is not None:
-        style.check(args.plot, inputs)
+        style.check(args.plot, inputs, args.overwrite)
     if args.report is not None:
-        report.check(args.report, inputs)
-        style.check(args.report.with_suffix(".png"))
+        report.check(args.report, inputs, args.overwrite)
+        style.require_matplotlib()
     for path in args.export:
-        check_export(path, inputs)
+        check_export(path, inputs, args.overwrite)
     if args.no_truth and args.truth is not None:
         raise InputError("--truth and --no-truth exclude each other")
     topics = Topics(

@@ -75,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         metavar="T",
         default=list(ESTIMATES),
-        help="what to record (default: what ins_node publishes)",
+        help="what to record (default: what ins_node publishes, except /tf)",
     )
     add("--overwrite", action="store_true", help="replace OUT if it exists")
     add(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 from tqdm import tqdm
 
@@ -39,7 +39,7 @@ def parser(name: str, description: str, example: str = "") -> argparse.ArgumentP
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    result = argparse.ArgumentParser(
+    result = _Parser(
         prog=name,
         description=description,
         epilog=f"example:\n  {example}" if example else None,
@@ -47,6 +47,13 @@ def parser(name: str, description: str, example: str = "") -> argparse.ArgumentP
     )
     result.set_defaults(program_name=name)
     return result
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports wrong options as programs report other invalid input: in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_BAD_INPUT, f"{self.prog}: error: {message}: see {self.prog} --help\n")
 
 
 def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespace) -> int:

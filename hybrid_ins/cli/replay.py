@@ -52,7 +52,9 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="write smoothed states: each uses the measurements after it, too",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace OUT")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace OUT, and the FILEs written"
+    )
     parser.add_argument(
         "--plot",
         metavar="FILE",
@@ -87,10 +89,11 @@ def _run(args: argparse.Namespace) -> int:
             workers=args.jobs,
             cluster=args.dask,
         )
+    read = [*args.input, args.output, *([Path(args.params_file)] if args.params_file else [])]
     if args.plot is not None:
-        style.check(args.plot, [*args.input, args.output])
+        style.check(args.plot, read, args.overwrite)
     for path in args.export:
-        check_export(path, [*args.input, args.output])
+        check_export(path, read, args.overwrite)
     [source] = args.input
     replayed = replay_bag(
         source, args.output, values, topics, overwrite=args.overwrite, smooth=args.smooth

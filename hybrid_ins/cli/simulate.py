@@ -105,7 +105,8 @@ Vectors are given in the bag's axes: forward, left, up.""",
         nargs=3,
         default=(0.0, 0.0, 0.0),
         metavar=("R", "P", "Y"),
-        help="degrees that turn base_link's axes into the IMU's (imu.mount_rpy) [0 0 0]",
+        help="turn base_link's axes into the IMU's, in degrees; the parameter imu.mount_rpy holds "
+        "the same in radians [0 0 0]",
     )
     sensor.add_argument(
         "--orientation",

@@ -31,7 +31,7 @@ from hybrid_ins.dataset.csv_flight import (
 from hybrid_ins.dataset.csv_table import Faults
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
-from hybrid_ins.simulation.sensors import RTK_STD, in_outage
+from hybrid_ins.simulation.sensors import RTK_STD, in_outage, report_empty_outages
 
 DEFAULT_MAP = "config/datasets/quadrotor.yaml"
 HALF_WINDOW = 0.4  # s, of the cubic whose slope is the velocity
@@ -97,6 +97,7 @@ def convert(
             f"{position.path} from {position.t[0]:g} to {position.t[-1]:g} s and {imu.path} from"
             f" {imu.t[0]:g} to {imu.t[-1]:g} s have no time in common: check --time-offset"
         )
+    report_empty_outages(position.t - imu.t[0], conversion.outages)
     t, lla, std = make_fixes(
         position,
         layout.position.std,

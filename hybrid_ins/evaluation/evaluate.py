@@ -24,6 +24,7 @@ from hybrid_ins.evaluation.run import Run, Verdicts
 from hybrid_ins.evaluation.statistics import Consistency, nees
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
+HEADING_UNKNOWN = 1.0  # rad, σ: any heading would have 1.8
 _WHITE = 0.5  # share of independent NIS values below which they are reported as correlated
 
 
@@ -102,6 +103,13 @@ def evaluate(
         if not len(fix_ns):
             notes.append("no fixes in the bag: epochs at fix stamps could not be left out")
 
+    least = _least_heading_std(estimate)
+    heading_known = least < HEADING_UNKNOWN
+    if not heading_known:
+        notes.append(
+            f"the heading was never known (its σ is {np.degrees(least):.0f}° at least): it is not "
+            "scored; it needs motion, or an initial heading"
+        )
     verdict_ns = clock.to_imu(verdicts.stamp_ns)
     in_window = verdicts.rows((verdict_ns >= window[0]) & (verdict_ns <= window[1]))
     fused_ns = positions.stamp_ns[positions.accepted] if len(positions) else fix_ns
@@ -112,12 +120,13 @@ def evaluate(
         coverage,
         float(np.max(np.diff(gaps_within), initial=0)) * 1e-9,
         offset,
-        **_accuracy(errors),
-        **_nees(errors, notes),
+        **_accuracy(errors, heading_known),
+        **_nees(errors, notes, heading_known),
         **_nis(in_window, notes),
         outages=_outages(errors, estimate, clock.to_imu(fused_ns), origin_ns, scoring.outage_gap),
         notes=tuple(notes),
         errors=errors,
+        heading_known=heading_known,
     )
 
 
@@ -167,9 +176,19 @@ class _ClockOffset:
         )
 
 
-def _accuracy(errors: Errors | None) -> dict[str, Any]:
+def _least_heading_std(estimate: Trajectory) -> float:
+    """Return the smallest standard deviation of the heading [rad]; 0 where none is stated."""
+    if estimate.attitude_cov is None:
+        return 0.0
+    variance = estimate.attitude_cov[:, 2, 2]
+    stated = variance[np.isfinite(variance) & (variance > 0.0)]
+    return float(np.sqrt(np.min(stated))) if len(stated) else 0.0
+
+
+def _accuracy(errors: Errors | None, heading_known: bool) -> dict[str, Any]:
     position = None if errors is None else errors.position_enu[errors.scored]
     velocity = None if errors is None else _scored(errors, errors.velocity_enu)
+    of_body = None if errors is None else _scored(errors, errors.velocity_base)
     rotation = None if errors is None else _scored(errors, errors.rotation_enu)
     return {
         "prmse": _rms(position),
@@ -180,8 +199,9 @@ def _accuracy(errors: Errors | None) -> dict[str, Any]:
         if position is None
         else float(np.max(np.linalg.norm(position, axis=1))),
         "velocity_rmse": _rms(velocity),
-        "attitude_rmse": _rms(rotation),
-        "heading_rmse": _rms(rotation, slice(2, 3)),
+        "body_velocity_rmse": _rms(of_body),
+        "attitude_rmse": _rms(rotation) if heading_known else None,
+        "heading_rmse": _rms(rotation, slice(2, 3)) if heading_known else None,
         "tilt_rmse": _rms(rotation, slice(0, 2)),
     }
 
@@ -202,7 +222,7 @@ def _rms(values: Array | None, axes: slice = slice(None)) -> float | None:
     return float(np.sqrt(np.mean(np.sum(values[:, axes] ** 2, axis=1))))
 
 
-def _nees(errors: Errors | None, notes: list[str]) -> dict[str, Any]:
+def _nees(errors: Errors | None, notes: list[str], heading_known: bool) -> dict[str, Any]:
     parts: dict[str, Any] = dict.fromkeys(("nees_position", "nees_velocity", "nees_attitude"))
     if errors is None:
         return parts
@@ -211,7 +231,7 @@ def _nees(errors: Errors | None, notes: list[str]) -> dict[str, Any]:
         ("velocity", errors.velocity_base, errors.estimate.velocity_cov),
         ("attitude", errors.rotation_enu, errors.estimate.attitude_cov),
     ):
-        if error is None or covariance is None:
+        if error is None or covariance is None or (name == "attitude" and not heading_known):
             continue
         scored = errors.scored & np.isfinite(error).all(axis=1)
         values = nees(error[scored], covariance[scored])

@@ -47,19 +47,19 @@ pre {{ overflow-x: auto }}
 """
 
 
-def check(path: Path, inputs: Sequence[Path] = ()) -> None:
+def check(path: Path, inputs: Sequence[Path] = (), overwrite: bool = False) -> None:
     """
     Check, before the work, that a report can be written to `path`.
 
     Raises
     ------
     InputError
-        Not ``.html``, no such folder, or one of the `inputs`.
+        Not ``.html``; for the rest see `output_file.check_output`.
 
     """
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report's name ends in .html")
-    check_output(path, inputs, overwrite=True)
+    check_output(path, inputs, overwrite)
 
 
 def page(run: Run, result: Result, picture_png: bytes) -> str:
@@ -93,6 +93,8 @@ def _accuracy(result: Result) -> str:
     parts = [f"PRMSE {result.prmse:.3g} m, largest error {result.largest_error:.3g} m"]
     if result.heading_rmse is not None:
         parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
+    elif not result.heading_known:
+        parts.append("the heading was never known")
     median = result.outage_error(50)
     if median is not None:
         parts.append(f"{median:.3g} m at the end of an outage (median of {len(result.outages)})")

@@ -104,7 +104,8 @@ class Result:
     horizontal_rmse: float | None  # m
     vertical_rmse: float | None  # m
     largest_error: float | None  # m
-    velocity_rmse: float | None  # m/s
+    velocity_rmse: float | None  # m/s, along the map's axes
+    body_velocity_rmse: float | None  # m/s, each velocity along its own vehicle's axes
     attitude_rmse: float | None  # rad, the whole angle
     heading_rmse: float | None  # rad, about the vertical
     tilt_rmse: float | None  # rad, about the horizontal
@@ -118,6 +119,7 @@ class Result:
     outages: tuple[Outage, ...]
     notes: tuple[str, ...]
     errors: Errors | None
+    heading_known: bool = True  # at some time: otherwise nothing of it is scored
 
     def outage_error(self, percentile: float) -> float | None:
         """Return a percentile of the position errors at the ends of outages [m], or None."""
@@ -140,15 +142,16 @@ class Result:
         -------
         dict
             ``prmse_m, pmae_m, horizontal_rmse_m, vertical_rmse_m, largest_error_m,
-            velocity_rmse_mps, attitude_rmse_deg, heading_rmse_deg, tilt_rmse_deg``: numbers, or
-            null. ``nees_position, nees_velocity, nees_attitude, nis_position, nis_velocity,
-            nis_tested``: null or ``{mean, dof, per_dof, count, band, effective_count,
-            effective_band, verdict}``, bands of per_dof at 95 %. ``outages``: ``{count,
-            end_error_median_m, end_error_p90_m, largest_error_m, each: [{start_s, duration_s,
-            end_error_m, end_horizontal_error_m, largest_error_m}]}``. ``fixes``: null or ``{total,
-            accepted, refused: {reason: count}}``. ``epochs``: null or ``{truth, scored, fed,
-            skipped, uncovered, invalid}``. ``coverage, largest_gap_s``, ``time_offset_s``: ``{mean,
-            low, high, source}``. ``scoring``: the options as given. ``notes``: list of texts.
+            velocity_rmse_mps, body_velocity_rmse_mps, attitude_rmse_deg, heading_rmse_deg,
+            tilt_rmse_deg``: numbers, or null. ``nees_position, nees_velocity, nees_attitude,
+            nis_position, nis_velocity, nis_tested``: null or ``{mean, dof, per_dof, count, band,
+            effective_count, effective_band, verdict}``, bands of per_dof at 95 %. ``outages``:
+            ``{count, end_error_median_m, end_error_p90_m, largest_error_m, each: [{start_s,
+            duration_s, end_error_m, end_horizontal_error_m, largest_error_m}]}``. ``fixes``: null
+            or ``{total, accepted, refused: {reason: count}}``. ``epochs``: null or ``{truth,
+            scored, fed, skipped, uncovered, invalid}``. ``coverage, largest_gap_s``,
+            ``time_offset_s``: ``{mean, low, high, source}``. ``scoring``: the options as given.
+            ``notes``: list of texts.
 
         """
 
@@ -162,6 +165,7 @@ class Result:
             "vertical_rmse_m": self.vertical_rmse,
             "largest_error_m": self.largest_error,
             "velocity_rmse_mps": self.velocity_rmse,
+            "body_velocity_rmse_mps": self.body_velocity_rmse,
             "attitude_rmse_deg": degrees(self.attitude_rmse),
             "heading_rmse_deg": degrees(self.heading_rmse),
             "tilt_rmse_deg": degrees(self.tilt_rmse),

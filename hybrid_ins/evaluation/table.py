@@ -85,7 +85,8 @@ def _accuracy_lines(result: Result) -> list[str]:
         ("PRMSE", result.prmse, "m", (("horizontal", result.horizontal_rmse, "m"),
                                     ("vertical", result.vertical_rmse, "m"))),
         ("PMAE", result.pmae, "m", (("largest", result.largest_error, "m"),)),
-        ("velocity RMSE", result.velocity_rmse, "m/s", ()),
+        ("velocity RMSE", result.velocity_rmse, "m/s",
+         (("along the body's axes", result.body_velocity_rmse, "m/s"),)),
         ("attitude RMSE", degrees(result.attitude_rmse), "deg",
          (("heading", degrees(result.heading_rmse), "deg"),
           ("tilt", degrees(result.tilt_rmse), "deg"))),
@@ -93,7 +94,7 @@ def _accuracy_lines(result: Result) -> list[str]:
     lines = ["", "accuracy"]
     for name, value, unit, parts in rows:
         line = f"  {name:15}{_figure(value, unit):>12}"
-        if value is not None:
+        if any(v is not None for _, v, _ in parts):
             line += "".join(f"   {part} {_figure(v, u)}" for part, v, u in parts)
         lines.append(line)
     return lines
@@ -147,7 +148,7 @@ def _fix_lines(result: Result) -> list[str]:
 
 
 def _figure(value: float | None, unit: str) -> str:
-    return "not known" if value is None else f"{value:.3g} {unit}"
+    return "-" if value is None else f"{value:.3g} {unit}"
 
 
 def _wrapped(text: str, width: int = 80, indent: str = "") -> str:

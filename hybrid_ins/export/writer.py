@@ -21,7 +21,7 @@ FORMATS: dict[str, Callable[[Trajectory, str], Iterator[str]]] = {
 }
 
 
-def check_export(path: Path, inputs: Sequence[Path] = (), overwrite: bool = True) -> None:
+def check_export(path: Path, inputs: Sequence[Path] = (), overwrite: bool = False) -> None:
     """
     Check, before the work, that a trajectory can be exported to `path`.
 

@@ -27,11 +27,28 @@ def load(path: str | Path) -> parameters.Values:
     """
     path = Path(path)
     content = yaml_reader.read(path, "a parameter file")
-    return parameters.check_all(_flatten(_ros_parameters(path, content), path))
+    yaml_reader.check_lists(content, path)
+    return parameters.check_all(_ros_parameters(path, content))
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise `InputError` where there is a file that is no parameter file, of whichever node."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return
+    try:
+        content = yaml_reader.read(path, "a parameter file")
+    except InputError:
+        content = None
+    sections = content.values() if isinstance(content, dict) else ()
+    if not any(isinstance(body, dict) and "ros__parameters" in body for body in sections):
+        raise InputError(
+            f"{path}: is not a parameter file (no ros__parameters in it): not overwritten; choose "
+            "another name"
+        )
 
 
 def _ros_parameters(path: Path, content: object) -> dict[str, object]:
-    """Merge the sections of a parameter file that concern the node."""
+    """Merge the sections of a parameter file that concern the node, under dotted names."""
     node = parameters.NODE_NAME
     if not isinstance(content, dict):
         raise InputError(
@@ -45,7 +62,7 @@ def _ros_parameters(path: Path, content: object) -> dict[str, object]:
             continue
         if not isinstance(body, dict) or not isinstance(body.get("ros__parameters"), dict):
             raise InputError(f"{path}: section '{section}' holds no 'ros__parameters:'")
-        merged.update(body["ros__parameters"])
+        merged.update(_flatten(body["ros__parameters"], path))
         found = True
     if not found and content:
         raise InputError(f"{path}: no section for {node}: use '/**:' or '{node}:'")

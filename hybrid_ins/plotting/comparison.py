@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +27,8 @@ from hybrid_ins.plotting.style import (
     SKY,
     STYLE,
     VERMILLION,
-    check,
     mark_missing,
+    require_matplotlib,
     thin,
     thin_path,
 )
@@ -62,7 +61,7 @@ def comparison(runs: Sequence[tuple[str, Run, Result]]) -> Figure:
     matplotlib.figure.Figure
         For `style.save`.
     """
-    check(Path("comparison.svg"))
+    require_matplotlib()
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -81,7 +80,7 @@ def comparison(runs: Sequence[tuple[str, Run, Result]]) -> Figure:
         _draw_tracks(track, views)
         _draw_heights(height, views)
         _draw_errors(timed[1], views, "position", slice(0, 3), "position error", "m")
-        _draw_errors(timed[2], views, "velocity", slice(0, 3), "velocity error", "m/s")
+        _draw_errors(timed[2], views, "velocity", slice(0, 3), "body velocity error", "m/s")
         _draw_errors(timed[3], views, "attitude", slice(2, 3), "heading error", "deg")
         _draw_errors(timed[4], views, "attitude", slice(0, 2), "tilt error", "deg")
         if panels == 5:
@@ -165,8 +164,10 @@ def _draw_errors(
             axes.plot(*thin(at, scale * _length(error)), color=colour)
             drawn.append(scale * _length(error))
     known = any(view.result.errors is not None for view in views)
-    bound = "dotted: 3 × stated standard deviation"
-    axes.set(ylabel=unit, title=f"{title} ({bound if known else 'no truth, ' + bound})")
+    text = f"{title} (dotted: 3 × stated standard deviation)"
+    if not known:
+        text = f"{title.removesuffix(' error')}: 3 × stated standard deviation, no truth"
+    axes.set(ylabel=unit, title=text)
     if not drawn:
         mark_missing(axes, "not known")
         return
@@ -185,7 +186,8 @@ def _draw_separation(axes: Axes, first: RunView, second: RunView) -> None:
     Their difference has the covariance P - P_s: beyond three deviations of it, what the filter
     knew and what came later contradict each other.
     """
-    axes.set(ylabel="m", title="separation of the two (dotted: 3 × σ of smoothed minus filtered)")
+    bound = "dotted: 3σ that it has where one is the other smoothed"
+    axes.set(ylabel="m", title=f"separation of the two ({bound})")
     one, other = first.estimate, second.estimate
     gap_ns = one.bracket_ns(other.stamp_ns)
     other = other.rows((gap_ns >= 0) & (gap_ns <= _LONGEST_GAP_NS))
@@ -198,8 +200,8 @@ def _draw_separation(axes: Axes, first: RunView, second: RunView) -> None:
     axes.plot(*thin(at, apart), color=BLACK)
     if one.position_cov is not None and other.position_cov is not None:
         difference = one.position_cov - other.position_cov
-        bound = 3.0 * np.sqrt(np.abs(np.trace(difference, axis1=1, axis2=2)))
-        axes.plot(*thin(at, bound), color=BLACK, lw=0.9, ls=":")
+        most = 3.0 * np.sqrt(np.abs(np.trace(difference, axis1=1, axis2=2)))
+        axes.plot(*thin(at, most), color=BLACK, lw=0.9, ls=":")
     if np.nanmax(apart) > 8.0 * np.nanmedian(apart) > 0.0:  # outages would flatten the rest
         axes.set_yscale("log")
 

@@ -73,17 +73,16 @@ def draw_error(
         if error is not None:
             axes.plot(*thin(at, error[:, i]), color=colour, label=name or None)
     axes.axhline(0.0, color=MUTED, lw=0.6)
-    axes.set_title(title + _caption(error, sigma, view.scored, unit))
+    if error is None or view.scored is None:
+        axes.set_title(f"{title.removesuffix(' error')} ±3σ")
+    else:
+        axes.set_title(title + _caption(error, sigma, view.scored, unit))
     _zoom(axes, error, sigma)
     if not single:
         legend_above(axes)
 
 
-def _caption(
-    error: Array | None, sigma: Array | None, scored: NDArray[np.bool_] | None, unit: str
-) -> str:
-    if error is None or scored is None:
-        return ": no truth, the filter's ±3σ"
+def _caption(error: Array, sigma: Array | None, scored: NDArray[np.bool_], unit: str) -> str:
     rows = error[scored]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):

@@ -21,8 +21,9 @@ from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.plotting.error_panels import draw_error
 from hybrid_ins.plotting.map_view import draw_height, draw_map
 from hybrid_ins.plotting.sensor_panels import draw_bias, draw_nis, draw_noise
-from hybrid_ins.plotting.style import DPI, MUTED, SHADE, STYLE, check, save
+from hybrid_ins.plotting.style import DPI, MUTED, SHADE, STYLE, fit_width, require_matplotlib, save
 from hybrid_ins.plotting.view import RunView
+from hybrid_ins.resources import shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,15 +52,16 @@ def overview(run: Run, result: Result) -> Figure:
         For `style.save`.
 
     """
-    check(Path("overview.svg"))
+    require_matplotlib()
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
         figure = Figure(figsize=_SIZE, dpi=DPI)
-        figure.suptitle(
+        headline = figure.suptitle(
             _headline(run, result), x=_MARGINS["left"], y=0.985, ha="left", fontsize=11.5
         )
+        fit_width(headline, _MARGINS["right"] * _SIZE[0] * DPI)
         grid = figure.add_gridspec(5, 3, **_MARGINS)
         track = figure.add_subplot(grid[0:3, 0])
         box = track.get_position()  # leaves room for its x label above the next panel's title
@@ -70,7 +72,8 @@ def overview(run: Run, result: Result) -> Figure:
         view = RunView(run, result)
         draw_map(track, view)
         draw_height(timed[0], view)
-        draw_error(timed[1], view, "velocity", (0, 1, 2), "velocity error", "m/s", ("x", "y", "z"))
+        body = "body velocity error"
+        draw_error(timed[1], view, "velocity", (0, 1, 2), body, "m/s", ("x", "y", "z"))
         for axis, name in enumerate(("east", "north", "up")):
             draw_error(timed[2 + axis], view, "position", [axis], f"{name} error", "m")
         draw_error(timed[5], view, "attitude", [2], "heading error", "deg")
@@ -85,11 +88,13 @@ def overview(run: Run, result: Result) -> Figure:
 
 
 def _headline(run: Run, result: Result) -> str:
-    parts = [run.name]
+    parts = [shortened(run.name, 60)]
     if result.prmse is not None and result.pmae is not None:
         parts += [f"PRMSE {result.prmse:.3g} m", f"PMAE {result.pmae:.3g} m"]
     if result.heading_rmse is not None:
         parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
+    elif not result.heading_known:
+        parts.append("heading never known")
     for name, consistency in (
         ("position NEES", result.nees_position),
         ("NIS", result.nis_position),

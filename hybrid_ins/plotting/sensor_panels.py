@@ -71,12 +71,14 @@ def draw_nis(axes: Axes, view: RunView) -> None:
             at[limited], v.threshold[limited], color=VERMILLION, lw=1.0, ls="--",
             drawstyle="steps-post", label="threshold",
         )  # fmt: skip
-    for (colour, marker), (reason, shown) in zip(_REJECTED, _rejections(v), strict=False):
+    rejections = _rejections(v)
+    length = 32 if len(rejections) <= 2 else 24  # characters that leave room for the points
+    for (colour, marker), (reason, shown) in zip(_REJECTED, rejections, strict=False):
         # Fixes that were rejected before the test have no NIS: they are at the lower edge.
         height = np.where(tested[shown], v.nis[shown], 1.6 * _LOWEST_NIS)
         axes.plot(
             at[shown], height, marker, ms=5, mew=1.4, color=colour,
-            label=f"rejected: {_shortened(reason)} ({np.sum(shown)})",
+            label=f"rejected: {_shortened(reason, length)} ({np.sum(shown)})",
         )  # fmt: skip
     sizes = np.concatenate((v.nis[tested], v.threshold[limited], [10.0]))
     decades = math.log10(2.0 * float(np.max(sizes)) / _LOWEST_NIS)
@@ -152,7 +154,7 @@ def _true_lines(axes: Axes, view: RunView, true: Series | None, scale: float) ->
         )  # fmt: skip
 
 
-def _shortened(text: str, length: int = 24) -> str:
+def _shortened(text: str, length: int) -> str:
     return text if len(text) <= length else text[: length - 1] + "…"
 
 

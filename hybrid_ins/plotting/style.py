@@ -20,6 +20,7 @@ from hybrid_ins.ros.messages.trajectory import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 SUFFIXES = (".png", ".svg")
 
@@ -31,6 +32,7 @@ MUTED = "#8A8A8A"
 TEXT = "#333333"
 
 DPI = 100
+SMALLEST = 6.0  # points, of a text that is to be read
 _POINTS = 1500  # per line: what a panel of this width can show
 STYLE = {
     "font.size": 9.0,
@@ -59,26 +61,31 @@ STYLE = {
 }
 
 
-def check(path: Path, inputs: Sequence[Path] = ()) -> None:
+def check(path: Path, inputs: Sequence[Path] = (), overwrite: bool = False) -> None:
     """
     Check, before the work, that a picture can be written to `path`.
 
     Raises
     ------
     InputError
-        Unknown suffix, no such folder, one of the `inputs`, or matplotlib is not installed.
+        Unknown suffix, or matplotlib is not installed; for the rest see `output_file.check_output`.
 
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: a picture's name ends in {' or '.join(SUFFIXES)}")
-    check_output(path, inputs, overwrite=True)
+    check_output(path, inputs, overwrite)
+    require_matplotlib()
+
+
+def require_matplotlib() -> None:
+    """Raise `InputError` where matplotlib is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError('pictures need matplotlib: pip install "hybrid_ins[plot]"')
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the suffix of `path`."""
-    check(path)
+    """Write a figure as PNG or SVG, by the suffix of `path`, also in place of another."""
+    check(path, overwrite=True)
     with replacing(path) as unfinished, unfinished.open("wb") as file:
         write(figure, file, path.suffix.lower().removeprefix("."))
 
@@ -115,6 +122,14 @@ def legend_inside(axes: Axes, font_size: float = 7.5) -> float:
         if box.width < 0.98 * panel.width:
             break
     return float(box.height / panel.height)
+
+
+def fit_width(text: Text, right: float) -> None:
+    """Make a text smaller until it ends before ``right`` [pixels from the left]."""
+    size = float(text.get_fontsize())
+    while text.get_window_extent().x1 > right and size > SMALLEST:
+        size *= 0.97
+        text.set_fontsize(size)
 
 
 def mark_missing(axes: Axes, why: str) -> None:

@@ -100,8 +100,10 @@ class RunView:
         at : ndarray, shape (M,)
             [s]; those of the estimate where there is no truth.
         error, sigma : ndarray, shape (M, components), or None
-            NaN where not known.
+            NaN where not known; None of a heading that never was.
         """
+        if quantity == "attitude" and 2 in np.arange(3)[part] and not self.result.heading_known:
+            return self.seconds, None, None
         errors = self.result.errors
         source = self.run.estimate if errors is None else errors.estimate
         covariance = getattr(source, f"{quantity}_cov")

@@ -23,7 +23,7 @@ except ImportError:
 
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages.conversions import MapFrame
+from hybrid_ins.ros.messages.conversions import MapFrame, place_of
 
 Array = NDArray[np.float64]
 Message = Any
@@ -118,8 +118,8 @@ class GeographicServices:
     def _refuse(self, geographic: Message) -> None:
         self._estimator.inputs.log(
             "error",
-            f"latitude {geographic.latitude}, longitude {geographic.longitude} is not a point on "
-            "Earth: give degrees",
+            f"{place_of(geographic.latitude, geographic.longitude)} is not a point on Earth: give "
+            "degrees",
         )
 
     def _set_datum(self, request: Message, response: Message) -> None:

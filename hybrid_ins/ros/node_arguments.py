@@ -33,7 +33,8 @@ def for_ros(words: Sequence[str]) -> Iterator[list[str]]:
     Raises
     ------
     InputError
-        A parameter file cannot be read, or an option lacks its value.
+        A parameter file cannot be read, a list in it mixes texts and numbers, or an option lacks
+        its value.
     """
     with TemporaryDirectory(prefix="ins_node") as folder:
         changed = list(words)
@@ -52,6 +53,7 @@ def for_ros(words: Sequence[str]) -> Iterator[list[str]]:
 def _file(path: str, copy: Path) -> str:
     """Return the path of a parameter file, or of a copy where lists in it mix types."""
     content = yaml_reader.read(Path(path), "a parameter file")
+    yaml_reader.check_lists(content, Path(path))
     same = of_one_type(content)
     if repr(same) == repr(content):
         return path
@@ -65,6 +67,7 @@ def _value(text: str) -> str:
         read = yaml_reader.parse(value)
     except ValueError:  # ROS says what is wrong
         return text
+    yaml_reader.check_lists({name: read}, Path("-p"))
     same = of_one_type(read)
     return text if repr(same) == repr(read) else f"{name}{separator}{same}"
 

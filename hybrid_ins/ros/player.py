@@ -1,5 +1,5 @@
 """
-A recording published over DDS in real or scaled time, and what comes back received.
+A recording published over DDS in real or scaled time.
 
 Messages pass as the bytes that the bag holds; nothing is decoded, header stamps stay as they are.
 """
@@ -11,7 +11,6 @@ import logging
 import math
 import struct
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -23,30 +22,20 @@ import numpy as np
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, RCLInvalidROSArgsError, UnknownROSArgsError
 from rclpy.exceptions import NameValidationException
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
 from hybrid_ins import progress
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros import node_arguments
 
-try:
-    from rclpy.experimental import EventsExecutor as Executor
-except ImportError:  # older than Jazzy's second release
-    Executor = SingleThreadedExecutor
-
 if TYPE_CHECKING:
     from rclpy.node import Node
-    from typing_extensions import Self
-
-Write = Callable[[str, str, bytes, int], None]  # topic, type name, CDR bytes, time [ns]
 
 _CLOCK_PERIOD = 0.025  # s, of bag time and of real time
 _CLOCK_LAYOUT = struct.Struct("<4siI")
-_DEPTH = 10_000  # messages that wait for a slow subscriber, or for the recorder
+DEPTH = 10_000  # messages that wait for a slow subscriber, or for the recorder
 
 _log = logging.getLogger(__name__)
 
@@ -159,10 +148,10 @@ class Player:
         self._counts = dict.fromkeys(topics, 0)
         self._publishers: dict[str, Any] = {}
         for topic, type_name in topics.items():
-            message_type = _message_type(topic, type_name)
+            message_type = message_type_of(topic, type_name)
             if message_type is not None:
                 name = remap.get(topic, topic)
-                quality = QoSProfile(depth=_DEPTH)
+                quality = QoSProfile(depth=DEPTH)
                 if topic in latched:
                     quality.durability = DurabilityPolicy.TRANSIENT_LOCAL
                 self._publishers[topic] = node.create_publisher(message_type, name, quality)
@@ -174,7 +163,7 @@ class Player:
 
     def wait_for_subscribers(self, patience: float) -> None:
         """Wait until every topic has one, at most `patience` seconds; name those that have none."""
-        missing = _wait_until_empty(
+        missing = wait_until_empty(
             lambda: [p.topic for p in self._publishers.values() if not p.get_subscription_count()],
             patience,
             "waiting for a subscriber of",
@@ -237,7 +226,7 @@ class Player:
                 f": rate {held:.3f} (asked {rate:g}), late by {median:.2f} ms (median),"
                 f" {p99:.2f} ms (99 %), {worst:.1f} ms (worst)"
             )
-        return "\n".join([*lines, *_table(self._counts)])
+        return "\n".join([*lines, *table(self._counts)])
 
     def _tick_ns(self, timeline: Timeline) -> int:
         return round(_CLOCK_PERIOD * min(1.0, timeline.rate) * 1e9)
@@ -248,137 +237,7 @@ class Player:
             self._clock.publish(_CLOCK_LAYOUT.pack(b"\x00\x01\x00\x00", *stamp))
 
 
-class Recorder:
-    """
-    Passes on what it receives, byte for byte, stamped in bag time.
-
-    It receives in a thread of its own. The middleware queues what arrives while the player has the
-    interpreter, so that nothing is lost.
-
-    Parameters
-    ----------
-    node : Node
-    write : callable
-        Called with topic, type name, CDR bytes and bag time [ns] of each message.
-    is_known : callable
-        Returns whether `write` accepts a type.
-    timeline : Timeline
-
-    """
-
-    def __init__(
-        self, node: Node, write: Write, is_known: Callable[[str], bool], timeline: Timeline
-    ) -> None:
-        self._node = node
-        self._write = write
-        self._is_known = is_known
-        self._timeline = timeline
-        self._counts: dict[str, int] = {}
-        self._failure: Exception | None = None
-        self._executor = Executor()
-        self._executor.add_node(node)
-        self._stopped = Future()
-        self._thread = threading.Thread(target=self._spin, name="recorder")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stopped.set_result(None)
-        if self._thread.is_alive():
-            self._thread.join()
-        self._executor.remove_node(self._node)
-        self._executor.shutdown()
-
-    def subscribe(self, topics: Sequence[str], remap: Mapping[str, str], patience: float) -> None:
-        """
-        Wait for the publishers of `topics`, subscribe with the QoS they offer, start to receive.
-
-        Topics without a publisher within `patience` seconds are named and left out.
-        """
-        names = {topic: remap.get(topic, topic) for topic in topics}
-        missing = _wait_until_empty(
-            lambda: [n for n in names.values() if not self._node.get_publishers_info_by_topic(n)],
-            patience,
-            "waiting for a publisher of",
-        )
-        if missing:
-            _log.warning("no publisher of %s: not recorded", ", ".join(missing))
-        for topic, name in names.items():
-            if name not in missing:
-                self._subscribe(topic, name)
-        self._thread.start()
-
-    def check(self) -> None:
-        """Raise the exception that ended the recording, if any did."""
-        if self._failure is not None:
-            raise self._failure
-
-    def report(self, place: str) -> str:
-        """
-        Return lines on what was recorded and where.
-
-        Raises
-        ------
-        InputError
-            Nothing was.
-
-        """
-        total = sum(self._counts.values())
-        if not total:
-            raise InputError(
-                "nothing came back to record: is the node running, with the same ROS_DOMAIN_ID?"
-            )
-        return "\n".join([f"recorded {total} messages in {place}", *_table(self._counts)])
-
-    def _subscribe(self, topic: str, name: str) -> None:
-        offers = self._node.get_publishers_info_by_topic(name)
-        type_name = offers[0].topic_type
-        if not self._is_known(type_name):
-            _log.warning("%s is left out: %s is not a standard message type", name, type_name)
-            return
-        message_type = _message_type(name, type_name)
-        if message_type is None:
-            return
-        reliable = all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers)
-        latched = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
-        quality = QoSProfile(
-            depth=_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        counts, write, now_ns = self._counts, self._write, self._timeline.now_ns
-        counts[topic] = 0
-
-        def receive(data: bytes) -> None:
-            if self._failure is None:
-                try:
-                    write(topic, type_name, data, now_ns())
-                    counts[topic] += 1
-                except Exception as failure:  # the executor would print a traceback
-                    self._failure = failure
-
-        self._node.create_subscription(message_type, name, receive, quality, raw=True)
-
-    def _spin(self) -> None:
-        try:
-            # EventsExecutor.spin() of some releases never returns.
-            while not self._stopped.done():
-                self._executor.spin_until_future_complete(self._stopped, 0.5)
-        except Exception as failure:  # handed to the main thread
-            self._failure = failure
-
-
-def _message_type(topic: str, type_name: str) -> Any:
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        _log.warning("%s is left out: %s is not installed here", topic, type_name)
-        return None
-
-
-def _wait_until_empty(
+def wait_until_empty(
     missing: Callable[[], list[str]], patience: float, announcement: str
 ) -> list[str]:
     """Call `missing` until it returns nothing or `patience` [s] ends; return its last result."""
@@ -392,6 +251,17 @@ def _wait_until_empty(
     return names
 
 
-def _table(counts: dict[str, int]) -> list[str]:
+def table(counts: dict[str, int]) -> list[str]:
+    """Return a line for each topic with its number of messages."""
     width = max(map(len, counts), default=0)
     return [f"  {topic:<{width}} {count:>8}" for topic, count in counts.items()]
+
+
+def message_type_of(topic: str, type_name: str) -> Any:
+    """Return the class of a message type; None, with a warning, where it is not installed."""
+    package, _, name = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        _log.warning("%s is left out: %s is not installed here", topic, type_name)
+        return None

@@ -20,6 +20,7 @@ References
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,6 +35,8 @@ from hybrid_ins.simulation.motions import Motion
 MPU9250_ACCELEROMETER_STD = 0.02  # m/s2 per sample, the paper's Table I
 MPU9250_GYROSCOPE_STD = 0.002  # rad/s per sample
 RTK_STD = (0.1, 0.1, 0.02**0.5)  # m: north, east, down, likewise
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -305,6 +308,19 @@ def in_outage(times: Array, outages: Sequence[tuple[float, float]]) -> NDArray[n
     for start, duration in outages:
         out |= (times > start - 1e-6) & (times < start + duration - 1e-6)
     return out
+
+
+def report_empty_outages(times: Array, outages: Sequence[tuple[float, float]]) -> None:
+    """Warn of outages (start, duration) [s] in which no fix lies; ``times`` (M,) [s] are theirs."""
+    for start, duration in outages:
+        if len(times) and not in_outage(times, [(start, duration)]).any():
+            _log.warning(
+                "--outage %g %g: no fix lies in it: the fixes span %.1f to %.1f s",
+                start,
+                duration,
+                times[0],
+                times[-1],
+            )
 
 
 def to_body(C_nb: Array, vectors_n: Array) -> Array:

@@ -36,6 +36,7 @@ from hybrid_ins.simulation.sensors import (
     Truth,
     corrupt,
     fixes,
+    report_empty_outages,
     sample,
     sample_times,
 )
@@ -161,13 +162,15 @@ def _imu_record(
 def _gnss_record(
     scenario: Scenario, motion: Motion, rng: np.random.Generator, offset_ns: int
 ) -> GnssRecord:
-    gnss = fixes(
+    received = fixes(
         sample(motion, sample_times(scenario.duration, scenario.gnss_rate)),
         rng,
         scenario.gnss_noise,
         scenario.lever_arm_b,
         scenario.velocity_std,
-    ).without(scenario.outages)
+    )
+    report_empty_outages(received.t, scenario.outages)
+    gnss = received.without(scenario.outages)
     return GnssRecord(
         stamps(gnss.t) - offset_ns,
         gnss.lla,

@@ -89,3 +89,18 @@ def test_an_export_that_cannot_be_written_is_refused_before_the_work(
     assert replay.main([str(flight), str(out), "--export", str(tmp_path / "track.doc")]) == 2
     assert "track.doc: the name of an export ends in one of" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_files_that_exist_and_inputs_are_not_replaced_by_an_export(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine, out = tmp_path / "mine.csv", tmp_path / "out.mcap"
+    mine.write_text("/**: {ros__parameters: {}}")
+
+    assert replay.main([str(flight), str(out), "--export", str(mine)]) == 2
+    assert f"{mine}: exists: give --overwrite" in capsys.readouterr().err
+    given = ["--params-file", str(mine), "--export", str(mine), "--overwrite"]
+    assert replay.main([str(flight), str(out), *given]) == 2
+    assert "is the input itself" in capsys.readouterr().err
+    assert "ros__parameters" in mine.read_text()
+    assert not out.exists()

@@ -93,6 +93,7 @@ def test_a_fleet_is_replayed_resumed_and_evaluated(
     assert "1 of 3 bags failed: broken" in said.err
     rows = {line.split()[0]: line for line in said.out.splitlines()}
     assert "failed:" in rows["broken"]
+    assert rows["broken"].count("broken") == 1  # a name is not said twice
     assert "is not a bag" in rows["broken"]
     assert "fixes fused" in rows["bag"]
     assert sorted(ages(out)) == ["monday/two.mcap", "one.mcap"]
@@ -152,7 +153,10 @@ def test_several_named_bags_and_options_for_one(
     empty = flights_dir.parent / "empty"
     empty.mkdir(exist_ok=True)
     assert replay.main([str(empty), str(flights_dir.parent / "out")]) == 2
-    assert "no bags found" in capsys.readouterr().err
+    assert (
+        "no bag in there: a bag is a folder with metadata.yaml, or an .mcap"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow

@@ -117,7 +117,7 @@ def test_a_waypoint_follower_gets_its_points(
     assert (there.x, there.y, there.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     wrong = client.call(FromLL, "/fromLL", FromLL.Request(ll_point=GeoPoint(latitude=91.0)))
     assert math.isnan(wrong.map_point.x)
-    assert "latitude 91.0" in (tmp_path / "node.log").read_text()
+    assert "latitude 91," in (tmp_path / "node.log").read_text()
 
     kinds = dict(client.node.get_service_names_and_types())
     assert kinds["/fromLL"] == ["robot_localization/srv/FromLL"]

@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from hybrid_ins.bags.messages import IMU, new_message
+from hybrid_ins.bags.mcap_writer import CHUNK_SIZE
+from hybrid_ins.bags.messages import IMU, absolute, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import play as program
+from hybrid_ins.playback import ESTIMATES, NOT_PLAYED
 from hybrid_ins.ros.messages.cdr import ImuDecoder
+from hybrid_ins.ros.messages.interface import PUBLISHED
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
@@ -206,6 +209,34 @@ def test_ended_by_a_signal_the_recording_is_whole(
     assert len(numbers) > 50
 
 
+def test_killed_it_loses_seconds_at_most(
+    processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
+) -> None:
+    """GIVEN a slow recording WHEN it is killed before a chunk is full THEN it can be read."""
+    out = tmp_path / "estimate"
+    options = ("--rate", 0.2, "--record", out, "--record-topics", *ECHOES)
+    process = start_player(processes, flight, *options)
+    deadline = time.monotonic() + 30
+    while not any(f.stat().st_size > 2_000 for f in tmp_path.glob("*.part/*")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    [file] = tmp_path.glob("*.part/*")
+    process.kill()
+    process.communicate(timeout=20)
+
+    assert file.stat().st_size < CHUNK_SIZE
+    with BagReader(tmp_path / "estimate.part") as bag:
+        numbers = [m.twist.twist.linear.x for _, _, m in bag.messages("/odometry")]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) > 5
+
+
+def test_what_the_node_publishes_is_recorded() -> None:
+    given = {absolute(topic.name) for topic in PUBLISHED} - {"/tf"}
+    assert set(ESTIMATES) == given
+    assert {"/validity", "/aiding/verdict"} <= given <= set(NOT_PLAYED)
+
+
 @pytest.mark.slow
 def test_a_bag_that_is_damaged_midway_is_played_without_the_damage(
     processes: Processes, echo: "Popen[str]", flight: Path, tmp_path: Path
@@ -293,7 +324,8 @@ def test_a_full_disk_ends_with_one_line(
     assert process.returncode == 2
     assert "Traceback" not in output
     last = output.strip().splitlines()[-1]
-    assert re.fullmatch("ins_play: error: .*out_0.mcap: cannot be written: File too large", last)
+    told = r"ins_play: error: .*out: cannot be written \(File too large\): make room.*"
+    assert re.fullmatch(told, last)
     with BagReader(tmp_path / "out.part") as bag:
         assert bag.count("/odometry") > 100  # what there was room for
 
@@ -324,7 +356,8 @@ def test_without_ros(
     flight: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    monkeypatch.delitem(sys.modules, "hybrid_ins.ros.player", raising=False)
+    for module in ("player", "recorder"):
+        monkeypatch.delitem(sys.modules, f"hybrid_ins.ros.{module}", raising=False)
     assert program.main([str(flight)]) == 2
     assert "ins_play: error: ROS 2 is not installed" in capfd.readouterr().err
 

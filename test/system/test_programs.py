@@ -123,22 +123,23 @@ def test_wrong_arguments_get_one_clear_line(
     status = status_of(name, arguments.replace("OUT", str(out)).split())
 
     printed = capsys.readouterr()
-    *usage, last = printed.err.strip().splitlines()
+    [last] = printed.err.strip().splitlines()
     assert status == 2
     assert last.startswith(f"{name}: error: ")
     assert words in last
-    assert all(line.startswith(("usage:", " ")) for line in usage), "more than argparse's usage"
     assert not out.exists(), "left something behind"
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
-def test_no_or_unknown_options_show_the_usage(
+def test_no_or_unknown_options_are_one_line_with_a_hint_at_the_help(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     needed = [] if name == "ins_status" else [[]]
     for arguments in (*needed, ["--no-such-option"]):
         assert status_of(name, arguments) == 2
-        assert capsys.readouterr().err.startswith(f"usage: {name}")
+        [line] = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"{name}: error: ")
+        assert line.endswith(f": see {name} --help")
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
@@ -179,7 +180,7 @@ def test_no_program_writes_where_it_reads(
 
     assert status_of(program_name, ["flight", *option, out, "--overwrite"]) == 2
 
-    assert "is the input flight" in capsys.readouterr().err
+    assert "the input" in capsys.readouterr().err
     assert {p: p.read_bytes() for p in flight.iterdir()} == before
 
 
@@ -193,7 +194,7 @@ def test_a_folder_of_bags_is_not_replayed_into_itself(
 
     assert status_of("ins_replay", [str(folder), str(folder), "--overwrite", *HEADING]) == 2
 
-    assert "is the input" in capsys.readouterr().out
+    assert "the input" in capsys.readouterr().out
     assert (folder / "one.mcap").read_bytes() == before
 
 

@@ -1,13 +1,15 @@
 """Outputs are complete or absent, and inputs are never replaced."""
 
+import errno
 import os
 import threading
 from pathlib import Path
 
 import pytest
 
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import check_output, replacing, write_text
+from hybrid_ins.output_file import cannot_be_written, check_output, replacing, write_text
 
 
 @pytest.fixture
@@ -27,8 +29,8 @@ def test_an_input_is_no_output_whatever_it_is_called(
     (bag.parent / "sub").mkdir()
     monkeypatch.chdir(bag.parent)
 
-    with pytest.raises(InputError, match="is the input"):
-        check_output(Path(out), [bag], overwrite=True, folder=True)
+    with pytest.raises(InputError, match=r"(is|lies in|contains) the input (flight|itself)"):
+        check_output(Path(out), [Path("flight")], overwrite=True, folder=True)
 
 
 def test_a_name_that_only_begins_alike_is_another_file(bag: Path) -> None:
@@ -76,6 +78,21 @@ def test_success_replaces_a_file_a_folder_and_what_a_link_points_to(tmp_path: Pa
     assert (tmp_path / "target").read_text(encoding="utf-8") == "nëw"
     assert (tmp_path / "link").is_symlink()
     assert [p.name for p in (tmp_path / "folder").iterdir()] == ["new"]
+
+
+def test_an_error_names_what_the_user_typed_and_the_remedy(tmp_path: Path) -> None:
+    """/proc holds no files of ours, whoever we are."""
+    with pytest.raises(InputError, match=r"^/proc/x.png: cannot be written .*choose a folder"):
+        check_output(Path("/proc/x.png"))
+    with pytest.raises(InputError, match=r"^/proc/a/x: cannot be written .*choose a folder"):
+        check_output(Path("/proc/a/x"), folder=True)
+    with pytest.raises(InputError, match=r"^/proc/x.png: cannot be written .*choose a folder"):
+        write_text(Path("/proc/x.png"), "text")
+    with pytest.raises(InputError, match=r"^/proc/x.mcap: cannot be written .*choose a folder"):
+        BagWriter(Path("/proc/x.mcap"))
+    assert "make room" in str(cannot_be_written(tmp_path, OSError(errno.ENOSPC, "full")))
+    with pytest.raises(FileNotFoundError), replacing(tmp_path / "new"):
+        (tmp_path / "elsewhere").read_text()
 
 
 def test_a_pipe_is_written_not_replaced(tmp_path: Path) -> None:

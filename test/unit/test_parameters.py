@@ -11,6 +11,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.parameters.declared import PARAMETERS
 from hybrid_ins.resources import read_regular_file
+from hybrid_ins.ros.node_arguments import for_ros
 
 DEFAULTS = parameters.defaults()
 
@@ -23,6 +24,12 @@ def refused(**given: object) -> str:
     assert "\n" not in text
     assert len(text) < 600
     return text
+
+
+def read_by_node(path: Path) -> None:
+    """Read a parameter file as the node does, before ROS reads it."""
+    with for_ros(["--params-file", str(path)]):
+        pass
 
 
 class TestValues:
@@ -164,7 +171,7 @@ class TestFiles:
             ("/**: [", "no readable YAML: line 1"),
             ("a: 1\nb: *a\n", "no readable YAML"),
             ("[" * 5000, "no readable YAML: nested too deeply"),
-            ("/**:\n  ros__parameters: {imu.position: [1e-08, 2, x]}\n", "a list of 3 numbers"),
+            ("/**:\n  ros__parameters: {imu.position: [1e-08, 2, x]}\n", "mixes numbers and texts"),
             ("a: 1\n" * 40_000, "larger than a parameter file may be, 0.1 MB"),
             ("\ud800", "no readable YAML"),
         ],
@@ -176,6 +183,51 @@ class TestFiles:
         with pytest.raises(InputError, match=r"(?s)^[^\n]*$") as caught:
             parameter_file.load(path)
         assert said in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("lines", "said"),
+        [
+            (
+                ["gnss: {patience: 1.0}", "gnss: {max_delay: 2.0}"],
+                "gnss is given twice, line 4: keep one",
+            ),
+            (
+                ["gnss.patience: 1.0", "gnss: {patience: 2.0}"],
+                "gnss.patience is given twice, line 4: keep one",
+            ),
+            (
+                ["gnss:", "  patience: 2.0", "gnss.patience: 1.0"],
+                "gnss.patience is given twice, line 5: keep one",
+            ),
+            (
+                ['gnss: {antenna_position: [0, 0, "1"]}'],
+                "gnss.antenna_position: [0, 0, '1'] mixes numbers and texts, which ROS refuses: "
+                "write numbers only, without quotes",
+            ),
+            (
+                ["imu.position: [0, 0, true]"],
+                "imu.position: [0, 0, True] mixes numbers and true or false",
+            ),
+        ],
+    )
+    def test_what_would_be_lost_or_is_refused_by_ros_is_named(
+        self, tmp_path: Path, lines: list[str], said: str
+    ) -> None:
+        path = tmp_path / "robot.yaml"
+        path.write_text("\n    ".join(["/**:\n  ros__parameters:", *lines]))
+        for read in (parameter_file.load, read_by_node):
+            with pytest.raises(InputError) as caught:
+                read(path)
+            assert str(caught.value).startswith(f"{path}: {said}")
+
+    def test_a_section_of_the_node_adds_to_that_of_all(self, tmp_path: Path) -> None:
+        path = tmp_path / "robot.yaml"
+        path.write_text(
+            "/**:\n  ros__parameters: {gnss: {patience: 1.0, max_delay: 1.0}}\n"
+            "ins_node:\n  ros__parameters: {gnss: {max_delay: 2.0}}\n"
+        )
+        values = parameter_file.load(path)
+        assert (values["gnss.patience"], values["gnss.max_delay"]) == (1.0, 2.0)
 
     def test_an_empty_section_is_the_defaults(self, tmp_path: Path) -> None:
         assert self.read(tmp_path, "/**:\n  ros__parameters: {}\n") == DEFAULTS

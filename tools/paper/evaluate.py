@@ -31,7 +31,7 @@ def evaluate(args: argparse.Namespace) -> int:
     args.figures = args.out / "figures"
     args.figures.mkdir(parents=True, exist_ok=True)
     for name in FIGURES:
-        style.check(args.figures / f"{name}.png")
+        style.check(args.figures / f"{name}.png", overwrite=True)
     if args.quick:
         args.runs = 2
     bars: list[Bar] = []

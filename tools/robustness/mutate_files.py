@@ -119,15 +119,15 @@ def runs(files: Files, count: int) -> list[tuple[str, str, Callable[[Path], int]
     def evaluate_truth(path: Path) -> int:
         return evaluate.main([str(files.estimate), "--truth", str(path)])
 
+    short = ["--search", "0.2", "--longest", "10"]
+
     def calibrate_bag(path: Path) -> int:
         return calibrate.main(
-            [str(path), "--longest", "10", "--out", str(files.folder / "out.yaml"), "--overwrite"]
+            [str(path), *short, "--out", str(files.folder / "out.yaml"), "--overwrite"]
         )
 
     def calibrate_with(path: Path) -> int:
-        return calibrate.main(
-            [bag, "--params-file", str(path), "--search", "0.2", "--longest", "10"]
-        )
+        return calibrate.main([bag, "--params-file", str(path), *short])
 
     def play(path: Path) -> int:
         from hybrid_ins.cli import play

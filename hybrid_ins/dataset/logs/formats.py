@@ -44,7 +44,7 @@ def read_logs(paths: list[Path], origin: Array | None = None) -> tuple[ImuLog, G
     for path, module, (has_imu, has_gnss) in zip(paths, modules, holds, strict=True):
         try:
             if has_imu:
-                imu.append(module.read_imu(path))
+                imu.append(_read_imu(module, path))
             if has_gnss:
                 given = (path, origin) if module is gnss_text else (path,)
                 gnss.append(module.read_gnss(*given))
@@ -56,6 +56,21 @@ def read_logs(paths: list[Path], origin: Array | None = None) -> tuple[ImuLog, G
             "one of each"
         )
     return imu[0], gnss[0]
+
+
+def _read_imu(module: ModuleType, path: Path) -> ImuLog:
+    """Read the IMU's samples; a table of fixes that is taken for a table of them is named."""
+    try:
+        samples: ImuLog = module.read_imu(path)
+    except InputError:
+        lacks = gnss_text.lacking(head_of(path, HEAD)) if module is imu_text else ""
+        if not lacks:
+            raise
+        raise InputError(
+            f"{path}: is no table of an IMU, and to be one of fixes it lacks a column for {lacks}: "
+            "docs/logs.md shows the names"
+        ) from None
+    return samples
 
 
 def read_estimate(path: Path) -> EstimateLog | None:

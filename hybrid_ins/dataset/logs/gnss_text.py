@@ -192,6 +192,28 @@ def _quantities_of(name: str) -> tuple[str, ...]:
     )
 
 
+def lacking(head: bytes) -> str:
+    """Return what a file with names of positions lacks to be a table of fixes; else nothing."""
+    for line in head.decode("utf-8", "replace").splitlines()[:200]:
+        line = line.lstrip("#% ")
+        at = _quantities(text.split(line, text.separator_of(line)))
+        missing = [] if _is_timed(at) else ["time"]
+        if {"lat", "lon"} & at.keys():
+            missing += [long for what, long in (("lat", "latitude"), ("lon", "longitude"))
+                        if what not in at]  # fmt: skip
+        elif {"east", "north"} & at.keys():
+            missing += [what for what in ("east", "north", "up") if what not in at]
+            missing[-1:] = [f"{last} (or latitude and longitude)" for last in missing[-1:]]
+        else:
+            continue
+        return " and ".join(missing)
+    return ""
+
+
+def _is_timed(at: dict[str, int]) -> bool:
+    return "t" in at or {"week", "tow"} <= at.keys() or {"date", "clock"} <= at.keys()
+
+
 def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
     """Return the names and the rows of a table, or None: preamble and cut lines are left out."""
     for number, line in enumerate(lines[:200]):
@@ -199,9 +221,8 @@ def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
         separator = text.separator_of(line)
         names = text.split(line, separator)
         at = _quantities(names)
-        is_timed = "t" in at or {"week", "tow"} <= at.keys() or {"date", "clock"} <= at.keys()
         places = ({"lat", "lon"}, {"x", "y", "z"}, {"east", "north", "up"})
-        if is_timed and any(place <= at.keys() for place in places):
+        if _is_timed(at) and any(place <= at.keys() for place in places):
             rows = [
                 text.split(row, separator) for row in lines[number + 1 :] if row[:1] not in "#%"
             ]

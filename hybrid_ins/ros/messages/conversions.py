@@ -145,8 +145,8 @@ class GnssInput:
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0) or math.isinf(height):
             return Refused(
                 "gnss: impossible position",
-                f"latitude {lat}, longitude {lon}, altitude {height} is not a position: check the "
-                "driver's units (degrees, metres)",
+                f"{place_of(lat, lon)}, altitude {height:.7g} is not a position: "
+                f"{cause_of(lat, lon)}",
             )
         if lat == 0.0 and lon == 0.0:
             return Refused(
@@ -324,6 +324,18 @@ def imu_yaw(orientation_xyzw: Sequence[float], mount: Array) -> float | None:
         return None
     C_nb = SWAP @ matrix_from_quat(quat / norm) @ mount.T
     return float(rpy_from_quat(quat_from_matrix(C_nb))[2])
+
+
+def place_of(latitude: float, longitude: float) -> str:
+    """Return a place [deg] as text, to a centimetre."""
+    return f"latitude {round(latitude, 7):.10g}, longitude {round(longitude, 7):.10g}"
+
+
+def cause_of(latitude: float, longitude: float) -> str:
+    """Return why a place [deg] may be none on Earth, and what to check."""
+    if 90.0 < abs(latitude) <= 180.0 and abs(longitude) <= 90.0:
+        return "latitude and longitude seem to be exchanged: let the driver publish them in order"
+    return "check the driver's units (degrees, metres)"
 
 
 def lla_from_degrees(latitude: float, longitude: float, height: float) -> Array:

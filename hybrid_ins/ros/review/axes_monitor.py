@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 SAMPLES_NS = 500_000_000  # between two checks of the IMU's ring buffer
 LONGEST_GAP_NS = 500_000_000  # between samples, over which nothing is integrated
 MOST_EXPLANATIONS = 3  # in a text, the most ordinary first
+WRONG_UNIT = "imu: wrong unit"  # the name of the fault
 ACCELERATION, RATE = "linear_acceleration", "angular_velocity"
 
 
@@ -128,13 +129,13 @@ def describe(fault: AxesFault) -> Refused:
     factor = gyroscope[0, 0]
     if np.allclose(gyroscope, SCALES[0] * one):
         return Refused(
-            "imu: wrong unit",
+            WRONG_UNIT,
             f"{RATE} fits the motion only if it is divided by 57.3: it is in degrees per second; "
             "let the driver publish radians per second",
         )
     if np.allclose(gyroscope, SCALES[1] * one):
         return Refused(
-            "imu: wrong unit",
+            WRONG_UNIT,
             f"{RATE} is {factor:.1f} times too small for the motion: multiply it by {factor:.1f} "
             "(degrees converted to radians twice?)",
         )

@@ -54,7 +54,11 @@ class FixRefusals:
         ahead = (fix.t_ns - imu_ns) * 1e-9
         if imu_ns == 0 or abs(ahead) < ANOTHER_CLOCK:
             return None
-        return Refused("another clock", describe_clocks(ahead))
+        return Refused(
+            "another clock",
+            f"{describe_clocks(ahead)}: let both drivers stamp by one clock, or set "
+            "use_receive_time: true",
+        )
 
     @property
     def dominant(self) -> str:
@@ -68,7 +72,7 @@ class FixRefusals:
 
 
 def describe_clocks(ahead: float) -> str:
-    """Return how far the fixes are stamped ahead of the IMU [s], why, and the remedy."""
+    """Return how far the fixes are stamped ahead of the IMU [s], and why."""
     size = abs(ahead)
     if size < 1000.0:
         text = f"{size:.1f} s"
@@ -84,7 +88,4 @@ def describe_clocks(ahead: float) -> str:
         cause = "one driver stamps in GPS time, the other in UTC: 18 s"
     elif size > YEAR:
         cause = "one clock counts from its start, or was never set"
-    return (
-        f"their stamps are {text} {side} the IMU's ({cause}): let both drivers stamp by one clock, "
-        "or set use_receive_time: true"
-    )
+    return f"their stamps are {text} {side} the IMU's ({cause})"

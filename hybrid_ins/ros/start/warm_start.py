@@ -83,10 +83,7 @@ class WarmStart:
             running.noise.levels(),
             self._estimator.clock.offset,
         )
-        try:
-            saved.write(self.path)
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}: not saved") from None
+        saved.write(self.path)
         self._saved_ns, self._saved_standing = saved.stamp_ns, saved.standing
         return f"saved to {self.path}"
 

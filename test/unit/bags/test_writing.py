@@ -128,7 +128,7 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, caplog: pytest.LogCapture
             for k in range(10_000):
                 bag.write("/imu/data", imu_message(k), stamp_ns(k))
 
-    with pytest.raises(InputError, match="cannot be written: File too large"):
+    with pytest.raises(InputError, match=r"cannot be written .File too large.: make room"):
         record()
     assert "bag.mcap.part: is incomplete" in caplog.text
     assert not (tmp_path / "bag.mcap").exists()
@@ -210,7 +210,7 @@ def test_no_bag_replaces_one_that_is_read(
     (tmp_path / "link").symlink_to("bag")
     (tmp_path / "other").symlink_to(tmp_path)
     (tmp_path / "sub").mkdir()
-    with pytest.raises(InputError, match="is the input bag: choose another name"):
+    with pytest.raises(InputError, match=r"the input (bag|itself): (give|choose)"):
         BagWriter(out, overwrite=True, inputs=[Path("bag")])
     assert count(tmp_path / "bag") == 100
 

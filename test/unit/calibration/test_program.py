@@ -17,6 +17,7 @@ from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
 from hybrid_ins.cli import simulate
+from hybrid_ins.core.imu_axes.faults import AxesFault
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import defaults
 from hybrid_ins.parameters.parameter_file import load
@@ -89,7 +90,7 @@ def test_no_input_is_replaced(
     assert run("bag", "--params-file", "given.yaml", option, out, "--overwrite") == 2
 
     error = capsys.readouterr().err
-    assert ("is the input" if option == "--out" else ".png") in error
+    assert ("the input" if option == "--out" else ".png") in error
     assert Path("bag/bag_0.mcap").read_bytes() == b"recording"
     assert "max_delay" in Path("given.yaml").read_text()
 
@@ -211,3 +212,46 @@ def test_a_car_with_wheels_is_calibrated_from_its_bag(
     assert values["imu.mount_rpy"][2] == pytest.approx(np.radians(5.0), abs=0.006)
     np.testing.assert_allclose(values["vehicle.nose"], 0.0, atol=0.009)
     assert values["aiding.velocity_scale"] == pytest.approx(1.01, abs=0.004)
+
+
+def test_a_wrong_unit_that_the_motion_shows_ends_it_before_the_work(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fault = AxesFault(((np.eye(3), np.eye(3) * np.pi / 180.0),), np.eye(3))
+    monkeypatch.setattr(program, "axes_fault", lambda *args: fault)
+    monkeypatch.setattr(
+        program,
+        "read_recording",
+        lambda *args, **options: SimpleNamespace(name="bag", t=np.zeros(2), begin=0.0),
+    )
+
+    assert run("bag", "--out", "robot.yaml") == 2
+    shown = capsys.readouterr()
+    assert "bag: /imu/data: angular_velocity fits the motion only if it is divided" in shown.err
+    assert not shown.out
+
+
+@pytest.mark.parametrize(
+    ("content", "may"),
+    [
+        ("#!/bin/sh\necho important\n", False),
+        ("key: value\n", False),
+        ("- 1\n", False),
+        ("", True),
+        ("/**:\n  ros__parameters:\n    gnss.max_delay: 1.0\n", True),
+        ("other_node:\n  ros__parameters:\n    rate: 1\n", True),
+    ],
+)
+def test_only_a_parameter_file_is_replaced(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str], content: str, may: bool
+) -> None:
+    out = Path("t.sh")
+    out.write_text(content)
+
+    assert run("bag", "--out", "t.sh") == 2  # it exists
+    capsys.readouterr()
+    assert run("bag", "--out", "t.sh", "--overwrite") == (0 if may else 2)
+
+    error = capsys.readouterr().err
+    assert ("t.sh: is not a parameter file" in error) is not may
+    assert (out.read_text() == content) is not may

@@ -283,6 +283,14 @@ def test_seed_and_outages(made: Path, tmp_path: Path) -> None:
     assert np.abs(other - whole).min() > 0.0
 
 
+def test_an_outage_without_fixes_is_said(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    convert(made, tmp_path / "bag", "--outage 1000 10")
+
+    assert "--outage 1000 10: no fix lies in it: the fixes span" in capsys.readouterr().err
+
+
 def test_same_call_same_bytes(made: Path, tmp_path: Path) -> None:
     first, again = (
         convert(made, tmp_path / f"{n}.mcap", "--gnss-rate 1 --seed 9") for n in range(2)

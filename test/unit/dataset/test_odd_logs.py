@@ -248,6 +248,30 @@ def test_fixes_without_height_become_a_bag(tmp_path: Path) -> None:
     assert np.isnan(fix.altitude)
 
 
+@pytest.mark.parametrize(
+    ("names", "lacks"),
+    [
+        ("time,distance,speed,pitch,roll,height,north,east,down", "up (or latitude and longitude)"),
+        ("epoch_number,lat,lon,height,a,b,c,d,e", "time"),
+        ("time,lat,b,c,d,e,f,g,h", "longitude"),
+    ],
+)
+def test_a_table_of_fixes_that_lacks_a_column_is_no_bad_imu(
+    tmp_path: Path, names: str, lacks: str
+) -> None:
+    imu, _ = drive(10.0)
+    table = np.column_stack((np.arange(20.0), *np.random.default_rng(0).normal(size=(8, 20))))
+    fixes = tmp_path / "GT.csv"
+    np.savetxt(fixes, table, delimiter=",", header=names, comments="")
+
+    with pytest.raises(InputError) as raised:
+        formats.read_logs([imu_file(tmp_path / "imu.csv", imu), fixes])
+    assert (
+        f"GT.csv: is no table of an IMU, and to be one of fixes it lacks a column for {lacks}"
+        in (str(raised.value))
+    )
+
+
 def test_a_receivers_file_beside_an_autopilots_log(tmp_path: Path) -> None:
     # GIVEN a telemetry log with IMU and fixes, and a solution of the receiver's own
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")

@@ -1,6 +1,7 @@
 """The evaluation: figures with analytic answers, what is scored, and what is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -310,7 +311,39 @@ class TestWhatIsScored:
         assert result.attitude_rmse is None
         assert result.nees_velocity is None
         assert result.nees_position is not None
-        assert "not known" in table(result)
+        assert re.search(r"velocity RMSE +-$", table(result), re.MULTILINE)
+
+    def test_both_velocity_errors_are_named(self) -> None:
+        """GIVEN a heading 90° off WHEN the velocity is right THEN it is not along the body."""
+        right = flight(FAST)
+        assert right.velocity_enu is not None and right.quat_xyzw is not None
+        quarter = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+        turned = replace(right, quat_xyzw=rotations.quat_multiply(right.quat_xyzw, quarter))
+        speed = float(np.sqrt(np.mean(np.sum(right.velocity_enu**2, axis=1))))
+
+        result = evaluate(turned, flight(TRUTH))
+
+        assert result.velocity_rmse == pytest.approx(0.0, abs=1e-6)
+        assert result.body_velocity_rmse == pytest.approx(np.sqrt(2.0) * speed, rel=0.01)
+        assert f"along the body's axes {result.body_velocity_rmse:.3g} m/s" in table(result)
+        assert result.as_dict()["body_velocity_rmse_mps"] == result.body_velocity_rmse
+
+    def test_a_heading_that_was_never_known_is_not_scored(self) -> None:
+        """GIVEN a heading with the σ of any WHEN it is by chance the true one THEN it is not."""
+        stated = with_sigma(flight(FAST), 0.5)
+        assert stated.attitude_cov is not None
+        attitude_cov = stated.attitude_cov.copy()
+        attitude_cov[:, 2, 2] = 1.84**2
+
+        known = evaluate(stated, flight(TRUTH))
+        unknown = evaluate(replace(stated, attitude_cov=attitude_cov), flight(TRUTH))
+
+        assert known.heading_known
+        assert known.heading_rmse == pytest.approx(0.0, abs=1e-6)
+        assert unknown.heading_rmse is unknown.attitude_rmse is unknown.nees_attitude is None
+        assert unknown.tilt_rmse is not None
+        assert "heading -   tilt 0" in table(unknown)
+        assert any("heading was never known (its σ is 105° at least)" in n for n in unknown.notes)
 
     def test_few_epochs_are_said(self) -> None:
         result = evaluate(flight(FAST), flight(TRUTH), scoring=Scoring(end=0.5))

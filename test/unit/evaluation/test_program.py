@@ -220,3 +220,24 @@ def test_a_closed_pipe_does_not_lose_picture_report_and_track(
         assert main([str(estimate_bag), "--no-truth", *(p for o in options for p in o)]) == 0
 
     assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_files_are_replaced_only_on_request_and_never_the_input(
+    estimate_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    for option, name in (("--plot", "x.svg"), ("--report", "x.html"), ("--export", "x.csv")):
+        file = tmp_path / name
+        file.write_text("mine")
+        given = [estimate_bag, "--no-truth", option, file]
+
+        _, error = run_program(capsys, 2, *given)
+        assert f"{file}: exists: give --overwrite" in error
+        assert file.read_text() == "mine"
+        run_program(capsys, 0, *given, "--overwrite")
+        assert file.stat().st_size > 1000
+
+    [recording] = estimate_bag.glob("*.mcap")
+    inside = recording.rename(recording.with_suffix(".csv"))  # a bag by its content
+    _, error = run_program(capsys, 2, inside, "--no-truth", "--export", inside, "--overwrite")
+    assert "is the input itself" in error

@@ -199,7 +199,7 @@ def test_without_attitude_there_is_no_tum(tmp_path: Path) -> None:
 def test_a_name_that_will_not_do_is_refused_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.tum, \.csv, \.kml, \.gpx, \.geojson"):
         check_export(tmp_path / "run.shp")
-    with pytest.raises(InputError, match="is the input"):
+    with pytest.raises(InputError, match="lies in the input"):
         check_export(tmp_path / "in" / "run.csv", [tmp_path / "in"])
 
 
@@ -217,4 +217,4 @@ def test_a_bag_is_exported_and_the_program_does_it(
 
     assert all(f"trajectory: {tmp_path / f'run{s.upper()}'}" in text for s in FORMATS)
     assert (tmp_path / "run.CSV").read_bytes() == (tmp_path / "library.csv").read_bytes()
-    assert "is the input" in error
+    assert "lies in the input" in error

@@ -68,7 +68,7 @@ def test_two_runs_are_shown_with_their_separation_and_its_bound() -> None:
 
     figure = drawn(forward, replace(forward, name="smoothed", estimate=better))
 
-    apart, bound = panel(figure, "separation of the two").lines
+    apart, bound = panel(figure, "separation of the two (dotted: 3σ that it has where").lines
     assert np.median(apart.get_ydata()) == pytest.approx(0.5, abs=1e-6)
     assert np.median(bound.get_ydata()) == pytest.approx(3 * 0.8 * 0.5 * 3**0.5, abs=1e-6)
     three = drawn(*(replace(forward, name=name) for name in "abc"))
@@ -95,8 +95,8 @@ def test_without_truth_the_stated_bounds_are_drawn() -> None:
 
     figure = drawn(alone, replace(alone, name="other"))
 
-    assert "no truth" in panel(figure, "position error").get_title(loc="left")
-    assert len(panel(figure, "position error").lines) == 2
+    assert "no truth" in panel(figure, "position: 3 ×").get_title(loc="left")
+    assert len(panel(figure, "position: 3 ×").lines) == 2
 
 
 def test_runs_without_covariance_and_truth_are_drawn() -> None:

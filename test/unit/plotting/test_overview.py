@@ -121,8 +121,29 @@ def test_without_truth_the_filter_s_own_sigma_is_drawn(whole: Run) -> None:
 
     shown = texts(overview(alone, evaluate_run(alone)))
 
-    assert "no truth, the filter's ±3σ" in shown
+    for title in ("east ±3σ", "heading ±3σ", "body velocity ±3σ"):
+        assert title in shown
+    assert "error" not in shown
     assert "PRMSE" not in shown
+
+
+def test_a_wide_headline_ends_within_the_picture_and_short_reasons_are_whole(whole: Run) -> None:
+    busy = replace(
+        whole,
+        name="a recording with a name that says all about vehicle, place, day, weather and crew",
+        verdicts=verdicts(
+            np.arange(0.0, 20.0, 0.1), accepted=np.arange(200) % 9 > 0, nis=np.full(200, 1e3),
+            reason=["innovation beyond the gate"] * 200, kind=["position"] * 200,
+        ),
+    )  # fmt: skip
+    result = replace(evaluate_run(busy), prmse=1.23e12, pmae=1.23e12, heading_rmse=1.0)
+
+    figure = overview(busy, result)
+
+    headline = figure._suptitle  # type: ignore[attr-defined]
+    assert len(headline.get_text()) > 150
+    assert headline.get_window_extent().x1 < figure.bbox.x1
+    assert "rejected: innovation beyond the gate (" in texts(figure)
 
 
 def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Path) -> None:
@@ -200,6 +221,20 @@ def test_evaluation_does_not_load_matplotlib() -> None:
     code = "import sys, hybrid_ins.cli.evaluate; sys.exit('matplotlib' in sys.modules)"
 
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_heading_that_was_never_known_is_not_drawn() -> None:
+    stated = with_sigma(flight(FAST), 0.5)
+    assert stated.attitude_cov is not None
+    attitude_cov = stated.attitude_cov.copy()
+    attitude_cov[:, 2, 2] = 1.84**2
+    run = Run("run", replace(stated, attitude_cov=attitude_cov), flight(TRUTH))
+
+    shown = texts(overview(run, evaluate_run(run)))
+
+    assert "heading never known" in shown
+    assert "heading error" in shown
+    assert "not known" in shown
 
 
 def test_the_program_writes_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

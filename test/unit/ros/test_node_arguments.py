@@ -58,6 +58,14 @@ def test_a_file_that_cannot_be_read_is_named(
         pass
 
 
+def test_a_quoted_number_in_a_list_is_named() -> None:
+    with (
+        pytest.raises(InputError, match=r"^-p: imu.position: .* mixes numbers and texts"),
+        for_ros(["-p", 'imu.position:=[0, 0, "1"]']),
+    ):
+        pass
+
+
 def test_an_option_without_value_is_named() -> None:
     with (
         pytest.raises(InputError, match="--params-file: nothing follows"),

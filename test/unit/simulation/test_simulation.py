@@ -392,6 +392,16 @@ def test_an_outage_takes_its_fixes_and_leaves_the_others() -> None:
 # --- the program ----------------------------------------------------------------------------------
 
 
+def test_an_outage_without_fixes_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(tmp_path / "bag", "--duration 4 --imu-rate 50 --outage 100 10 --outage 2 1")
+
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert len(warnings) == 1
+    assert "--outage 100 10: no fix lies in it: the fixes span 0.0 to 4.0 s" in warnings[0]
+
+
 def run(out: Path, arguments: str = "") -> Path:
     assert main([str(out), *arguments.split()]) == 0
     return out

@@ -125,6 +125,22 @@ def test_useless_fixes_are_refused_by_name(changes, name) -> None:
     assert isinstance(refused, Refused) and refused.name == name
 
 
+@pytest.mark.parametrize(
+    ("lat", "lon", "said"),
+    [
+        (123.12345678901234, 45.1, "latitude 123.1234568, longitude 45.1, altitude "),
+        (123.0, 45.0, "latitude and longitude seem to be exchanged"),
+        (123.0, 145.0, "check the driver's units"),
+        (INF, 45.0, "latitude inf, longitude 45, altitude "),
+        (3.2e8, 4.5, "check the driver's units"),
+    ],
+)
+def test_what_is_no_position_is_said_with_the_likely_cause(
+    lat: float, lon: float, said: str
+) -> None:
+    assert said in GNSS.position(fix(lat=lat, lon=lon)).text
+
+
 def test_a_fix_without_altitude_keeps_its_horizontal_part() -> None:
     covariance = np.diag([0.01, 0.04, NAN])
     made = GNSS.position(fix(covariance, alt=NAN))
