@@ -84,7 +84,7 @@ def why_missing(name: str, kind: str, publishers: int, others: Sequence[str], op
         The argument of the launch file that sets the topic.
     """
     if publishers:
-        return f"it has {publishers} publishers: do they publish, is their QoS compatible?"
+        return f"it has a publisher ({publishers}): does it publish, is its QoS compatible?"
     if not others:
         return f"nobody publishes it, nor another {kind}: start the driver"
     first = others[0]

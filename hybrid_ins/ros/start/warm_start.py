@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from hybrid_ins.core.alignment.alignment import Alignment
 from hybrid_ins.core.imu.standstill import is_standing
 from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import check_output
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.messages.conversions import STATUS_FIX, Message
 from hybrid_ins.ros.start.saved_state import SavedState
@@ -140,9 +140,11 @@ class WarmStart:
         """
         if self.path is None:
             return
-        reason = why_not_writable(self.path)
-        if reason:
-            self._estimator.inputs.log("warn", f"state_file: {reason}")
+        try:
+            check_output(self.path, overwrite=True)
+        except InputError as error:
+            text = f"state_file: nothing will be saved: {error}"
+            self._estimator.inputs.log("warn", text)
         if not self.path.exists():
             return
         try:
@@ -198,18 +200,3 @@ class WarmStart:
         if tilt > SAME_DIRECTION:
             return f"the vehicle is tilted by {math.degrees(tilt):.1f}° since"
         return ""
-
-
-def why_not_writable(path: Path) -> str:
-    """Return why no file can be written at a path, and the remedy; empty where one can be."""
-    if path.is_dir():
-        return f"{path} is a folder: nothing will be saved; give the name of a file in it"
-    folder = path.resolve().parent
-    try:
-        with TemporaryFile(dir=folder):
-            return ""
-    except OSError as error:
-        return (
-            f"{folder}: {error.strerror}: nothing will be saved; create the folder, and let the "
-            "node's user write there"
-        )

@@ -39,4 +39,4 @@ def test_the_start_names_the_topics_that_could_be_meant() -> None:
     assert "choose /cam/imu or /imu/raw" in text
     assert "-r imu/data:=/cam/imu" in text and "imu_topic:=/cam/imu" in text
     assert "start the driver" in why_missing("imu/data", IMU, 0, [], "imu_topic")
-    assert "2 publishers" in why_missing("imu/data", IMU, 2, others, "imu_topic")
+    assert "a publisher (2)" in why_missing("imu/data", IMU, 2, others, "imu_topic")
