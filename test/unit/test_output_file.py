@@ -109,7 +109,7 @@ def test_a_pipe_is_written_not_replaced(tmp_path: Path) -> None:
 
 
 def test_a_file_never_takes_the_place_of_a_folder(bag: Path) -> None:
-    with pytest.raises(IsADirectoryError):
+    with pytest.raises(InputError, match="Is a directory"):
         write_text(bag, "text")
 
     assert (bag / "flight_0.mcap").exists()
