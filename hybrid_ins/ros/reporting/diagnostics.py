@@ -254,7 +254,7 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
         found["fixes drift by more than they claim"] = (
             f"fixes drift by about {running.noise.unclaimed_std:.1f} m although they claim "
             f"{running.noise.claimed_std:.2g} m: the published covariance contains it; check the "
-            "receiver and its corrections, or set gnss.position_std_min"
+            "receiver, its corrections and gnss.antenna_position, or set gnss.position_std_min"
         )
     return found
 
