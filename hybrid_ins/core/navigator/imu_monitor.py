@@ -20,8 +20,10 @@ from hybrid_ins.core.imu.lift_watch import LiftWatch
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.imu.standstill import StandingForce, is_standing, may_be_zero
 from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
+from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
+from hybrid_ins.core.navigator.restart import cause_of
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Standstill
 
@@ -76,6 +78,11 @@ class ImuMonitor:
     def may_stand(self) -> bool:
         """The vehicle stands, or brakes so steadily that the IMU shows no difference."""
         return self._calm_ns is not None
+
+    @property
+    def restart_cause(self) -> RestartCause | None:
+        """Why the state has to be given up, by the last check; None: it goes on."""
+        return cause_of(self.fault)
 
     def reset(self) -> None:
         """Restart, as the filter did; the biases stay."""

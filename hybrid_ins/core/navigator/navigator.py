@@ -29,7 +29,7 @@ from hybrid_ins.core.navigator.events import (
 from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import Aligning, FilterParts, Phase, Searching, speed
-from hybrid_ins.core.navigator.restart import ResetCount, heading_after, loses_attitude, outlasts
+from hybrid_ins.core.navigator.restart import ResetCount, heading_after, outlasts
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.update.gate import Verdict
@@ -266,11 +266,8 @@ class Navigator:
         fault = self.monitor.fault
         if fault is not None and fault != before:
             self._events.append(FaultFound(fault))
-        if fault is not None and fault.unusable:
-            self.give_up(RestartCause.IMU_UNUSABLE)
-        elif fault is not None and loses_attitude(fault):
-            self.give_up(RestartCause.TURN_UNMEASURED)
-            self.ring.clear()  # levelling would rest on the same turn
+        if self.monitor.restart_cause is not None:
+            self.give_up(self.monitor.restart_cause)
 
     def pop_events(self) -> list[Event]:
         """Return what happened since the last call, in order."""

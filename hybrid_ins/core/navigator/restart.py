@@ -14,6 +14,7 @@ from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.filter.gap import turn_std
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.health import ImuFault
+from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
@@ -59,9 +60,13 @@ def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
     return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
 
 
-def loses_attitude(fault: ImuFault) -> bool:
-    """Return whether a turn that a fault has hidden leaves no attitude worth keeping."""
-    return fault.lost_turn > HEADING_KEPT_STD
+def cause_of(fault: ImuFault | None) -> RestartCause | None:
+    """Return the cause to give up the state that a fault of the IMU is; None: it goes on."""
+    if fault is None:
+        return None
+    if fault.unusable:
+        return RestartCause.IMU_UNUSABLE
+    return RestartCause.TURN_UNMEASURED if fault.lost_turn > HEADING_KEPT_STD else None
 
 
 def heading_after(
