@@ -76,6 +76,7 @@ CORRECTED_STD, UNCORRECTED_STD = 0.3, 1.0  # m: claims with corrections, and wit
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
 WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
+WALK_FALL = 0.2  # of that, where innovations are far smaller than a covariance that is the state's
 SMALLEST_WALK = 0.01
 LONGEST_INTERVAL = 3.0  # s, between two such
 NO_GROWTH = np.zeros(3)  # m², of a slow error
@@ -215,7 +216,8 @@ class PositionScatter(ShallowCopy):
         Note a fix that was fused, by its `scatter_evidence`, which ``learning`` alone needs.
 
         A walk of the slow error that is too large makes the filter follow the scatter, so that
-        successive innovations are of opposite signs, too small a one of the same.
+        successive innovations are of opposite signs, too small a one of the same. One that is far
+        too large makes all innovations small beside the state's covariance, whatever their signs.
         """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
         self._t_ns, self._claimed_slow = t_ns, split.claimed_slow
@@ -231,7 +233,10 @@ class PositionScatter(ShallowCopy):
         m = min(len(normalised), len(self._normalised))
         if m and self.in_force and interval < LONGEST_INTERVAL:
             alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
-            self._walk = min(max(self._walk * math.exp(WALK_GAIN * alike), SMALLEST_WALK), 1.0)
+            too_small = max(1.0 - float(np.mean(np.square(normalised))), 0.0)
+            of_state = 1.0 - math.sqrt(min(count / len(normalised), 1.0))  # the share of S
+            change = alike - WALK_FALL * of_state**2 * too_small
+            self._walk = min(max(self._walk * math.exp(WALK_GAIN * change), SMALLEST_WALK), 1.0)
         self._normalised = normalised
 
 

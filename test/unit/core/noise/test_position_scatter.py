@@ -234,6 +234,24 @@ def test_the_slow_error_walks_as_successive_innovations_show(
     assert least <= later.interval / 0.2 <= most
 
 
+@pytest.mark.parametrize(
+    ("innovation", "count", "least", "most"),
+    [(0.05, 0.3, 0.0, 0.05), (0.05, 3.0, 0.9, 1.0), (0.9, 0.3, 0.9, 1.0)],
+    ids=["far too large", "R is what is too large", "about right"],
+)
+def test_a_walk_that_alone_makes_innovations_small_falls_whatever_their_signs(
+    innovation: float, count: float, least: float, most: float
+) -> None:
+    found = PositionScatter(0.01, learning=True)
+    found.in_force = True
+    alike = (0.01 * count, count, np.full(3, innovation))  # as a wrong clock offset makes them
+    for k in range(1, 300):
+        found.learn(ANY, alike, k * SECOND // 5)
+
+    share = found.split(9.0 * np.eye(3), 60 * SECOND, 0.0).interval / (60.0 - 299.0 / 5.0)
+    assert least <= share <= most
+
+
 def test_a_better_solution_leaves_the_slow_error_in_the_state() -> None:
     """GIVEN metres WHEN a fix claims a centimetre THEN it can correct what the former left."""
     nav = standing(0.01 * np.eye(3))
