@@ -97,8 +97,8 @@ def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
     if frozen >= int(FROZEN * steps) and np.abs(readings[-1, 3:]).max() > 0.05:
         return ImuFault(FaultKind.FROZEN)
     for kind, sensor, least in (
-        (FaultKind.SATURATED_FORCE, FORCE, LIMIT_FORCE),
         (FaultKind.SATURATED_RATE, RATE, LIMIT_RATE),
+        (FaultKind.SATURATED_FORCE, FORCE, LIMIT_FORCE),
     ):
         for axis in np.flatnonzero(top[sensor] >= least).tolist():
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))

@@ -86,6 +86,16 @@ def test_a_turn_beyond_the_range_is_missing_by_about_what_it_would_have_been(
     assert 0.5 * lost < fault.lost_turn < 4.0 * lost
 
 
+def test_a_turn_beyond_the_range_is_graver_than_a_force_beyond_it() -> None:
+    samples = spoiled("saturated force")
+    samples["w"][50:, 0] = 4.36
+
+    fault = find_fault(samples)
+
+    assert fault is not None and fault.kind is FaultKind.SATURATED_RATE
+    assert fault.lost_turn > 1.0
+
+
 def test_vibration_beyond_the_range_hides_hardly_any_turn() -> None:
     samples = window()
     samples["w"] = np.clip(samples["w"] * 60.0 - 6.0, -4.0, 4.0)
