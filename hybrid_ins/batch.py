@@ -25,12 +25,12 @@ from typing import Any
 from tqdm import tqdm
 
 from hybrid_ins import progress
+from hybrid_ins.bags.formats import A_BAG, METADATA
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import write_text
 from hybrid_ins.worker_processes import worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
-METADATA = "metadata.yaml"
 CLUSTER_PATIENCE = "10s"
 
 Row = dict[str, Any]  # what the table shows of a bag, by column
@@ -80,10 +80,7 @@ def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
                 raise InputError(f"{sources[name]} and {bag} would both become {name}: rename one")
             sources[name] = bag
     if not sources:
-        raise InputError(
-            f"{', '.join(map(str, paths))}: no bag in there: a bag is a folder with {METADATA}, or "
-            "an .mcap, .db3 or ROS 1 .bag file"
-        )
+        raise InputError(f"{', '.join(map(str, paths))}: no bag in there: a bag is {A_BAG}")
     return [Job(name, bag, out and out / f"{name}.json") for name, bag in sorted(sources.items())]
 
 

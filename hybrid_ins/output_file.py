@@ -58,14 +58,19 @@ def check_output(
 
 def _check_folder(path: Path, target: Path) -> None:
     """Raise `InputError` where no file can be made beside an output, or in the folder above it."""
-    if target.exists() and not (target.is_file() or target.is_dir()):
-        return  # a device or a pipe
+    if _is_device(target):
+        return
     folder = next(parent for parent in target.parents if parent.exists())
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise cannot_be_written(path, error) from None
+
+
+def _is_device(target: Path) -> bool:
+    """Return whether there is a device or a pipe, which is written to, not replaced."""
+    return target.exists() and not (target.is_file() or target.is_dir())
 
 
 def cannot_be_written(path: Path, error: OSError) -> InputError:
@@ -85,7 +90,7 @@ def replacing(path: Path) -> Iterator[Path]:
     before is then untouched. A device or pipe is written directly.
     """
     target = path.resolve()
-    if target.exists() and not (target.is_file() or target.is_dir()):
+    if _is_device(target):
         yield target
         return
     unfinished = target.with_name(f".{os.getpid()}.{target.name}")

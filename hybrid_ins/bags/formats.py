@@ -24,7 +24,7 @@ SQLITE, ROS1 = b"SQLite format 3\0", b"#ROSBAG V"
 BEGINNINGS = (MAGIC, SQLITE, ROS1)  # of files that are bags
 
 METADATA = "metadata.yaml"
-A_BAG = f"give a rosbag2 folder with its {METADATA}, an .mcap or .db3 file, or a ROS 1 .bag"
+A_BAG = f"a folder with {METADATA}, or an .mcap, .db3 or ROS 1 .bag file"
 _METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
 
 _log = logging.getLogger(__name__)
@@ -159,7 +159,7 @@ def open_recording(path: Path) -> Source:
         return _RosbagsFile(path)
     if head.startswith(ROS1):
         return _RosbagsFile(path, is_ros1=True)
-    raise InputError(f"{path}: is not a bag: {A_BAG}")
+    raise InputError(f"{path}: is not a bag: give {A_BAG}")
 
 
 def _open_directory(path: Path) -> Source:
@@ -178,7 +178,7 @@ def _open_directory(path: Path) -> Source:
     if not names:
         names = sorted(file.name for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
         if not names:
-            raise InputError(f"{path}: is not a bag ({trouble}): {A_BAG}")
+            raise InputError(f"{path}: is not a bag ({trouble}): give {A_BAG}")
         _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))
     missing = [name for name in names if not (path / name).is_file()]
     if missing:

@@ -8,8 +8,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.stamps import stamps_of
 from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.reporting.wording import describe_fault
 
@@ -19,7 +20,6 @@ FEWEST_SAMPLES = 100
 FEWEST_FIXES = 15
 SHORTEST = 8.0  # s of fixes
 WINDOW = 1.0  # s of samples that show a fault of the IMU
-FIRST = 1.0  # s, the stamp of the first sample: no stamp is zero
 LASTING = 0.5  # share of the windows: falls and stuck readings are shorter in a usable recording
 TURNING = 0.1  # share of the windows that show degrees, which only fast turns do
 
@@ -59,9 +59,7 @@ def check_imu(t: Array, samples: Array, place: str) -> None:
     InputError
         Units are wrong, gravity is missing, or the readings are stuck, for much of the time.
     """
-    table = np.empty(len(t), SAMPLE_DTYPE)
-    table["t_ns"] = np.round((t + FIRST) * 1e9)
-    table["f"], table["w"] = samples[:, :3], samples[:, 3:]
+    table = as_samples(stamps_of(t), samples[:, :3], samples[:, 3:])
     edges = np.searchsorted(t, np.arange(0.0, t[-1], WINDOW)).tolist()
     windows = [
         find_fault(table[begin:end]) for begin, end in zip(edges, [*edges[1:], len(t)], strict=True)

@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.calibration.stamps import stamps_of
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.imu_axes.faults import AxesFault
 from hybrid_ins.core.imu_axes.monitor import ImuAxesCheck
 from hybrid_ins.ros.messages.conversions import FLIP, mount_matrix
 
 STEP = 0.1  # s, between two shares of the check's work
-FIRST = 1.0  # s, the stamp of a recording's first sample: no stamp is zero
 
 
 def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | None:
@@ -31,24 +30,19 @@ def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | N
     """
     lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
     check = ImuAxesCheck(mount_matrix(values["imu.mount_rpy"]), lever_b)
-    samples = np.empty(len(recording.t), SAMPLE_DTYPE)
-    samples["t_ns"] = _ns(recording.t)
-    samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
+    t_ns, readings = stamps_of(recording.t), recording.samples
+    samples = as_samples(t_ns, readings[:, :3], readings[:, 3:])
     positions = recording.aid_kind == POSITION
-    fixes = zip(_ns(recording.aid_t[positions]), recording.aid[positions], strict=True)
+    fixes = zip(stamps_of(recording.aid_t[positions]), recording.aid[positions], strict=True)
     waiting = next(fixes, None)
     at = 0
     for t in np.arange(STEP, recording.t[-1], STEP):
         end = int(np.searchsorted(recording.t, t))
         check.add_samples(samples[at:end])
         at = end
-        now_ns = int(_ns(t))
+        now_ns = int(stamps_of(t))
         while waiting is not None and waiting[0] <= now_ns:
             check.add_fix(int(waiting[0]), waiting[1])
             waiting = next(fixes, None)
         check.advance(now_ns)
     return check.fault
-
-
-def _ns(t: NDArray[np.float64]) -> NDArray[np.int64]:
-    return np.asarray(np.round((t + FIRST) * 1e9), np.int64)

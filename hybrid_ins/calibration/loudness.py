@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.calibration.stamps import stamps_of
+from hybrid_ins.core.imu.samples import ImuRing, as_samples
 from hybrid_ins.noise_regressor.reader import NoiseReader
 
 Array = NDArray[np.float64]
@@ -47,9 +48,8 @@ def read_levels(
         Given level and text of the regressor's messages.
     """
     reader = NoiseReader(values, np.eye(3), log)
-    samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
-    samples["t_ns"] = np.round((recording.t + 1.0) * 1e9)
-    samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
+    t_ns, readings = stamps_of(recording.t), recording.samples
+    samples = as_samples(t_ns, readings[:, :3], readings[:, 3:])
     reader.preload(samples["t_ns"], samples["f"], samples["w"])
     ring = ImuRing()
     count = max(1, round(values["noise.refresh_period"] / recording.period))

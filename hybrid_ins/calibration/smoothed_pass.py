@@ -31,7 +31,7 @@ from hybrid_ins.calibration.filter_pass import (
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
 from hybrid_ins.core.smoothing.segments import Start, Update
@@ -63,9 +63,8 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
     first = first_state(recording, offset, nominal)
     nav = initial_state(first, lever_b, fitted.yaws[k], YAW_STD)
-    samples = np.zeros(len(recording.t), SAMPLE_DTYPE)
-    samples["t_ns"] = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
-    samples["f"], samples["w"] = recording.samples[:, :3], recording.samples[:, 3:]
+    t_ns = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
+    samples = as_samples(t_ns, recording.samples[:, :3], recording.samples[:, 3:])
     start = Start(
         int(samples["t_ns"][first.sample]),
         recording.samples[first.sample],

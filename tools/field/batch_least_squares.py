@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
@@ -62,9 +62,8 @@ class Flight:
         self.truth = sample(motion, sample_times(duration, RATE))
         errors = ImuErrors(accelerometer_bias=error[B_A], gyroscope_bias=error[B_G])
         imu = corrupt(self.truth, errors, rng)
-        self.samples = np.empty(len(imu.t), SAMPLE_DTYPE)
-        self.samples["t_ns"] = T0_NS + np.rint(imu.t * 1e9).astype(np.int64)
-        self.samples["f"], self.samples["w"] = imu.specific_force, imu.angular_rate
+        t_ns = T0_NS + np.rint(imu.t * 1e9).astype(np.int64)
+        self.samples = as_samples(t_ns, imu.specific_force, imu.angular_rate)
         gnss = fixes(sample(motion, sample_times(duration, fix_rate)[1:-1]), rng)
         R = np.diag(gnss.position_std**2)
         self.fixes = [

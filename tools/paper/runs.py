@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import (
     quat_from_rotvec,
@@ -128,9 +128,7 @@ def draw(scenario: Scenario, seed: int) -> Run:
     )
     truth = sample(flight, sample_times(scenario.duration, scenario.rate))
     imu = corrupt(truth, errors, imu_rng)
-    samples = np.empty(len(imu.t), SAMPLE_DTYPE)
-    samples["t_ns"] = _stamps(imu.t)
-    samples["f"], samples["w"] = imu.specific_force, imu.angular_rate
+    samples = as_samples(_stamps(imu.t), imu.specific_force, imu.angular_rate)
 
     gnss = fixes(sample(flight, sample_times(scenario.duration, scenario.fix_rate)[1:]), fix_rng)
     gnss = gnss.without(scenario.outages)

@@ -18,6 +18,15 @@ SPAN = 32  # samples, over which a period is averaged
 SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
 
 
+def as_samples(
+    t_ns: NDArray[Any], f: NDArray[np.float64], w: NDArray[np.float64]
+) -> NDArray[np.void]:
+    """Return samples (N,) with stamps (N,) [ns], specific force and angular rate (N, 3)."""
+    samples = np.empty(len(t_ns), SAMPLE_DTYPE)
+    samples["t_ns"], samples["f"], samples["w"] = t_ns, f, w
+    return samples
+
+
 def as_numbers(samples: NDArray[np.void]) -> NDArray[np.float64]:
     """View samples as floats, (N, 7): the stamps' bits, specific force, angular rate."""
     return samples.view(np.float64).reshape(-1, 7)

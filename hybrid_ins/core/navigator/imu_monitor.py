@@ -23,7 +23,7 @@ from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY,
 from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
-from hybrid_ins.core.navigator.restart import cause_of
+from hybrid_ins.core.navigator.restart import HEADING_KEPT_STD
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Standstill
 
@@ -82,7 +82,11 @@ class ImuMonitor:
     @property
     def restart_cause(self) -> RestartCause | None:
         """Why the state has to be given up, by the last check; None: it goes on."""
-        return cause_of(self.fault)
+        if self.fault is not None and self.fault.unusable:
+            return RestartCause.IMU_UNUSABLE
+        if self.fault is not None and self.fault.lost_turn > HEADING_KEPT_STD:
+            return RestartCause.TURN_UNMEASURED
+        return None
 
     def reset(self) -> None:
         """Restart, as the filter did; the biases stay."""

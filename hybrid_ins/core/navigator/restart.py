@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.filter.gap import turn_std
 from hybrid_ins.core.filter.ins_filter import InsFilter
-from hybrid_ins.core.imu.health import ImuFault
-from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
 
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
-HEADING_KEPT_STD = 0.35  # rad; an attitude less certain than that is not kept over a gap
+HEADING_KEPT_STD = 0.35  # rad; an attitude less certain than that is not kept
 RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
 MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
 
@@ -58,15 +56,6 @@ def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
         Time without IMU samples [s].
     """
     return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
-
-
-def cause_of(fault: ImuFault | None) -> RestartCause | None:
-    """Return the cause to give up the state that a fault of the IMU is; None: it goes on."""
-    if fault is None:
-        return None
-    if fault.unusable:
-        return RestartCause.IMU_UNUSABLE
-    return RestartCause.TURN_UNMEASURED if fault.lost_turn > HEADING_KEPT_STD else None
 
 
 def heading_after(

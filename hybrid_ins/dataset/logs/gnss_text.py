@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -194,9 +194,7 @@ def _quantities_of(name: str) -> tuple[str, ...]:
 
 def lacking(head: bytes) -> str:
     """Return what a file with names of positions lacks to be a table of fixes; else nothing."""
-    for line in head.decode("utf-8", "replace").splitlines()[:200]:
-        line = line.lstrip("#% ")
-        at = _quantities(text.split(line, text.separator_of(line)))
+    for _, _, _, at in _titles(head.decode("utf-8", "replace").splitlines()):
         missing = [] if _is_timed(at) else ["time"]
         if {"lat", "lon"} & at.keys():
             missing += [long for what, long in (("lat", "latitude"), ("lon", "longitude"))
@@ -210,17 +208,24 @@ def lacking(head: bytes) -> str:
     return ""
 
 
+def _titles(
+    lines: list[str],
+) -> Iterator[tuple[int, str | None, list[str], dict[str, int]]]:
+    """Generate number, separator, words and columns of what may be a table's first line."""
+    for number, line in enumerate(lines[:200]):
+        line = line.lstrip("#% ")
+        separator = text.separator_of(line)
+        names = text.split(line, separator)
+        yield number, separator, names, _quantities(names)
+
+
 def _is_timed(at: dict[str, int]) -> bool:
     return "t" in at or {"week", "tow"} <= at.keys() or {"date", "clock"} <= at.keys()
 
 
 def _table(lines: list[str]) -> tuple[list[str], list[list[str]]] | None:
     """Return the names and the rows of a table, or None: preamble and cut lines are left out."""
-    for number, line in enumerate(lines[:200]):
-        line = line.lstrip("#% ")
-        separator = text.separator_of(line)
-        names = text.split(line, separator)
-        at = _quantities(names)
+    for number, separator, names, at in _titles(lines):
         places = ({"lat", "lon"}, {"x", "y", "z"}, {"east", "north", "up"})
         if _is_timed(at) and any(place <= at.keys() for place in places):
             rows = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import N_NAV
 from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.ros.estimator.estimator import Estimator
@@ -108,9 +108,7 @@ def _handle_stretch(
     navigator, placement = estimator.navigator, estimator.placement
     running = navigator.filter
     assert running is not None
-    samples = np.empty(len(t_ns), SAMPLE_DTYPE)
-    samples["t_ns"] = t_ns
-    samples["f"], samples["w"] = force @ placement.mount.T, rate @ placement.mount.T
+    samples = as_samples(t_ns, force @ placement.mount.T, rate @ placement.mount.T)
     rows = np.empty((len(t_ns), N_NAV))
     navigator.imu_block(samples, rows)
     rate_variance = running.noise.levels()[3:]
