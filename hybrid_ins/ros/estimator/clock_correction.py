@@ -69,8 +69,7 @@ class ClockCorrection:
         self._std = values["gnss.time_offset.std"]
         self._given_drift = clock_drift(values)
         self._found: tuple[ClockPrior, ClockDrift] | None = None
-        self.restart(keep=False)
-        navigator.open_clock(self._estimate and not self._is_calibrated)
+        self.forget()
 
     @property
     def offset(self) -> float:
@@ -94,14 +93,29 @@ class ClockCorrection:
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
             self._navigator.open_clock(self._estimate and not self._is_calibrated)
 
-    def restart(self, keep: bool) -> None:
-        """Restart, as the filter did; ``keep`` what it has found: the clocks are the same."""
-        if keep and self._found is not None:
-            self.prior, self.drift = self._found
-            self._navigator.open_clock(False)
-        else:
-            self.prior, self.drift = ClockPrior(self._given, self._std), self._given_drift
-            self._found = None
+    def keep(self) -> None:
+        """Restart, as the filter did, with what it has found: the clocks are the same."""
+        if self._found is None:
+            self.forget()
+            return
+        self.prior, self.drift = self._found
+        self._navigator.open_clock(False)
+        self._begin()
+
+    def forget(self) -> None:
+        """Restart, as the filter did, with the given offset."""
+        self._moved, self._settled = 0.0, None
+        self.distrust()
+        self._navigator.open_clock(self._estimate and not self._is_calibrated)
+
+    def distrust(self) -> None:
+        """Forget what a filter has found; others run with the offset in force, which stays."""
+        self.prior, self.drift = ClockPrior(self._given, self._std), self._given_drift
+        self._found = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with a filter of which nothing is known yet."""
         self._next_ns = self._searched_ns = 0
         self._pause_ns = SEARCH_AGAIN_NS
         self._contradicted = False

@@ -116,7 +116,7 @@ class Estimator:
         self.aids = Aids(self.values, self.navigator, self.inputs, self.placement)
         parts = self.inputs, self._review, self.reporter, self.clock, self.noise, self.aids
         self.status = EstimatorStatus(self.values, self.navigator, *parts)
-        self._restart(keep_clock=False)
+        self._restart(self.clock.forget)
         if values["datum"]:
             self.set_datum(conversions.lla_from_degrees(*values["datum"]), 1)
 
@@ -154,13 +154,13 @@ class Estimator:
         """Discard the state and align anew; the map stays where it is."""
         self.inputs.log("info", "reset: aligning anew")
         self.navigator.reset()
-        self._restart(keep_clock=False)
+        self._restart(self.clock.forget)
 
-    def _restart(self, keep_clock: bool) -> None:
+    def _restart(self, restart_clock: Callable[[], None]) -> None:
         """Restart everything that reports, as the navigator did."""
         for part in (self.odometry, self.reporter, self.noise, self.aids):
             part.restart()
-        self.clock.restart(keep_clock)
+        restart_clock()
         self._fixes.configure()
         self.due_ns, self._report_ns = 1, 0  # everything at the next sample
 
@@ -172,7 +172,7 @@ class Estimator:
             return
         self.inputs.log("info", f"initialpose: {wording.describe_heading(*yaw)}: aligning anew")
         self.navigator.realign().set_yaw(self.navigator.last_ns, *yaw)
-        self._restart(keep_clock=True)
+        self._restart(self.clock.keep)
 
     def handle_static_transforms(self, message: Message) -> None:
         """Use a tf2_msgs/TFMessage of /tf_static."""
@@ -191,7 +191,7 @@ class Estimator:
         self.aids.configure(self.placement)
         if self.navigator.ring.count:
             self.navigator.reset()
-            self._restart(keep_clock=False)
+            self._restart(self.clock.forget)
 
     # IMU.
 
@@ -299,9 +299,9 @@ class Estimator:
         if isinstance(event, Verdict):
             self.clock.on_verdict(event)
         elif isinstance(event, Restarted):
-            self._restart(event.cause in KEEP_CLOCK)
+            self._restart(self.clock.keep if event.cause in KEEP_CLOCK else self.clock.forget)
         elif isinstance(event, HeadingCorrected) and self.navigator.filter is None:
-            self._restart(keep_clock=False)
+            self._restart(self.clock.distrust)
         elif isinstance(event, ClockOffsetFound):
             self.clock.on_found(event)
             self._fixes.configure()

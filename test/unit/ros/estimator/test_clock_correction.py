@@ -127,7 +127,7 @@ def test_what_a_filter_has_found_is_the_prior_of_the_next() -> None:
     clock.run_periodic()
     navigator.open_clock(True)  # a search on a suspicion has begun
 
-    clock.restart(keep=True)
+    clock.keep()
 
     assert not navigator.phases.clock_open
     assert clock.prior.mean == pytest.approx(0.2, abs=0.005)
@@ -136,15 +136,35 @@ def test_what_a_filter_has_found_is_the_prior_of_the_next() -> None:
 
 @pytest.mark.parametrize(("sigma", "keep"), [(0.3, True), (0.01, False)])
 def test_what_is_not_known_or_of_other_clocks_is_forgotten(sigma: float, keep: bool) -> None:
+    # GIVEN a search that has found an offset, which a filter has not confirmed, or has
     running = Running(0.0)
     clock, navigator = correction(running)
-    running.show(0.2, 0.0, sigma)
+    navigator.open_clock(False)
+    clock.on_found(ClockOffsetFound(0.2, 0.0, 0.05))
+    running.show(0.2, 0.2, sigma)
     clock.run_periodic()
-    navigator.open_clock(True)
+    assert clock.offset == pytest.approx(0.2)
 
-    clock.restart(keep=keep)
+    # WHEN another filter begins, of the same clocks or of others
+    (clock.keep if keep else clock.forget)()
 
+    # THEN it begins as the first one did
     assert navigator.phases.clock_open
+    assert clock.offset == 0.0
+    assert clock.prior == ClockPrior(0.0, 0.0)
+
+
+def test_after_a_wrong_heading_the_offset_in_force_stays() -> None:
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    navigator.open_clock(False)
+    clock.on_found(ClockOffsetFound(0.2, 0.0, 0.05))
+    running.show(0.2, 0.2, 0.01)
+    clock.run_periodic()
+
+    clock.distrust()
+
+    assert clock.offset == pytest.approx(0.2) and not navigator.phases.clock_open
     assert clock.prior == ClockPrior(0.0, 0.0)
 
 
@@ -217,7 +237,7 @@ def test_the_drift_that_was_found_outlasts_a_restart() -> None:
         running.clock.values[[DRIFT, P_DRIFT]] = 2e-4, variance
         clock.run_periodic()
 
-        clock.restart(keep=True)
+        clock.keep()
 
         assert clock.drift == pytest.approx((2e-4, std))
         assert clock.prior.t_ns == running.t_ns
