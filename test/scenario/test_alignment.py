@@ -22,6 +22,7 @@ from hybrid_ins.core.inertial.state import (
     pack,
     total_std,
 )
+from hybrid_ins.core.navigator.events import HeadingOutdated
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.update.measurements import PositionFix, position_model
 from hybrid_ins.ros.reporting.wording import state_of, waiting_for
@@ -449,3 +450,18 @@ def test_a_long_lever_arm_is_no_evidence_on_the_heading(seed: int) -> None:
     assert max(off) < 4.0
     refused = [v for v in run.verdicts if not v.accepted and v.reason != "aligning"]
     assert refused == []
+
+
+def test_a_given_heading_that_motion_before_the_fixes_has_blurred_is_said_to_be_of_no_use() -> None:
+    # GIVEN a vehicle that moves for 40 s before its receiver finds satellites
+    run = scene(random_motion(70.0, 7, heading=0.8), seed=7)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0), yaw_std=0.02)
+
+    play(run, navigator, stop=42.0, fix=lambda t: t > 40.0)
+
+    # THEN the motion is to show the heading, as if none had been given
+    assert [e for e in run.events if isinstance(e, HeadingOutdated)]
+    assert navigator.filter is None
+    play(run, navigator, start=42.0)
+    assert navigator.filter is not None
+    assert run.errors(navigator, 70.0)[2] < FIVE_DEGREES

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hybrid_ins.core.alignment.alignment import AlignmentSettings, yaw_of
+from hybrid_ins.core.alignment.alignment import AlignmentSettings
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.inertial.earth import curvature_scale
-from hybrid_ins.core.inertial.rotations import rpy_from_quat
+from hybrid_ins.core.inertial.rotations import heading_from_quat, rpy_from_quat
 from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
 from hybrid_ins.core.navigator.events import Event
 from hybrid_ins.core.navigator.navigator import Navigator
@@ -100,7 +100,7 @@ class Scene:
         k = int(np.argmin(np.abs(self.truth.t - t)))
         metres = (running.nav[LLA] - self.truth.lla[k]) * curvature_scale(self.truth.lla[k])
         velocity = running.nav[VELOCITY] - self.truth.velocity_n[k]
-        yaw = yaw_of(running.nav[QUAT]) - self.yaw(t)
+        yaw = heading_from_quat(running.nav[QUAT]) - self.yaw(t)
         return (
             float(np.hypot(*metres[:2])),
             float(np.linalg.norm(velocity)),

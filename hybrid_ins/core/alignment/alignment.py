@@ -23,7 +23,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment.first_motion import Motion, first_motion
+from hybrid_ins.core.alignment.first_motion import FirstMotion, first_motion
+from hybrid_ins.core.alignment.given_heading import GivenHeading
+from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
@@ -32,10 +34,7 @@ from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.inertial.rotations import (
     UNKNOWN_ANGLE_STD,
     matrix_from_quat,
-    quat_from_matrix,
-    quat_from_rotvec,
     quat_from_rpy,
-    rpy_from_quat,
 )
 from hybrid_ins.core.inertial.state import B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
 from hybrid_ins.core.update.inflation import about_antenna
@@ -147,7 +146,7 @@ class Biases:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class FirstStates:
     """What filters start with: a state for each heading that is possible."""
 
     states: tuple[NavState, ...]
@@ -183,10 +182,11 @@ class Alignment:
         self._velocity: VelocityFix | None = None
         self._imu_yaw: float | None = None
         self._biases: Biases | None = None
-        self._given: tuple[int, float, float] | None = None  # stamp, heading, uncertainty
+        self._given: GivenHeading | None = None
         self._source = settings.heading_source
         self.waiting = Waiting(Need.IMU_SAMPLES)
         self.provisional: Array | None = None
+        self._outdated: list[float] = []
 
     def observe(self, measurement: Measurement) -> None:
         """Use a fix or a GNSS velocity."""
@@ -201,7 +201,7 @@ class Alignment:
 
     def set_yaw(self, t_ns: int, yaw: float, std: float) -> None:
         """Use a heading [rad from north] that was true at a stamp; it overrides all sources."""
-        self._given = (t_ns, yaw, std)
+        self._given = GivenHeading(t_ns, yaw, std)
 
     def remember(self, biases: Biases) -> None:
         """Use the biases that an earlier filter estimated."""
@@ -212,18 +212,20 @@ class Alignment:
         if self._source == "parameter":
             self._source, self._given = "auto", None
 
-    def attempt(self) -> Start | None:
+    def attempt(self) -> FirstStates | None:
         """Return the first states at the last IMU sample, or None and set what is missing."""
         self.provisional = None
         now = int(self._ring.latest(1)["t_ns"][0])
         if self._given is None and self._source == "parameter":
             first_ns = int(self._ring.after(0)["t_ns"][0])
-            self._given = first_ns, self._settings.yaw, self._settings.yaw_std
+            self._given = GivenHeading(first_ns, self._settings.yaw, self._settings.yaw_std)
         window_ns = int(self._settings.window * 1e9)
         samples = self._ring.after(now - window_ns - 1)
         if len(samples) < 5 or now - samples["t_ns"][0] < 0.9 * window_ns:
             self.waiting = Waiting(Need.WINDOW, limit=self._settings.window)
             return None
+        biases = self._first_biases(now)
+        self._follow_given_heading(samples, biases)
         fault = find_fault(samples)
         if fault is not None and fault.unusable:
             self.waiting = Waiting(Need.USABLE_IMU, fault=fault)
@@ -234,18 +236,25 @@ class Alignment:
             return None
         reading, lever_b = np.concatenate((samples["f"][-1], samples["w"][-1])), fixes[-1].lever_b
         motion = first_motion(fixes, self._velocity, now)
-        given = self._given_heading(motion)
+        down_b = _down_without(biases, samples)
+        given = self._given_heading(motion, down_b)
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
             known = given or (0.0, UNKNOWN_ANGLE_STD)
-            self.provisional = self._states(samples, motion, [known], lever_b)[0].to_flat()
+            level = self._states(samples, motion, biases, down_b, [known], lever_b)[0]
+            self.provisional = level.to_flat()
             self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
             return None
         yaws = [] if given is None else [given]
         yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
-        states = self._states(samples, motion, yaws, lever_b)
-        return Start(tuple(states), given is not None, now, reading)
+        states = self._states(samples, motion, biases, down_b, yaws, lever_b)
+        return FirstStates(tuple(states), given is not None, now, reading)
+
+    def pop_outdated(self) -> list[float]:
+        """Return the std [rad] of a heading that has become of no use since the last call."""
+        found, self._outdated = self._outdated, []
+        return found
 
     def _recent_fixes(self, now: int) -> list[PositionFix]:
         """Fixes that may give a position and a velocity now; of a slow receiver the last two."""
@@ -256,7 +265,7 @@ class Alignment:
                 recent.insert(0, before)
         return recent
 
-    def _missing(self, motion: Motion, given: tuple[float, float] | None) -> Waiting | None:
+    def _missing(self, motion: FirstMotion, given: tuple[float, float] | None) -> Waiting | None:
         """Return what the velocity or the heading waits for."""
         if not motion.has_velocity:
             return Waiting(Need.SECOND_FIX)
@@ -269,25 +278,23 @@ class Alignment:
     def _states(
         self,
         samples: NDArray[np.void],
-        motion: Motion,
+        motion: FirstMotion,
+        biases: tuple[Array, Array, Array],
+        down_b: Array,
         yaws: Sequence[tuple[float, float]],
         lever_b: Array,
     ) -> list[NavState]:
         """Return a state at the last of ``samples`` for each heading and its σ [rad]."""
-        bias_a, bias_g, bias_P = self._first_biases(int(samples["t_ns"][-1]))
+        bias_a, bias_g, bias_P = biases
         rate = samples["w"].mean(axis=0)
         standing = motion.has_velocity and is_standing(samples)
         standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
-        unbiased = samples.copy()
-        unbiased["f"] -= bias_a
-        unbiased["w"] -= bias_g
-        down_b = _down(unbiased)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = 0.1 * STANDING_RATE_STD
         states = []
         for yaw, yaw_std in yaws:
-            quat = self._attitude(down_b, yaw)
+            quat = quat_from_rpy(*roll_pitch(down_b), yaw)
             C_nb = matrix_from_quat(quat)
             P = np.zeros((N_ERROR, N_ERROR))
             P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
@@ -315,20 +322,23 @@ class Alignment:
             return given
         return known.accelerometer, known.gyroscope, P
 
-    def _attitude(self, down_b: Array, yaw: float) -> Array:
-        """Quaternion of C_nb now; a heading given for an earlier stamp is propagated to now."""
+    def _follow_given_heading(
+        self, window: NDArray[np.void], biases: tuple[Array, Array, Array]
+    ) -> None:
+        """Carry a given heading on, or ignore it where it has become of no use."""
         if self._given is None:
-            return quat_from_rpy(*_roll_pitch(down_b), yaw)
-        C_then_now = _relative(self._ring.after(self._given[0] - 1))[0].T
-        roll, pitch = _roll_pitch(C_then_now @ down_b)
-        C_then = matrix_from_quat(quat_from_rpy(roll, pitch, yaw))
-        return quat_from_matrix(C_then @ C_then_now)
+            return
+        _, bias_g, bias_P = biases
+        self._given.follow(self._ring, window, bias_g, np.sqrt(np.diag(bias_P)[3:]))
+        if self._given.is_outdated:
+            self._outdated.append(self._given.std)
+            self._source, self._given = "auto", None
 
-    def _given_heading(self, motion: Motion) -> tuple[float, float] | None:
+    def _given_heading(self, motion: FirstMotion, down_b: Array) -> tuple[float, float] | None:
         """Heading [rad from north] and its uncertainty, by hand or from a source that has one."""
         settings = self._settings
         if self._given is not None:
-            return self._given[1:]
+            return self._given.now(down_b), self._given.std
         if self._source == "imu" and self._imu_yaw is not None:
             return self._imu_yaw, settings.yaw_std
         if self._source == "course" and motion.speed >= settings.course_min_speed:
@@ -353,32 +363,9 @@ def _at_imu(antenna: NavState, rate_b: Array, lever_b: Array) -> NavState:
     )
 
 
-def _down(samples: NDArray[np.void]) -> Array:
-    """Direction of gravity in the last attitude, from the mean specific force; [1]_ eq. 5.101."""
-    total = np.einsum("kij,kj->i", _relative(samples), samples["f"])
-    return np.asarray(-total / np.linalg.norm(total))
-
-
-def _relative(samples: NDArray[np.void]) -> Array:
-    """Rotations (N, 3, 3) from the attitude at each sample to that at the last, by gyroscopes."""
-    dt = np.diff(samples["t_ns"])[:, None] * 1e-9
-    mean_rate = 0.5 * (samples["w"][1:] + samples["w"][:-1])
-    turns = matrix_from_quat(quat_from_rotvec(-dt * mean_rate))
-    relative = np.empty((len(samples), 3, 3))
-    relative[-1] = np.eye(3)
-    for k in range(len(turns) - 1, -1, -1):
-        relative[k] = relative[k + 1] @ turns[k]
-    return relative
-
-
-def _roll_pitch(down_b: Array) -> tuple[float, float]:
-    """Roll and pitch [rad] of the b frame in which n's down axis is ``down_b``."""
-    return (
-        math.atan2(down_b[1], down_b[2]),
-        math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])),
-    )
-
-
-def yaw_of(quat_xyzw: Array) -> float:
-    """Heading [rad from north] of an attitude C_nb."""
-    return float(rpy_from_quat(quat_xyzw)[2])
+def _down_without(biases: tuple[Array, Array, Array], samples: NDArray[np.void]) -> Array:
+    """Direction of gravity in the last attitude, b, by samples with these biases."""
+    unbiased = samples.copy()
+    unbiased["f"] -= biases[0]
+    unbiased["w"] -= biases[1]
+    return down_direction(unbiased)

@@ -146,6 +146,11 @@ def rpy_from_quat(quat_xyzw: ArrayLike) -> Array:
     )
 
 
+def heading_from_quat(quat_xyzw: ArrayLike) -> float:
+    """Heading [rad from north] of an attitude C_nb."""
+    return float(rpy_from_quat(quat_xyzw)[2])
+
+
 def slerp(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> Array:
     """Rotation (..., 4) at ``fraction`` (...,) of the way from ``first`` to ``second``."""
     step = rotvec_from_quat(quat_multiply(quat_conjugate(first), second))

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeight
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction
 from hybrid_ins.core.imu.health import ImuFault
+from hybrid_ins.core.inertial.rotations import heading_from_quat
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.update.gate import Verdict
 
@@ -75,6 +75,13 @@ class ClockOffsetFound:
 
 
 @dataclass(frozen=True, slots=True)
+class HeadingOutdated:
+    """A given heading is not used: the vehicle has moved for too long before the first fixes."""
+
+    std: float  # rad, of the heading by now
+
+
+@dataclass(frozen=True, slots=True)
 class HeadingCorrected:
     """The motion has contradicted the filter's heading, and another filter took over."""
 
@@ -86,7 +93,7 @@ class HeadingCorrected:
     def between(cls, before: NavState, after: NavState) -> HeadingCorrected:
         """Return the change from one state to the other."""
         sigma = math.sqrt(after.P[8, 8])
-        return cls(yaw_of(before.quat_xyzw), yaw_of(after.quat_xyzw), sigma)
+        return cls(heading_from_quat(before.quat_xyzw), heading_from_quat(after.quat_xyzw), sigma)
 
 
 Event = (
@@ -97,6 +104,7 @@ Event = (
     | FaultFound
     | ClockOffsetFound
     | HeadingCorrected
+    | HeadingOutdated
     | Contradiction
     | FrozenHeight
 )

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.alignment.multiple_model import MultipleModelBank, headings
 from hybrid_ins.core.filter.ins_filter import InsFilter, state_at_imu
+from hybrid_ins.core.inertial.rotations import heading_from_quat
 from hybrid_ins.core.inertial.state import HEADING_VARIANCE, QUAT, NavState
 from hybrid_ins.core.navigator.events import HeadingCorrected
 
@@ -44,9 +44,9 @@ def prior(headings: int) -> Array:
 
 def is_contradicted(state: NavState, found: NavState) -> bool:
     """Return whether the heading of a state is far from the one that motion has shown."""
-    turn = math.remainder(yaw_of(found.quat_xyzw) - yaw_of(state.quat_xyzw), 2.0 * math.pi)
+    turn = heading_from_quat(found.quat_xyzw) - heading_from_quat(state.quat_xyzw)
     std = math.sqrt(state.P[8, 8] + found.P[8, 8])
-    return abs(turn) > max(GROSS, SIGNIFICANT * std)
+    return abs(math.remainder(turn, 2.0 * math.pi)) > max(GROSS, SIGNIFICANT * std)
 
 
 class HeadingCheck(NamedTuple):
@@ -69,8 +69,9 @@ def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
     """
     if not bank.motion.shown:
         return HeadingCheck(0.0)
-    best = yaw_of(state_at_imu(bank.best, bank.best.nav)[QUAT])
-    own, std = yaw_of(running.nav[QUAT]), math.sqrt(running.flat_state()[HEADING_VARIANCE])
+    best = heading_from_quat(state_at_imu(bank.best, bank.best.nav)[QUAT])
+    own = heading_from_quat(running.nav[QUAT])
+    std = math.sqrt(running.flat_state()[HEADING_VARIANCE])
     turns = headings(bank.filters, bank.best) - (own - best)
     off = np.abs((turns + math.pi) % (2.0 * math.pi) - math.pi)
     weights = np.exp(bank.log_weights)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Biases
+from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
@@ -23,7 +24,6 @@ from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY,
 from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
-from hybrid_ins.core.navigator.restart import HEADING_KEPT_STD
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Standstill
 

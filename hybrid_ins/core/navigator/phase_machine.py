@@ -27,7 +27,12 @@ from hybrid_ins.core.filter.ins_filter import InsFilter, hand_over
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.inertial.state import HEADING_DOUBT
 from hybrid_ins.core.navigator.clock_comparison import Comparison, compare, is_excluded, lacking_std
-from hybrid_ins.core.navigator.events import ClockOffsetFound, Event, HeadingCorrected
+from hybrid_ins.core.navigator.events import (
+    ClockOffsetFound,
+    Event,
+    HeadingCorrected,
+    HeadingOutdated,
+)
 from hybrid_ins.core.navigator.heading_check import check, is_contradicted
 from hybrid_ins.core.navigator.kept_knowledge import KeptKnowledge
 from hybrid_ins.core.navigator.phases import (
@@ -157,6 +162,7 @@ class PhaseMachine:
         """Try to start filters while aligning."""
         if isinstance(self.phase, Aligning):
             start = self.phase.alignment.attempt()
+            self._events.extend(map(HeadingOutdated, self.phase.alignment.pop_outdated()))
             if start is not None:
                 self._enter(phase_after_alignment(start, self._parts, self._ring, self.clock_open))
 
@@ -279,8 +285,7 @@ class PhaseMachine:
         elif comparison is Comparison.CONFIRMED:
             self.clock_open = False
             self._enter(Running(running))
-            own = running.clock
-            self._events.append(ClockOffsetFound(0.0, own.residual, own.sigma))
+            self._events.append(ClockOffsetFound(0.0, running.clock.residual, running.clock.sigma))
         return comparison is not Comparison.EXCLUDED
 
     def _inflate_clock(self, running: InsFilter, std: float) -> None:

@@ -13,9 +13,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment.alignment import Alignment, Start
+from hybrid_ins.core.alignment.alignment import Alignment, FirstStates
 from hybrid_ins.core.alignment.clock_search import MAX_OFFSET_NS, ClockSearch, probabilities
-from hybrid_ins.core.alignment.multiple_model import FilterFactory, MultipleModelBank
+from hybrid_ins.core.alignment.multiple_model import MakeFilter, MultipleModelBank
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter, state_at_imu
@@ -121,7 +121,7 @@ def speed(phase: Phase) -> float:
 
 
 def phase_after_alignment(
-    start: Start, parts: FilterParts, ring: ImuRing, clock_open: bool
+    start: FirstStates, parts: FilterParts, ring: ImuRing, clock_open: bool
 ) -> Searching | Running:
     """
     Return the phase that begins with the first states that alignment found.
@@ -195,7 +195,7 @@ def _factory(
     t_ns: int,
     sample: Array,
     noise: Callable[[], FilterNoise],
-) -> FilterFactory:
+) -> MakeFilter:
     """Return what starts a filter at an IMU sample."""
 
     def begin(state: NavState, settings: FilterSettings) -> InsFilter:

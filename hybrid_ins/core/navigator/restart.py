@@ -10,15 +10,15 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment.alignment import yaw_of
+from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.gap import turn_std
 from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.inertial.rotations import heading_from_quat
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
 
 TURN_IN_GAP = 0.5  # rad/s, that a vehicle may have turned by in a gap
-HEADING_KEPT_STD = 0.35  # rad; an attitude less certain than that is not kept
 RESETS, RESETS_NS = 3, 30_000_000_000  # that many within that time: the heading is wrong
 MOVING = 1.0  # m/s, at which a wrong heading makes fixes disagree
 
@@ -83,4 +83,4 @@ def heading_after(
     state = running.state
     rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
     std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
-    return (yaw_of(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None
+    return (heading_from_quat(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None

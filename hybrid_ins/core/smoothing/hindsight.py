@@ -22,16 +22,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.alignment.alignment import yaw_of
 from hybrid_ins.core.filter.events import ClockShift, CovarianceInflation
 from hybrid_ins.core.filter.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.filter.ins_filter import InsFilter
-from hybrid_ins.core.inertial.rotations import quat_from_rotvec, quat_multiply
+from hybrid_ins.core.inertial.rotations import (
+    heading_from_quat,
+    quat_from_rotvec,
+    quat_multiply,
+)
 from hybrid_ins.core.inertial.state import N_ERROR, NavState
 from hybrid_ins.core.noise.weights import MEMORY
 from hybrid_ins.core.smoothing.forward_record import Stretch
 from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
-from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_STATE, Smoother, Store
 from hybrid_ins.core.update.measurements import GNSS, clock_offset_ns
 
@@ -125,7 +128,7 @@ def _steps(filters: Sequence[tuple[InsFilter, float]]) -> tuple[list[_Step], Arr
     return steps, _clock(steps) if shifted else np.zeros(len(steps))
 
 
-def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Update]]:
+def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[SmootherStart, list[Update]]:
     """Return what the smoother begins with and does, by hindsight."""
     first = _record(filters[0][0])
     steps, moved = _steps(filters)
@@ -139,7 +142,9 @@ def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[Start, list[Updat
             updates.append(update or Update(step.decided.event.t_ns, psd(step.levels)))
             levels = step.levels
     slow = next((u.split.slow_variance for u in updates if u.split is not None), None)
-    start = Start(first.start.t_ns, first.start.sample, first.start.state, psd(first_levels), slow)
+    start = SmootherStart(
+        first.start.t_ns, first.start.sample, first.start.state, psd(first_levels), slow
+    )
     return start, sorted(updates, key=lambda update: update.t_ns)
 
 
@@ -227,16 +232,16 @@ def _clock(steps: Sequence[_Step]) -> Array:
     return moved
 
 
-def _about_heading(start: Start, found: NavState) -> Start:
+def _about_heading(start: SmootherStart, found: NavState) -> SmootherStart:
     """
     Return the start with the heading of a state that was smoothed already, and little trust in it.
 
     The same measurements find it again: what counts twice is one part in ``LOOSE`` squared.
     """
     state, std = start.state, max(LOOSE * math.sqrt(found.P[8, 8]), LEAST_HEADING_STD)
-    turn = np.array([0.0, 0.0, yaw_of(found.quat_xyzw) - yaw_of(state.quat_xyzw)])
+    by = heading_from_quat(found.quat_xyzw) - heading_from_quat(state.quat_xyzw)
     scale = np.ones(N_ERROR)  # the correlations stay, or P might be indefinite
     scale[8] = std / math.sqrt(state.P[8, 8])
     P = state.P * np.outer(scale, scale)
-    quat = quat_multiply(quat_from_rotvec(turn), state.quat_xyzw)
+    quat = quat_multiply(quat_from_rotvec([0.0, 0.0, by]), state.quat_xyzw)
     return replace(start, state=replace(state, quat_xyzw=quat, P=P))

@@ -21,6 +21,7 @@ from hybrid_ins.core.navigator.events import (
     FaultFound,
     GapBridged,
     HeadingCorrected,
+    HeadingOutdated,
     Restarted,
     TurnedOnTheSpot,
 )
@@ -135,6 +136,8 @@ class Reporter:
         elif isinstance(event, HeadingCorrected):
             counts["heading corrected"] += 1
             log("warn", wording.describe_correction(event))
+        elif isinstance(event, HeadingOutdated):
+            log("warn", wording.describe_outdated_heading(event))
         elif isinstance(event, Contradiction):
             text = wording.describe_contradiction(event)
             log(

@@ -1,0 +1,57 @@
+"""
+Roll and pitch from the mean specific force, and attitudes relative to each other by gyroscopes.
+
+References
+----------
+.. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
+       2nd ed., section 5.6.2.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec
+
+Array = NDArray[np.float64]
+
+
+def down_direction(samples: NDArray[np.void]) -> Array:
+    """
+    Direction of gravity in the last attitude, from the mean specific force; [1]_ eq. 5.101.
+
+    Parameters
+    ----------
+    samples : ndarray of ``SAMPLE_DTYPE``
+        Without biases.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Unit vector, b.
+    """
+    total = np.einsum("kij,kj->i", relative_attitudes(samples), samples["f"])
+    return np.asarray(-total / np.linalg.norm(total))
+
+
+def relative_attitudes(samples: NDArray[np.void]) -> Array:
+    """Rotations (N, 3, 3) from the attitude at each sample to that at the last, by gyroscopes."""
+    dt = np.diff(samples["t_ns"])[:, None] * 1e-9
+    mean_rate = 0.5 * (samples["w"][1:] + samples["w"][:-1])
+    turns = matrix_from_quat(quat_from_rotvec(-dt * mean_rate))
+    relative = np.empty((len(samples), 3, 3))
+    relative[-1] = np.eye(3)
+    for k in range(len(turns) - 1, -1, -1):
+        relative[k] = relative[k + 1] @ turns[k]
+    return relative
+
+
+def roll_pitch(down_b: Array) -> tuple[float, float]:
+    """Roll and pitch [rad] of the b frame in which n's down axis is ``down_b``."""
+    return (
+        math.atan2(down_b[1], down_b[2]),
+        math.atan2(-down_b[0], math.hypot(down_b[1], down_b[2])),
+    )
