@@ -31,7 +31,7 @@ Error state (15), true minus estimated
 --------------------------------------
 ``dp`` position [m, NED], ``dv`` velocity [m/s, NED], ``eps`` misalignment [rad, n frame] with
 ``C_nb(true) = (I - [eps x]) C_nb(estimated)``, ``b_a`` accelerometer bias [m/s²], ``b_g`` gyroscope
-bias [rad/s], both in b. The slices are defined once, in ``core.state``.
+bias [rad/s], both in b. The slices are defined once, in ``core.inertial.state``.
 
 Noise
 -----

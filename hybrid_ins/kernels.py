@@ -267,13 +267,13 @@ def _compile_output() -> None:
 
 
 def _compile_smoothing() -> None:
-    from hybrid_ins.core.smoothing.segments import Start, Update
+    from hybrid_ins.core.smoothing.segments import SmootherStart, Update
     from hybrid_ins.core.smoothing.smoother import Smoother
 
     samples = np.zeros(40, SAMPLE_DTYPE)
     samples["t_ns"] = np.arange(40) * 10_000_000
     samples["f"][:, 2] = -9.8
-    start = Start(100_000_000, np.zeros(6), NavState.from_flat(_some_state()), np.ones(12))
+    start = SmootherStart(100_000_000, np.zeros(6), NavState.from_flat(_some_state()), np.ones(12))
     fix = measurements.PositionFix(205_000_000, start.state.lla, np.eye(3), np.zeros(3))
     updates = [Update(fix.t_ns, start.psd, fix, 1.0)]
     smoother = Smoother(start, samples, updates, 0.01, 100_000_000, {}, {})

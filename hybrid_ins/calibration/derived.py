@@ -35,7 +35,7 @@ def mean_rotation(quats_xyzw: Array) -> tuple[Array, float]:
     return C, float(np.sqrt(np.mean(np.sum(away**2, axis=-1))))
 
 
-def rotations_to_truth(recording: Recording, after: FilterPass, offset: float) -> Array | None:
+def rotations_to_truth(recording: Recording, after: FilterPass) -> Array | None:
     """Return rotations (K, 4) from b of the samples to b of the truth, where both are known."""
     if recording.attitude is None:
         return None

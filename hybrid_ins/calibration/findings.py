@@ -226,8 +226,8 @@ def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_fi
         return np.eye(3)
 
     rotations = [
-        rotations_to_truth(recording, one, fitted.offset(k))
-        for k, (recording, one) in enumerate(zip(fitted.recordings, after, strict=True))
+        rotations_to_truth(recording, one)
+        for recording, one in zip(fitted.recordings, after, strict=True)
     ]
     quats = np.vstack([one for one in rotations if one is not None] or [np.empty((0, 4))])
     if len(quats) >= 20:

@@ -34,7 +34,7 @@ from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
 from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
-from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import Smoother
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
@@ -65,7 +65,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     nav = initial_state(first, lever_b, fitted.yaws[k], YAW_STD)
     t_ns = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
     samples = as_samples(t_ns, recording.samples[:, :3], recording.samples[:, 3:])
-    start = Start(
+    start = SmootherStart(
         int(samples["t_ns"][first.sample]),
         recording.samples[first.sample],
         NavState.from_flat(nav),

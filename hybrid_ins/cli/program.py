@@ -64,7 +64,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
     body
         Does the work; its return value is the exit status (None means 0).
     args
-        Parsed options, handed to `body`. `args.program_name` (set by `parser`) heads every line
+        Parsed options, handed to `body`. ``program_name`` (set by `parser`) heads every line
         on stderr.
 
     Returns

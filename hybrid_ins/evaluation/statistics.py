@@ -180,12 +180,6 @@ class RunAverage:
         """Two-sided 95 % band of one epoch's average over independent runs."""
         return mean_band(self.dof, self.runs)
 
-    @property
-    def share_inside(self) -> float:
-        """Share of the epochs whose average lies in the band: about 0.95."""
-        low, high = self.band
-        return float(np.mean((self.per_epoch >= low) & (self.per_epoch <= high)))
-
 
 @dataclass(frozen=True)
 class Ratio:

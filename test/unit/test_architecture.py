@@ -1,13 +1,17 @@
 """Arrows point inward only: what each part of the package may import."""
 
+import ast
+import importlib
+import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 from support.paths import ROOT
 
+from hybrid_ins import parameters
 from tools import structure
 from tools.structure import is_below
 
@@ -94,6 +98,47 @@ def test_no_import_goes_in_a_circle(names: Nodes) -> None:
 def test_no_more_files_and_classes_are_long() -> None:
     assert not structure.long_files(MODULES)
     assert not structure.long_classes(MODULES)
+
+
+def defined(path: Path) -> Iterator[str]:
+    """Yield the names of functions, classes and variables that a file defines, at any depth."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.id if isinstance(node, ast.Name) else node.attr
+        elif isinstance(node, ast.ImportFrom) and path.stem == "__init__":
+            yield from (alias.name for alias in node.names)
+
+
+def test_texts_refer_to_what_there_is() -> None:
+    paths = sorted((ROOT / "hybrid_ins").rglob("*.py"))
+    names: dict[str, set[str]] = {}  # by the end of a module's name, or by that of a class
+    for path in paths:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] == "__init__":
+            parts = parts[:-1]
+        own = set(defined(path))
+        for key in [".".join(parts[k:]) for k in range(len(parts))] + list(own):
+            names.setdefault(key, set()).update(own)
+
+    def is_found(text: str) -> bool:
+        head, _, tail = text.rpartition(".")
+        if text in names or text in parameters.defaults() or tail in names.get(head, ()):
+            return True
+        try:
+            return hasattr(importlib.import_module({"np": "numpy"}.get(head, head)), tail)
+        except ImportError:
+            return False
+
+    missing = [
+        (path.name, text)
+        for path in paths
+        for text in re.findall(r"(?<!`)`([A-Za-z]\w*(?:\.\w+)+)`(?!`)", path.read_text())
+        if not is_found(text)
+    ]
+
+    assert not missing
 
 
 def test_an_imu_message_is_a_few_steps_from_the_covariance_equation() -> None:

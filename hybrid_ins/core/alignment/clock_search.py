@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.multiple_model import (
     Decision,
-    FilterFactory,
+    MakeFilter,
     MultipleModelBank,
     mixture_of,
 )
@@ -130,7 +130,7 @@ class ClockSearch(MultipleModelBank):
     def __init__(
         self,
         states: Sequence[NavState],
-        make_filter: FilterFactory,
+        make_filter: MakeFilter,
         settings: FilterSettings,
         headings: Array,
         offsets: Array,

@@ -20,10 +20,11 @@ SHORTEST_SPAN = 0.3  # s
 ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
 SPEED_STD = 100.0  # m/s, of a velocity of which nothing is known
 CLIMB_STD = 5.0  # m/s, of the vertical velocity of which nothing is known
+LEAST_VARIANCE = 0.01  # m²/s², of a receiver's velocity at the start
 HEIGHT_STD = 100.0  # m, likewise; an unknown height is considered besides, see `missing_height`
 
 
-class Motion(NamedTuple):
+class FirstMotion(NamedTuple):
     """Position and velocity at an instant."""
 
     lla: Array  # (3,) rad, rad, m
@@ -38,7 +39,9 @@ class Motion(NamedTuple):
         return math.hypot(self.velocity_n[0], self.velocity_n[1])
 
 
-def first_motion(fixes: Sequence[PositionFix], velocity: VelocityFix | None, now: int) -> Motion:
+def first_motion(
+    fixes: Sequence[PositionFix], velocity: VelocityFix | None, now: int
+) -> FirstMotion:
     """
     Return position and velocity at a stamp.
 
@@ -62,15 +65,22 @@ def first_motion(fixes: Sequence[PositionFix], velocity: VelocityFix | None, now
         p_cov[2, :] = p_cov[:, 2] = 0.0
         p_cov[2, 2] = HEIGHT_STD**2
     known: tuple[Array, Array] | None
+    slope = known = _slope(fixes, lla, p_cov, bool(heights))
     if velocity is not None and abs(now - velocity.t_ns) < 1e9:
-        variance = np.maximum(np.nan_to_num(np.diag(velocity.covariance_n)), 0.01)
-        known = np.nan_to_num(velocity.velocity_n), np.diag(variance)
-    else:
-        known = _slope(fixes, lla, p_cov, bool(heights))
+        known = _measured(velocity, slope)
     velocity_n, v_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
     age = (now - last.t_ns) * 1e-9
     p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
-    return Motion(lla + velocity_n * age / scale, p_cov, velocity_n, v_cov, known is not None)
+    return FirstMotion(lla + velocity_n * age / scale, p_cov, velocity_n, v_cov, known is not None)
+
+
+def _measured(velocity: VelocityFix, slope: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    """Velocity [m/s, NED] and its covariance by the receiver; what it lacks is that of a slope."""
+    velocity_n, variance = velocity.velocity_n.copy(), np.diag(velocity.covariance_n).copy()
+    if not math.isfinite(velocity_n[2]):
+        velocity_n[2] = 0.0 if slope is None else slope[0][2]
+        variance[2] = CLIMB_STD**2 if slope is None else slope[1][2, 2]
+    return velocity_n, np.diag(np.maximum(np.nan_to_num(variance), LEAST_VARIANCE))
 
 
 def _slope(

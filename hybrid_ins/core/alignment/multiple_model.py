@@ -59,7 +59,7 @@ from hybrid_ins.core.update.inflation import inflate
 from hybrid_ins.core.update.measurements import GNSS, Measurement
 
 Array = NDArray[np.float64]
-FilterFactory = Callable[[NavState, FilterSettings], InsFilter]
+MakeFilter = Callable[[NavState, FilterSettings], InsFilter]
 
 N_HEADINGS = 12
 HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
@@ -95,6 +95,12 @@ def headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
     C = C @ matrix_from_quat(best.nav[QUAT]).T
     turns: Array = np.arctan2(C[:, 1, 0] - C[:, 0, 1], C[:, 0, 0] + C[:, 1, 1])
     return turns
+
+
+def _excluded(log_weights: Array, filters: Sequence[InsFilter]) -> NDArray[np.intp]:
+    """Return which hypotheses are unlikely, or have a state that is not finite, unless all have."""
+    lost = np.array([not np.isfinite(one.nav[:N_NAV]).all() for one in filters])
+    return np.flatnonzero((log_weights < math.log(MIN_WEIGHT)) | (lost & ~lost.all()))
 
 
 def _restore_cells(filters: Sequence[InsFilter], lever_b: Array) -> None:
@@ -159,7 +165,7 @@ class MultipleModelBank:
     def __init__(
         self,
         states: Sequence[NavState],
-        make_filter: FilterFactory,
+        make_filter: MakeFilter,
         settings: FilterSettings,
         prior: Array | None = None,
         lag_ns: int = 0,
@@ -292,7 +298,7 @@ class MultipleModelBank:
             hidden = self.heading_open and self._turns.observe(verdict.measurement, self.best)
             if (self.motion.moves or not self.heading_open) and not hidden:
                 self._weigh(verdicts)
-        for k in np.flatnonzero(self.log_weights < math.log(MIN_WEIGHT))[::-1].tolist():
+        for k in _excluded(self.log_weights, self.filters)[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
             self.log_weights = np.delete(self.log_weights, k)
         return weighed
@@ -332,7 +338,7 @@ class MultipleModelBank:
         """
         best, weights = self.best.nav, np.exp(self.log_weights)
         navs = np.stack([hypothesis.nav[:N_NAV] for hypothesis in self.filters])
-        sound = np.isfinite(navs).all(axis=1)  # others have weights next to nothing
+        sound = np.isfinite(navs).all(axis=1)  # others are removed with the next measurement
         nav: Array = best.copy()
         if sound.any():
             navs, weights = navs[sound], weights[sound] / weights[sound].sum()

@@ -26,18 +26,18 @@ LARGEST_NIS = 16.0  # that counts: one pothole is not the road
 
 class SlipEstimator:
     """
-    Standard deviation of the velocity across the nose, to the right and down.
+    Standard deviation of velocities that a vehicle does not have: across its nose, or its wings.
 
     Parameters
     ----------
-    std : ndarray, shape (2,)
-        Nominal, [m/s]: known to a factor of two.
+    std : ndarray, shape (m,)
+        Nominal, [m/s], of each axis: known to a factor of two.
     """
 
     def __init__(self, std: Array) -> None:
         self._variance = np.outer(np.asarray(std) ** 2, FACTORS**2)
         self._prior = -0.5 * (np.log(FACTORS) / PRIOR) ** 2
-        self._evidence = np.zeros((2, len(FACTORS)))
+        self._evidence = np.zeros_like(self._variance)
 
     def observe(self, z: Array, S: Array, share: float, fading: float) -> None:
         """
@@ -45,9 +45,9 @@ class SlipEstimator:
 
         Parameters
         ----------
-        z : ndarray, shape (2,)
+        z : ndarray, shape (m,)
             Innovation of the constraint [m/s].
-        S : ndarray, shape (2, 2)
+        S : ndarray, shape (m, m)
             Its covariance without slip.
         share : float
             Independent observations that it is worth; below 1 where others resemble it.
@@ -60,14 +60,14 @@ class SlipEstimator:
 
     @property
     def _weights(self) -> Array:
-        """Probabilities of the factors, (2, F)."""
+        """Probabilities of the factors, (m, F)."""
         log = self._evidence + self._prior
         weights = np.exp(log - log.max(axis=1, keepdims=True))
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the velocity across the nose, (2, 2) [(m/s)²]."""
+        """Covariance of these velocities, (m, m) [(m/s)²]."""
         return np.diag((self._weights * self._variance).sum(axis=1))
 
     @property

@@ -54,7 +54,7 @@ from hybrid_ins.core.inertial.state import (
     pack,
 )
 from hybrid_ins.core.noise.multiple_model import StateCorrection
-from hybrid_ins.core.noise.position_scatter import Evidence, Model, PositionScatter, Split
+from hybrid_ins.core.noise.position_scatter import Evidence, PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import (
@@ -74,7 +74,14 @@ from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.gate import Gate, Verdict
 from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.update.kalman import inject, innovation
-from hybrid_ins.core.update.measurements import GNSS, IMU, Measurement, PositionFix, VelocityFix
+from hybrid_ins.core.update.measurements import (
+    GNSS,
+    IMU,
+    LinearModel,
+    Measurement,
+    PositionFix,
+    VelocityFix,
+)
 
 Array = NDArray[np.float64]
 Fused = tuple[Verdict, bool, Evidence | None]
@@ -369,7 +376,7 @@ def _move(nav: Array, moved: StateCorrection) -> None:
 
 def _linearised(
     nav: Array, measurement: Measurement, scale_errors: ScaleErrorObserver
-) -> tuple[Model, Array | float]:
+) -> tuple[LinearModel, Array | float]:
     """Return a measurement's model, and its derivative by scale errors beside by the state."""
     model = measurement.linearise(nav)
     if isinstance(measurement, NonHolonomic) and scale_errors.in_outage:

@@ -26,7 +26,7 @@ from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeight
 from hybrid_ins.core.inertial.state import DV, N_ERROR, VELOCITY
 from hybrid_ins.core.update.gate import Verdict
-from hybrid_ins.core.update.measurements import ASSUMED, PositionFix
+from hybrid_ins.core.update.measurements import ASSUMED, LinearModel, PositionFix
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class LevelMotion:
     kind: ClassVar[str] = "level motion"
     sensor: ClassVar[str] = ASSUMED
 
-    def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
+    def linearise(self, nav: Array) -> LinearModel:
         """See `Measurement.linearise`."""
         H = np.zeros((1, N_ERROR))
         H[0, DV.stop - 1] = 1.0

@@ -55,7 +55,7 @@ def mount_fault(
         if nearest is None or not np.allclose(nearest, upright):
             upright = None
     mount = given if upright is None else upright
-    along = _mount_along_course(motion, mount, accelerometer, gyroscope, fitted)
+    along = _mount_along_course(motion, mount, accelerometer, fitted)
     if upright is None and along is None:
         return None
     chosen = mount if along is None else along
@@ -77,7 +77,7 @@ def _mean_up(motion: Motion, accelerometer: Array, fitted: Fit) -> Array:
 
 
 def _mount_along_course(
-    motion: Motion, mount: Array, accelerometer: Array, gyroscope: Array, fitted: Fit
+    motion: Motion, mount: Array, accelerometer: Array, fitted: Fit
 ) -> Array | None:
     """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
     course, t = courses(motion)

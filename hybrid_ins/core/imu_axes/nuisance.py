@@ -1,7 +1,7 @@
 """
 What may explain, besides an IMU's axes, that its readings do not fit a motion: how much of it.
 
-Each is a pair of standard deviations and limits of the parameters that `imu_axes_fit.fit` finds by
+Each is a pair of standard deviations and limits of the parameters that `fit.fit` finds by
 least squares.
 """
 

@@ -93,7 +93,7 @@ def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-
     Parameters
     ----------
     nav : ndarray, shape (N_FLAT,)
-        Flat state, see `core.state`; overwritten.
+        Flat state, see `core.inertial.state`; overwritten.
     dt : float
         Time since the previous sample [s], > 0.
     fx, fy, fz, wx, wy, wz : float

@@ -82,11 +82,11 @@ _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what i
 _HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 7)  # in force, see `noise_weights.average`
+FACTORS = slice(0, 7)  # in force, see `weights.average`
 LOWEST = slice(7, 11)  # of those that move the state, since it was last corrected
 CLAIMED_STD = 11  # m, of the last position, horizontally
 LAST_VELOCITY, LAST_C = slice(12, 15), slice(15, 24)  # n, and C_nb, after the last correction
-PENDING_G = slice(24, 24 + N_ERROR * N_ERROR)  # see `noise_multiple_model_step.advance`
+PENDING_G = slice(24, 24 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)

@@ -58,6 +58,7 @@ from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import innovation_covariance
 from hybrid_ins.core.update.linalg import factorise, solve
+from hybrid_ins.core.update.measurements import LinearModel
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,6 @@ NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 
 
-Model = tuple[Array, Array, Array]  # of a measurement: z, H, R
 Evidence = tuple[float, float, Array]
 """See `scatter_evidence`."""
 
@@ -195,8 +195,8 @@ class PositionScatter(ShallowCopy):
         return Split(share, slow, interval, claimed_std, claimed_slow, growth, unclaimed, excess)
 
     def split_model(
-        self, nav: Array, model: Model, split: Split, fix_factor: float, by_stamp: Array
-    ) -> tuple[Model, Evidence | None]:
+        self, nav: Array, model: LinearModel, split: Split, fix_factor: float, by_stamp: Array
+    ) -> tuple[LinearModel, Evidence | None]:
         """
         Return a position's model with the white part of R, and what its scatter teaches.
 

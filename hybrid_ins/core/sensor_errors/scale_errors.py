@@ -69,9 +69,9 @@ from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE, follow_samp
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight, inject
 from hybrid_ins.core.update.linalg import factorise, mean_square, regress
+from hybrid_ins.core.update.measurements import LinearModel
 
 Array = NDArray[np.float64]
-Model = tuple[Array, Array, Array]  # z, H, R
 
 MAX_INTERVAL_NS = 10_000_000_000  # between two events, beyond which nothing is followed
 LEVER_STD = 0.3  # m, of the place of the antenna
@@ -80,8 +80,8 @@ AXES = 0.5  # of the deviation of a scale factor: that of an axis' direction [ra
 VARYING = 0.16  # of their variances: what is not constant, by temperature and nonlinearity
 SHARES = np.tile(np.where(np.eye(3) > 0.0, 1.0, AXES).ravel(), 2)  # the same, by element
 
-# Parameters of the regression: clock offset that the stamps lack [s], age of velocities [s], error
-# of the lever arm [m], b, and m in units of its deviations; U is by those from the lever arm on.
+# Regressed: clock offset that the stamps lack [s], age of velocities [s], error of the lever arm
+# [m], b, and m in units of its deviations; U is by those from the lever arm on.
 CLOCK, LEVER, SCALE = 0, slice(2, 5), slice(5, 5 + N_SCALE)
 N_PARAMETERS, N_LEVER = SCALE.stop, 3
 _START_STD = np.array((MAX_STD, AGE_STD, *3 * [LEVER_STD], *N_SCALE * [math.sqrt(1.0 - VARYING)]))
@@ -160,25 +160,26 @@ class ScaleErrorObserver(ShallowCopy):
         ahead.follow(nav, ring, t_ns)
         return ahead._U[:, N_LEVER:] if ahead._t_ns is not None else np.zeros((N_ERROR, N_SCALE))
 
-    def decorrelated(self, nav: Array, model: Model, by_scale: Array) -> tuple[Model, Array]:
+    def decorrelated(
+        self, nav: Array, model: LinearModel, by_scale: Array
+    ) -> tuple[LinearModel, Array]:
         """
         Return a measurement whose error depends on m, in an outage, as one whose error does not.
 
-        What is known of m is taken out of z. What is not is correlated with the error of the
-        state, which contains U m: the part of it which that error tells is one of H, the rest is
-        one of R.
+        What is known of m is taken out of z. The rest is correlated with the error of the state,
+        which contains U m: the part that this error tells is one of H, what is left one of R.
 
         Parameters
         ----------
         nav : ndarray, shape (N_FLAT,)
             Flat state with nothing pending.
-        model : (z, H, R)
+        model : LinearModel
         by_scale : ndarray, shape (m, N_SCALE)
             Derivative of z by m, in units of its deviations, beside that through the state.
 
         Returns
         -------
-        model : (z, H, R)
+        model : LinearModel
         beside : ndarray, shape (m, N_LEVER + N_SCALE)
             Derivative of z by the parameters beside H U.
         """
@@ -186,9 +187,8 @@ class ScaleErrorObserver(ShallowCopy):
         (z, H, R), P, own = model, covariance(nav), by_scale @ self._root
         common, std = self.correlation @ own.T, np.sqrt(np.diag(P))
         told = np.linalg.solve(P / np.outer(std, std), common / std[:, None]).T / std
-        beside = -told @ self._U
+        beside, rest = -told @ self._U, own @ own.T - told @ common
         beside[:, N_LEVER:] += by_scale
-        rest = own @ own.T - told @ common
         z = z - by_scale @ self._parameters[SCALE]
         return (z, H + told, R + 0.5 * (rest + rest.T)), beside
 

@@ -27,6 +27,10 @@ from hybrid_ins.core.inertial.state import (
     PSD,
     QUAT,
     VELOCITY,
+    W_A,
+    W_AB,
+    W_G,
+    W_GB,
     covariance,
     pack,
 )
@@ -72,10 +76,10 @@ def run_backward(
             mechanise(nav[LLA], nav[VELOCITY], nav[QUAT], *late, *early, -dt, C, f_n)
             system_matrix(nav[LLA], nav[VELOCITY], f_n, C, F)
             back, C_nb = np.eye(N_ERROR) - dt * F, C.reshape(3, 3)
-            for block, q in ((DV, psd[:3]), (EPS, psd[3:6])):
+            for block, q in ((DV, psd[W_A]), (EPS, psd[W_G])):
                 P[block, block] += dt * (C_nb * q) @ C_nb.T
-            P[B_A, B_A] += dt * np.diag(psd[6:9])
-            P[B_G, B_G] += dt * np.diag(psd[9:])
+            P[B_A, B_A] += dt * np.diag(psd[W_AB])
+            P[B_G, B_G] += dt * np.diag(psd[W_GB])
             P = back @ P @ back.T
         t_ns, f, w = int(sample["t_ns"]), sample["f"], sample["w"]
         nav[LAST_F], nav[LAST_W] = f, w

@@ -27,7 +27,7 @@ MANY = 65536  # samples whose stamps are searched at a time
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class SmootherStart:
     """What a filter begins with."""
 
     t_ns: int  # ns
@@ -86,7 +86,7 @@ class Segments:
 
     Parameters
     ----------
-    start : Start
+    start : SmootherStart
         What the filter begins with.
     samples : ndarray of SAMPLE_DTYPE
         The IMU's, younger than the start; not copied.
@@ -102,7 +102,7 @@ class Segments:
     """
 
     def __init__(
-        self, start: Start, samples: Samples, updates: Sequence[Update], long_step_ns: int
+        self, start: SmootherStart, samples: Samples, updates: Sequence[Update], long_step_ns: int
     ) -> None:
         self._start = start
         self._samples = samples

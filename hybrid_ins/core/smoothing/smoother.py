@@ -48,7 +48,7 @@ from hybrid_ins.core.smoothing.lever_arm import (
     N_SENSITIVITY,
     SmoothedLeverArm,
 )
-from hybrid_ins.core.smoothing.segments import Segments, Start, Update
+from hybrid_ins.core.smoothing.segments import Segments, SmootherStart, Update
 from hybrid_ins.core.smoothing.step import (
     correction_adjoint,
     propagation_adjoint,
@@ -88,7 +88,7 @@ class Smoother:
 
     Parameters
     ----------
-    start : Start
+    start : SmootherStart
         What the filter begins with.
     samples : ndarray of SAMPLE_DTYPE
         The IMU's; those that are not younger than the start serve `before_start` alone.
@@ -109,7 +109,7 @@ class Smoother:
 
     def __init__(
         self,
-        start: Start,
+        start: SmootherStart,
         samples: Samples,
         updates: Sequence[Update],
         interval: float,

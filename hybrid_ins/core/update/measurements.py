@@ -30,6 +30,8 @@ from hybrid_ins.core.inertial.state import B_G, BIAS_G, DV, LAST_W, LLA, N_ERROR
 from hybrid_ins.core.inertial.strapdown import rotation
 
 Array = NDArray[np.float64]
+LinearModel = tuple[Array, Array, Array]
+"""Of a measurement about a state: innovation z, H, R."""
 
 GNSS, IMU, ASSUMED = "gnss", "imu", "assumed"  # sensors; the last is none
 

@@ -239,7 +239,7 @@ def floor_covariance(covariance: Array, std_min: float, default: Array) -> Array
     definite: a zero or a negative variance means unknown, not perfect), of the vertical alone where
     only that is; otherwise no axis below ``std_min``, its correlations kept.
     """
-    if not covariance[2, 2] > 0.0:
+    if not 0.0 < covariance[2, 2] < math.inf:
         covariance = covariance.copy()
         covariance[2, :] = covariance[:, 2] = 0.0
         covariance[2, 2] = default[2, 2]

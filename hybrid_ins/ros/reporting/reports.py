@@ -21,7 +21,7 @@ class Odometry(NamedTuple):
 
     t_ns: int
     in_map: Array  # (85,) pose in map, twist in the base frame
-    in_odom: Array  # (85,) the same motion in odom, see `ros.odom_frame`
+    in_odom: Array  # (85,) the same motion in odom, see `ros.output.odom_frame`
 
 
 class OdometryBlock(NamedTuple):

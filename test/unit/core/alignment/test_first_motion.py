@@ -11,7 +11,7 @@ from hybrid_ins.core.alignment.first_motion import (
     first_motion,
 )
 from hybrid_ins.core.inertial.earth import curvature_scale
-from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
 STEP_NS = 200_000_000
 START = np.array([0.5, np.pi - 2e-6, 120.0])  # the date line is 10 m away
@@ -50,3 +50,22 @@ def test_the_last_height_serves_where_a_fix_has_none() -> None:
     motion = first_motion(series, None, 6 * STEP_NS)
 
     assert motion.lla[2] == 120.0 and motion.p_cov[2, 2] == pytest.approx(HEIGHT_STD**2)
+
+
+@pytest.mark.parametrize("height", [120.0, np.nan])
+def test_a_velocity_without_a_vertical_part_leaves_that_to_the_fixes(height: float) -> None:
+    series = fixes(height)
+    if np.isfinite(height):  # climbing at 5 m/s
+        for k, fix in enumerate(series):
+            fix.lla[2] += k * 1.0
+    velocity = VelocityFix(
+        6 * STEP_NS, np.array([3.5, 12.5, np.nan]), np.diag([0.04, 0.04, 0.16]), np.zeros(3)
+    )
+
+    motion = first_motion(series, velocity, 6 * STEP_NS)
+
+    alone = first_motion(series, None, 6 * STEP_NS)
+    assert motion.velocity_n[:2].tolist() == [3.5, 12.5]
+    assert motion.v_cov[0, 0] == pytest.approx(0.04)
+    assert motion.velocity_n[2] == pytest.approx(-5.0 if np.isfinite(height) else 0.0)
+    assert motion.v_cov[2, 2] == pytest.approx(alone.v_cov[2, 2])

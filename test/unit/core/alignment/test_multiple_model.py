@@ -118,3 +118,20 @@ def test_what_one_explains_or_an_ins_may_have_done_is_evidence(
     weights = weigh(bank, 1.2, nis_of(bank, 2.0, 20.0))
 
     assert weights[0] > 0.9
+
+
+def test_a_hypothesis_whose_state_is_lost_does_not_hold_up_the_others(
+    bank: MultipleModelBank,
+) -> None:
+    lost = bank.filters[3]
+    lost.nav[0] = np.nan
+
+    bank._weigh_decided()
+
+    assert len(bank.filters) == N_HEADINGS - 1 and all(one is not lost for one in bank.filters)
+    assert weigh(bank, 1.0, nis_of(bank, 2.0, 20.0))[0] > 0.9
+    # AND where all are lost, it is not for a bank to say which is right
+    for one in bank.filters:
+        one.nav[0] = np.nan
+    bank._weigh_decided()
+    assert len(bank.filters) == N_HEADINGS - 1

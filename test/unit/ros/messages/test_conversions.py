@@ -96,6 +96,13 @@ def test_millimetres_are_held_to_the_floor_and_kilometres_refused() -> None:
     assert GNSS.position(fix(1e6 * np.eye(3))).name == "gnss: poor fix"
 
 
+@pytest.mark.parametrize("vertical", [np.nan, np.inf, 0.0, -1.0])
+def test_a_vertical_variance_that_is_unknown_leaves_the_horizontal_ones(vertical: float) -> None:
+    made = floor_covariance(np.diag([0.02, 0.03, vertical]), 0.01, DEFAULT)
+
+    assert np.diag(made).tolist() == [0.02, 0.03, DEFAULT[2, 2]]
+
+
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=9, max_size=9))
 def test_any_nine_numbers_give_a_positive_definite_covariance(numbers: list[float]) -> None:
     made = floor_covariance(np.array(numbers).reshape(3, 3), 0.01, DEFAULT)
