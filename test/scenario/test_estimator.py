@@ -11,7 +11,9 @@ from support.drive import GIVEN, KNOWN, Drive
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
-from hybrid_ins.ros.reporting.reports import Diagnostics
+from hybrid_ins.core.noise.process_noise import ConstantNoise
+from hybrid_ins.core.update import chi_square
+from hybrid_ins.ros.reporting.reports import Diagnostics, MapOdometry
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -117,22 +119,93 @@ def test_a_flood_of_fixes_is_cut_and_told() -> None:
     assert any("more than 100 in a second" in line for line in drive.warnings())
 
 
-def test_changes_while_it_runs_keep_the_state() -> None:
+def test_changes_while_it_runs_keep_the_state_and_outlast_late_fixes() -> None:
+    # GIVEN fixes that come 0.3 s late: each is fused in a state from before
     drive = Drive(**KNOWN)
+    drive.delay = 0.3
     drive.play(0.0, 20.0)
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.update.scatter.learning
+
+    # WHEN parameters change, and the next fixes come
     for changes in (
         {"noise.mode": "constant"},
         {"gnss.gate_probability": 0.99},
-        {"gnss.patience": 1.0},
+        {"gnss.patience": 7.0},
         {"gnss.position_std_min": 0.05},
+        {"gnss.time_offset.std": 0.004},
         {"imu.accelerometer_bias_walk": 2e-3},
-        {"noise.mode": "learned"},
     ):
         drive.estimator.change(parameters.check_change(drive.estimator.values, changes))
         assert drive.estimator.aligned
-    drive.play(20.0, 30.0)
+    drive.play(20.0, 20.5)
+
+    # THEN the changed values are in force, in the filter that ran before
+    assert drive.estimator.navigator.filter is running
+    gate, threshold = running.update.gate, chi_square.quantile(0.99, 3)
+    assert [gate.ordinary_limit("position", 3, s) for s in (6.9, 7.1)] == [threshold, -1.0]
+    assert running.clock.prior is not None and running.clock.prior.scale == 0.004
+    assert isinstance(running.noise.model, ConstantNoise)
+    assert running.noise.process.bias_walk.tolist() == [4e-6] * 3 + [1e-8] * 3
+    assert not running.update.scatter.learning
+    drive.estimator.change({"noise.mode": "learned"})
+    drive.play(20.5, 30.0)
+    assert drive.estimator.navigator.filter is running and running.update.scatter.learning
     assert drive.error(29.99) < 0.5
     assert not drive.warnings()
+
+
+def test_a_change_leaves_alone_what_it_does_not_concern() -> None:
+    drive = Drive(**KNOWN)
+    drive.play(0.0, 5.0)
+    running = drive.estimator.navigator.filter
+    assert running is not None
+    update = running.update
+    before = update.gate, update.noise, update.clock.prior, update.scatter
+
+    drive.estimator.change({"odometry_rate": 50.0})
+
+    after = running.update.gate, running.update.noise, update.clock.prior, running.update.scatter
+    assert all(a is b for a, b in zip(after, before, strict=True))
+
+
+def test_filters_after_a_change_follow_it() -> None:
+    drive = Drive(**KNOWN, **{"noise.mode": "constant"})
+    drive.play(0.0, 5.0)
+
+    drive.estimator.change({"noise.mode": "learned"})
+    drive.estimator.reset()
+    drive.play(5.0, 12.0)
+
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.update.scatter.learning
+
+
+def test_odometry_before_the_heading_is_known_follows_a_changed_noise() -> None:
+    drive = Drive(**{"alignment.heading_source": "imu"})  # whose messages have no orientation
+    drive.play(0.0, 1.0)
+    drive.estimator.pop_reports()
+
+    drive.estimator.change({"noise.q_gyroscope": 0.25})
+
+    drive.play(1.0, 1.5)
+    found = [report.content for report in drive.estimator.pop_reports()]
+    values = [content.values for content in found if isinstance(content, MapOdometry)]
+    assert values and all(row[49 + 21] >= 0.25 for row in values)  # variance of the rate about x
+
+
+@pytest.mark.parametrize("max_speed", [515.0, 0.1])
+def test_odometry_of_a_search_follows_a_changed_speed_limit(max_speed: float) -> None:
+    drive = Drive()
+    drive.play(0.0, 3.5)
+    assert not drive.estimator.aligned and drive.estimator.navigator.phase.best is not None
+    drive.estimator.pop_reports()
+
+    drive.estimator.change({"gnss.max_speed": max_speed})
+
+    drive.play(3.5, 3.8)
+    topics = {report.topic for report in drive.estimator.pop_reports()}
+    assert ("odometry" in topics) is (max_speed > 1.0)
 
 
 @pytest.mark.parametrize(

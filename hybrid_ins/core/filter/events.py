@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
+from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.measurements import Measurement
 
 Array = NDArray[np.float64]
@@ -48,6 +50,17 @@ class NoiseChange:
     t_ns: int
     noise: FilterNoise
     kind: ClassVar[str] = "noise change"
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsChange:
+    """Other settings, from its stamp on; None: as they were."""
+
+    t_ns: int
+    gate: Gate | None = None  # one with the other limits
+    clock_prior: ClockPrior | None = None  # relative to the offset that is in force then
+    learn_scatter: bool | None = None
+    kind: ClassVar[str] = "settings change"  # after a clock shift: the prior contains it
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +124,7 @@ Change = (
     | CovarianceInflation
     | Outage
     | ScatterInForce
+    | SettingsChange
 )
 Event = Measurement | Change
 

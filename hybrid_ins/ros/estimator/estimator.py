@@ -109,7 +109,7 @@ class Estimator:
         self.odometry = OdometrySource()
         self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
         self._review = InputReview(values, self.navigator, self.placement, self.inputs)
-        self.reporter = Reporter(values, self.navigator, self.inputs, self.odometry)
+        self.reporter = Reporter(self.values, self.navigator, self.inputs, self.odometry)
         self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
         self.noise = NoiseInput(self.navigator, log)
         self.noise.configure(values, self.placement.mount)
