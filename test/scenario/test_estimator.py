@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.core.noise.process_noise import ConstantNoise
 from hybrid_ins.core.update import chi_square
+from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
 from hybrid_ins.ros.reporting.reports import Diagnostics, MapOdometry
 from hybrid_ins.simulation.motions import (
     START_LLA,
@@ -224,6 +226,26 @@ def test_clocks_that_jump_begin_anew_said_once(jump: float) -> None:
     said = [text for text in drive.warnings() if "aligning anew" in text]
     assert len(said) == 1, drive.warnings()
     assert drive.estimator.aligned and drive.error(49.99) < 0.5
+
+
+def test_the_time_of_arrival_replaces_stamps_where_the_owner_gives_it() -> None:
+    drive, other = Drive(**KNOWN), Drive(**KNOWN)
+    handle_imu, handle_fix = drive.estimator.handle_imu, drive.estimator.handle_fix
+
+    def imu(fields: Any) -> Any:
+        return handle_imu(fields._replace(stamp_ns=0), fields.stamp_ns)
+
+    def fix(message: Any) -> None:
+        received_ns = stamp_ns(message.header.stamp)
+        set_stamp(message.header.stamp, 0)
+        handle_fix(message, received_ns)
+
+    drive.estimator.handle_imu, drive.estimator.handle_fix = imu, fix  # type: ignore[method-assign, assignment]
+    for each in (drive, other):
+        each.play(0.0, 8.0)
+
+    assert drive.published > 300
+    np.testing.assert_array_equal(drive.odometry, other.odometry)
 
 
 def test_accelerations_of_zero_are_no_free_fall() -> None:
