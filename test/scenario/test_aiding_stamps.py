@@ -67,7 +67,9 @@ def test_one_reading_with_a_stray_stamp_is_refused_by_name(aided: Aided, ahead: 
 def test_readings_go_on_after_all_stamps_have_gone_back(aided: Aided) -> None:
     # WHEN simulated time starts again, or a bag is played again
     aided.shift_ns = -1_000_000_000_000
-    aided.fly(14.0, 32.0)
+    aided.play(14.0, 15.0)
+    assert aided.state == "absent"
+    aided.fly(15.0, 32.0)
 
     assert aided.estimator.aligned and aided.state == "aiding"
     assert not aided.aiding_warnings
