@@ -125,8 +125,10 @@ class AidingSources:
         if fault:
             seconds = (reading.t_ns - self._navigator.last_ns) * 1e-9
             side = "ahead of" if seconds > 0.0 else "behind"
-            text = f"header.stamp is {abs(seconds):.1f} s {side} the IMU's: let both stamp by one clock"
-            self._inputs.count_and_warn(topic, Refused(f"{sensor.name}: {fault}", text))
+            text = f"header.stamp is {abs(seconds):.1f} s {side} the IMU's"
+            remedy = "let both stamp by one clock"
+            refused = Refused(f"{sensor.name}: {fault}", f"{text}: {remedy}")
+            self._inputs.count_and_warn(topic, refused)
             return
         if not sensor.admit(reading.t_ns):
             return
