@@ -253,11 +253,13 @@ def test_what_is_due_each_second_does_not_wait_for_a_clock_that_is_set_back(
     from hybrid_ins.ros.live_estimator import LiveEstimator
 
     live = LiveEstimator(client.node, parameters.defaults(), lambda level, text: None)
+    live.advertise()
     live.activate()
 
     clocks = [timer.clock.clock_type for timer in client.node.timers]
 
     live.deactivate("inactive")
+    live.destroy()
     assert clocks == [ClockType.STEADY_TIME]
 
 
