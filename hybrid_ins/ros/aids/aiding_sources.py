@@ -123,12 +123,8 @@ class AidingSources:
             return
         fault = self._stamp_fault(reading.t_ns, running)
         if fault:
-            seconds = (reading.t_ns - self._navigator.last_ns) * 1e-9
-            side = "ahead of" if seconds > 0.0 else "behind"
-            text = f"header.stamp is {abs(seconds):.1f} s {side} the IMU's"
-            remedy = "let both stamp by one clock"
-            refused = Refused(f"{sensor.name}: {fault}", f"{text}: {remedy}")
-            self._inputs.count_and_warn(topic, refused)
+            text = _describe_stamp((reading.t_ns - running.t_ns) * 1e-9)
+            self._inputs.count_and_warn(topic, Refused(f"{sensor.name}: {fault}", text))
             return
         if not sensor.admit(reading.t_ns):
             return
@@ -226,3 +222,10 @@ class AidingSources:
             values["baro_offset"] = self._height.offset
             values["baro_offset_std"] = self._height.offset_std
         return status("aiding", level, ", ".join(parts) or "no sensors besides GNSS", values)
+
+
+def _describe_stamp(ahead: float) -> str:
+    """Return that a stamp is so far ahead of the IMU's [s], and the remedy."""
+    if ahead > 0.0:
+        return f"header.stamp is {ahead:.1f} s ahead of the IMU's: let both stamp by one clock"
+    return f"header.stamp is {-ahead:.1f} s behind the IMU's: let both stamp by one clock"
