@@ -157,6 +157,19 @@ def test_changes_while_it_runs_keep_the_state_and_outlast_late_fixes() -> None:
     assert not drive.warnings()
 
 
+def test_what_a_search_found_of_the_clock_outlasts_fixes_from_before_it() -> None:
+    # GIVEN fixes that come later than the filters of a search lag behind the IMU
+    drive = Drive(**GIVEN)
+    drive.delay = 0.9
+
+    # WHEN the search has ended, and some of them come that are older than its end
+    drive.play(0.0, 14.0)
+
+    assert any("clock offset found" in text for _, text in drive.log)
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.clock.prior is not None
+
+
 def test_a_change_leaves_alone_what_it_does_not_concern() -> None:
     drive = Drive(**KNOWN)
     drive.play(0.0, 5.0)

@@ -73,6 +73,17 @@ class ClockShift:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockFound:
+    """From its stamp on, a filter's clock offset is that of the mixture which it is chosen from."""
+
+    t_ns: int
+    residual: float  # s, still to be added to the stamps of fixes
+    sigma: float  # s
+    prior: ClockPrior | None
+    kind: ClassVar[str] = "what was found of the clock"  # after measurements: it contains them
+
+
+@dataclass(frozen=True, slots=True)
 class ClockInflation:
     """At its stamp the stamps of fixes may lack ``std`` more, whatever was found until then."""
 
@@ -119,6 +130,7 @@ Change = (
     | AntennaShift
     | NoiseEstimate
     | NoiseChange
+    | ClockFound
     | ClockInflation
     | ClockShift
     | CovarianceInflation

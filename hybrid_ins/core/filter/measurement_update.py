@@ -17,6 +17,7 @@ from hybrid_ins.core.filter.events import (
     AntennaFound,
     AntennaShift,
     Change,
+    ClockFound,
     ClockInflation,
     ClockShift,
     CovarianceInflation,
@@ -341,6 +342,9 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
         _change_settings(own, change)
     elif isinstance(change, NoiseEstimate):
         own.noise.learn_estimate(change)
+    elif isinstance(change, ClockFound):
+        own.clock.set_estimate(change.residual, change.sigma)
+        own.clock.prior = change.prior
     elif isinstance(change, ClockInflation):
         own.clock.inflate(change.std)
     elif isinstance(change, ClockShift):
