@@ -253,7 +253,8 @@ def test_the_time_of_arrival_replaces_stamps_where_the_owner_gives_it() -> None:
         set_stamp(message.header.stamp, 0)
         handle_fix(message, received_ns)
 
-    drive.estimator.handle_imu, drive.estimator.handle_fix = imu, fix  # type: ignore[method-assign, assignment]
+    drive.estimator.handle_imu = imu  # type: ignore[method-assign, assignment]
+    drive.estimator.handle_fix = fix  # type: ignore[method-assign, assignment]
     for each in (drive, other):
         each.play(0.0, 8.0)
 
