@@ -183,7 +183,7 @@ class _Replay:
         self._bag, self._out = bag, out
         self._verdicts = ObjectFile(out.folder)  # (log time [ns], Report): for the smoother
         self._imu = imu = bag.imu(imu_topic, make_blocks=partial(BlockFile, out.folder))
-        self._frames = deque(imu.frames)
+        self._frames, self._frame = deque(imu.frames), ""
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"), (kernels.SMOOTHING,) if record is not None else ())
         self._estimator = estimator = Estimator(values, log, record)
@@ -195,16 +195,16 @@ class _Replay:
             _OdometryWriter(out, values, topic, values[frame])
             for topic, frame in (("/odometry", "map_frame"), ("/odometry/local", "odom_frame"))
         ]
-        self._handlers: dict[str, Callable[[Message, int], None]] = {}
+        self._handlers: dict[str, Callable[[Message, int], None]] = {}  # given the log time [ns]
         self._carried = {topic: topic for topic in bag.topics if topic.startswith(TRUTH)}
         if bag.topics[fix_topic] == GPS_FIX:
             self._gps_fix = GpsFixInput(estimator, new_message)
             self._handlers[fix_topic] = self._handle_gps_fix
         else:
-            self._handlers[fix_topic] = estimator.handle_fix
+            self._handlers[fix_topic] = partial(self._measure, estimator.handle_fix)
             self._carried[fix_topic] = "/gnss/fix"
         if bag.topics.get(velocity_topic) == VELOCITY:
-            self._handlers[velocity_topic] = estimator.handle_velocity
+            self._handlers[velocity_topic] = partial(self._measure, estimator.handle_velocity)
             self._carried[velocity_topic] = "/gnss/velocity"
         for name, kind in aiding_sources.TOPICS.items():
             if bag.topics.get(f"/{name}") == kind:
@@ -220,6 +220,9 @@ class _Replay:
     @property
     def _stamps_ns(self) -> NDArray[np.int64]:
         return self._imu.log_ns if self._values["use_receive_time"] else self._imu.stamp_ns
+
+    def _received_ns(self, log_ns: int) -> int | None:
+        return log_ns if self._values["use_receive_time"] else None
 
     def filter(self) -> Estimator:
         """Handle every message in the order of the recording."""
@@ -246,11 +249,15 @@ class _Replay:
             writer.flush()
         return self._estimator
 
+    def _measure(
+        self, handle: Callable[[Message, int | None], None], message: Message, log_ns: int
+    ) -> None:
+        handle(message, self._received_ns(log_ns))
+
     def _handle_gps_fix(self, message: Message, log_ns: int) -> None:
         """Handle a GPSFix, and write what was made of it, for `ins_evaluate` and viewers."""
-        for made, topic in zip(
-            self._gps_fix.handle(message, log_ns), ("/gnss/fix", "/gnss/velocity"), strict=False
-        ):
+        used = self._gps_fix.handle(message, self._received_ns(log_ns))
+        for made, topic in zip(used, ("/gnss/fix", "/gnss/velocity"), strict=False):
             self._out.write(topic, made, log_ns)
 
     def _handle_imu(self, start: int, stop: int) -> None:
@@ -259,8 +266,7 @@ class _Replay:
             row, name = self._frames.popleft()
             if row > start:
                 self._handle_block(slice(start, row))
-            self._estimator.handle_frame_id("imu/data", name)
-            start = row
+            self._frame, start = name, row
         self._handle_block(slice(start, stop))
 
     def _handle_block(self, rows: slice) -> None:
@@ -275,6 +281,7 @@ class _Replay:
             imu.specific_force[rows][complete],
             imu.angular_rate[rows][complete],
             imu.orientation_xyzw[rows][complete],
+            self._frame,
         ):
             if self._is_filtered:
                 self._write_odometry(stamps_ns, *by_frame)

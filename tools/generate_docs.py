@@ -60,9 +60,10 @@ Every parameter of `ins_node`, and of `ins_replay`, which reads the same file. T
     ros2 param describe /ins_node gnss.patience
     ros2 param set /ins_node noise.mode constant
 
-**live** means that `ros2 param set` takes effect at once and keeps the state; the other parameters
-take effect at the start only. The node, `ros2 param set` and the programs reject invalid values and
-explain why in one line. The programs also reject unknown names; the node only warns of them,
+**live** means that `ros2 param set` takes effect at once and keeps the state; a fix that was valid
+before, and comes later, is still judged by the limits of then. The other parameters take effect at
+the start only. The node, `ros2 param set` and the programs reject invalid values and explain why in
+one line. The programs also reject unknown names; the node only warns of them,
 because the section `/**` of a file may be meant for other nodes, too.
 """
 EXPERIMENTS_TEXT = """\

@@ -147,8 +147,7 @@ class NoiseReader:
         self.regressor = load_regressor(values["noise.model"], log)
         self.refusals: Counter[str] = Counter()
         self.fault = ""
-        self._mount = mount
-        self._turn = mount**2
+        self.set_mount(mount)
         limits = [
             (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
             for sensor in ("accelerometer", "gyroscope")
@@ -157,6 +156,10 @@ class NoiseReader:
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
         self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None
         self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
+
+    def set_mount(self, mount: Array) -> None:
+        """Use another matrix (3, 3) from the IMU's axes to b."""
+        self._mount, self._turn = mount, mount**2
 
     def preload(self, t_ns: NDArray[np.int64], force: Array, rate: Array) -> None:
         """

@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     TransformStamped,
     TwistWithCovarianceStamped,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
@@ -210,7 +210,8 @@ class LiveEstimator:
         ):
             service = node.create_service(Trigger, f"~/{name}", _answering(action, self.guard))
             self._input.append((node.destroy_service, service))
-        timer = node.create_timer(1.0, self.guard.wrap(self._on_second), clock=rclpy.clock.Clock())
+        clock = Clock(clock_type=ClockType.STEADY_TIME)  # of the computer, whatever it is set to
+        timer = node.create_timer(1.0, self.guard.wrap(self._on_second), clock=clock)
         self._input.append((node.destroy_timer, timer))
         self._geographic = GeographicServices(
             node, self.estimator, self.guard, self._publish_reports
@@ -302,8 +303,9 @@ class LiveEstimator:
 
     def _on_fix(self, message: NavSatFix) -> None:
         self._watch.fixes += 1
-        self._gps_fix.note_fix(message)
-        self.estimator.handle_fix(message, self._received_ns())
+        received_ns = self._received_ns()
+        self._gps_fix.note_fix(message, received_ns)
+        self.estimator.handle_fix(message, received_ns)
         self._warm_start.on_fix(message)
         self._publish_reports()
 

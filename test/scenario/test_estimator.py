@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,10 @@ from support.drive import GIVEN, KNOWN, Drive
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
-from hybrid_ins.ros.reporting.reports import Diagnostics
+from hybrid_ins.core.noise.process_noise import ConstantNoise
+from hybrid_ins.core.update import chi_square
+from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
+from hybrid_ins.ros.reporting.reports import Diagnostics, MapOdometry
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -117,22 +121,106 @@ def test_a_flood_of_fixes_is_cut_and_told() -> None:
     assert any("more than 100 in a second" in line for line in drive.warnings())
 
 
-def test_changes_while_it_runs_keep_the_state() -> None:
+def test_changes_while_it_runs_keep_the_state_and_outlast_late_fixes() -> None:
+    # GIVEN fixes that come 0.3 s late: each is fused in a state from before
     drive = Drive(**KNOWN)
+    drive.delay = 0.3
     drive.play(0.0, 20.0)
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.update.scatter.learning
+
+    # WHEN parameters change, and the next fixes come
     for changes in (
         {"noise.mode": "constant"},
         {"gnss.gate_probability": 0.99},
-        {"gnss.patience": 1.0},
+        {"gnss.patience": 7.0},
         {"gnss.position_std_min": 0.05},
+        {"gnss.time_offset.std": 0.004},
         {"imu.accelerometer_bias_walk": 2e-3},
-        {"noise.mode": "learned"},
     ):
         drive.estimator.change(parameters.check_change(drive.estimator.values, changes))
         assert drive.estimator.aligned
-    drive.play(20.0, 30.0)
+    drive.play(20.0, 20.5)
+
+    # THEN the changed values are in force, in the filter that ran before
+    assert drive.estimator.navigator.filter is running
+    gate, threshold = running.update.gate, chi_square.quantile(0.99, 3)
+    assert [gate.ordinary_limit("position", 3, s) for s in (6.9, 7.1)] == [threshold, -1.0]
+    assert running.clock.prior is not None and running.clock.prior.scale == 0.004
+    assert isinstance(running.noise.model, ConstantNoise)
+    assert running.noise.process.bias_walk.tolist() == [4e-6] * 3 + [1e-8] * 3
+    assert not running.update.scatter.learning
+    drive.estimator.change({"noise.mode": "learned"})
+    drive.play(20.5, 30.0)
+    assert drive.estimator.navigator.filter is running and running.update.scatter.learning
     assert drive.error(29.99) < 0.5
     assert not drive.warnings()
+
+
+def test_what_a_search_found_of_the_clock_outlasts_fixes_from_before_it() -> None:
+    # GIVEN fixes that come later than the filters of a search lag behind the IMU
+    drive = Drive(**GIVEN)
+    drive.delay = 0.9
+
+    # WHEN the search has ended, and some of them come that are older than its end
+    drive.play(0.0, 14.0)
+
+    assert any("clock offset found" in text for _, text in drive.log)
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.clock.prior is not None
+
+
+def test_a_change_leaves_alone_what_it_does_not_concern() -> None:
+    drive = Drive(**KNOWN)
+    drive.play(0.0, 5.0)
+    running = drive.estimator.navigator.filter
+    assert running is not None
+    update = running.update
+    before = update.gate, update.noise, update.clock.prior, update.scatter
+
+    drive.estimator.change({"odometry_rate": 50.0})
+
+    after = running.update.gate, running.update.noise, update.clock.prior, running.update.scatter
+    assert all(a is b for a, b in zip(after, before, strict=True))
+
+
+def test_filters_after_a_change_follow_it() -> None:
+    drive = Drive(**KNOWN, **{"noise.mode": "constant"})
+    drive.play(0.0, 5.0)
+
+    drive.estimator.change({"noise.mode": "learned"})
+    drive.estimator.reset()
+    drive.play(5.0, 12.0)
+
+    running = drive.estimator.navigator.filter
+    assert running is not None and running.update.scatter.learning
+
+
+def test_odometry_before_the_heading_is_known_follows_a_changed_noise() -> None:
+    drive = Drive(**{"alignment.heading_source": "imu"})  # whose messages have no orientation
+    drive.play(0.0, 1.0)
+    drive.estimator.pop_reports()
+
+    drive.estimator.change({"noise.q_gyroscope": 0.25})
+
+    drive.play(1.0, 1.5)
+    found = [report.content for report in drive.estimator.pop_reports()]
+    values = [content.values for content in found if isinstance(content, MapOdometry)]
+    assert values and all(row[49 + 21] >= 0.25 for row in values)  # variance of the rate about x
+
+
+@pytest.mark.parametrize("max_speed", [515.0, 0.1])
+def test_odometry_of_a_search_follows_a_changed_speed_limit(max_speed: float) -> None:
+    drive = Drive()
+    drive.play(0.0, 3.5)
+    assert not drive.estimator.aligned and drive.estimator.navigator.phase.best is not None
+    drive.estimator.pop_reports()
+
+    drive.estimator.change({"gnss.max_speed": max_speed})
+
+    drive.play(3.5, 3.8)
+    topics = {report.topic for report in drive.estimator.pop_reports()}
+    assert ("odometry" in topics) is (max_speed > 1.0)
 
 
 @pytest.mark.parametrize(
@@ -151,6 +239,27 @@ def test_clocks_that_jump_begin_anew_said_once(jump: float) -> None:
     said = [text for text in drive.warnings() if "aligning anew" in text]
     assert len(said) == 1, drive.warnings()
     assert drive.estimator.aligned and drive.error(49.99) < 0.5
+
+
+def test_the_time_of_arrival_replaces_stamps_where_the_owner_gives_it() -> None:
+    drive, other = Drive(**KNOWN), Drive(**KNOWN)
+    handle_imu, handle_fix = drive.estimator.handle_imu, drive.estimator.handle_fix
+
+    def imu(fields: Any) -> Any:
+        return handle_imu(fields._replace(stamp_ns=0), fields.stamp_ns)
+
+    def fix(message: Any) -> None:
+        received_ns = stamp_ns(message.header.stamp)
+        set_stamp(message.header.stamp, 0)
+        handle_fix(message, received_ns)
+
+    drive.estimator.handle_imu = imu  # type: ignore[method-assign, assignment]
+    drive.estimator.handle_fix = fix  # type: ignore[method-assign, assignment]
+    for each in (drive, other):
+        each.play(0.0, 8.0)
+
+    assert drive.published > 300
+    np.testing.assert_array_equal(drive.odometry, other.odometry)
 
 
 def test_accelerations_of_zero_are_no_free_fall() -> None:

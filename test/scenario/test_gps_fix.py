@@ -18,7 +18,7 @@ from hybrid_ins.cli import convert, replay, simulate
 from hybrid_ins.parameters import check_all
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
-from hybrid_ins.ros.messages.conversions import stamp_ns
+from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
 
 RADIANS_FROM_EAST = "is an angle in radians, from east"
 
@@ -175,6 +175,33 @@ def test_a_navsatfix_goes_before_a_gps_fix(tmp_path: Path) -> None:
     assert [line for line in lines if "both have messages" in line] == [
         "warn: gnss/fix and gnss/gpsfix both have messages: gnss/gpsfix is not used; remap one"
     ]
+
+
+def gps_at(seconds: float) -> Any:
+    message = new_message(GPS_FIX)
+    message.latitude, message.longitude = 32.0, 34.0
+    set_stamp(message.header.stamp, round(seconds * 1e9))
+    return message
+
+
+def test_a_gps_fix_is_used_from_the_first_second_of_simulated_time_on() -> None:
+    lines: list[str] = []
+    gps = GpsFixInput(Estimator(check_all({}), lambda level, text: lines.append(text)), new_message)
+
+    assert [len(gps.handle(gps_at(t))) for t in (0.1, 1.0, 4.9, 6.0)] == [1] * 4
+    gps.note_fix(new_message("sensor_msgs/msg/NavSatFix"))  # without a stamp
+    assert len(gps.handle(gps_at(4.0))) == 1
+    assert not [line for line in lines if "both have messages" in line]
+
+
+def test_where_the_time_of_arrival_counts_stamps_do_not() -> None:
+    gps = GpsFixInput(Estimator(check_all({}), lambda level, text: None), new_message)
+    unstamped = new_message("sensor_msgs/msg/NavSatFix")
+
+    gps.note_fix(unstamped, received_ns=100_000_000_000)
+
+    assert gps.handle(gps_at(0.0), received_ns=101_000_000_000) == []
+    assert len(gps.handle(gps_at(0.0), received_ns=106_000_000_000)) == 1
 
 
 def test_the_kind_of_fix_is_logged_when_it_changes() -> None:

@@ -11,6 +11,7 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.ros.messages.conversions import stamp_ns
+from tools.robustness.disturbances import Flight, change_stamps
 
 DUE = "/imu/bias", "/q/accelerometer", "/q/gyroscope", "/gnss/filtered", "/diagnostics"
 
@@ -61,6 +62,25 @@ def test_a_search_for_the_heading_is_published_and_not_scored(flight: Path, tmp_
     run = read_run(out)
     assert run.estimate.stamp_ns[0] == local[0]
     assert any("before the heading was known: not scored" in note for note in run.notes)
+
+
+@pytest.mark.parametrize("by_receipt", [True, False])
+def test_without_stamps_the_time_of_arrival_is_used_where_that_is_asked_for(
+    flight: Path, tmp_path: Path, by_receipt: bool
+) -> None:
+    # GIVEN a recording whose drivers do not stamp; one of them is enough to be refused
+    disturbed, out = tmp_path / "disturbed.mcap", tmp_path / "out.mcap"
+    recorded = Flight.read(flight, 0.0, 100.0)
+    for topic in ("/gnss/fix", "/imu/data")[: 1 + by_receipt]:
+        change_stamps(topic, lambda t_ns, _: 0)(recorded)
+    recorded.write(disturbed)
+
+    words = ["--param", f"use_receive_time:={by_receipt}".lower()]
+    status = replay.main([str(disturbed), str(out), *words])
+
+    assert (status == 0) is by_receipt
+    if by_receipt:
+        assert read_run(out).estimate.stamp_ns[-1] > 1_000_000_000_000_000_000
 
 
 def test_a_replayed_track_is_exported(

@@ -42,6 +42,7 @@ class Drive:
             datum_lla=self.fix_lla[0],
         )
         self.shift_ns = 0
+        self.delay = 0.0  # s, of the fixes
         self.published = 0
         self.odometry = np.zeros(85)  # the last, in map
 
@@ -49,7 +50,7 @@ class Drive:
         return EPOCH_NS + round(t * 1e9) + self.shift_ns
 
     def play(self, start: float, stop: float, force: Any = None, with_fixes: bool = True) -> None:
-        k = int(np.searchsorted(self.fix_t, start))
+        k = int(np.searchsorted(self.fix_t, start - self.delay))
         for i in np.flatnonzero((self.truth.t >= start) & (self.truth.t < stop)):
             t = float(self.truth.t[i])
             f = self.force[i] if force is None else force(self.force[i])
@@ -60,7 +61,7 @@ class Drive:
                 self.odometry = odometry.in_map
                 self.published += 1
             self.estimator.run_periodic()
-            while with_fixes and k < len(self.fix_t) and self.fix_t[k] <= t:
+            while with_fixes and k < len(self.fix_t) and self.fix_t[k] + self.delay <= t:
                 self.fix(k)
                 k += 1
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, start_player, until
 
+from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.core.inertial.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
@@ -241,6 +242,25 @@ def test_an_imu_that_is_missing_is_named_and_one_that_dies_is_lost(
     assert last["hybrid_ins: filter"].level == b"\2"
     assert last["hybrid_ins: validity"].message == told[-1].message
     assert f"{topic}: messages come, after" in log.read_text()
+
+
+def test_what_is_due_each_second_does_not_wait_for_a_clock_that_is_set_back(
+    client: Client,
+) -> None:
+    """GIVEN the system's clock is set back THEN the steady clock calls the timer all the same."""
+    from rclpy.clock import ClockType
+
+    from hybrid_ins.ros.live_estimator import LiveEstimator
+
+    live = LiveEstimator(client.node, parameters.defaults(), lambda level, text: None)
+    live.advertise()
+    live.activate()
+
+    clocks = [timer.clock.clock_type for timer in client.node.timers]
+
+    live.deactivate("inactive")
+    live.destroy()
+    assert clocks == [ClockType.STEADY_TIME]
 
 
 @pytest.mark.slow

@@ -11,16 +11,19 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_ins.bags.messages import TRANSFORMS, Message, new_message
 from hybrid_ins.bags.messages import TYPES as ROS_TYPES
-from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.ros.messages.conversions import KNOWN, set_stamp, stamp_ns
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
+from hybrid_ins.ros.messages.conversions import KNOWN, fill_transform, set_stamp, stamp_ns
 
 IMU, FIX, VELOCITY, POSE = "/imu/data", "/gnss/fix", "/gnss/velocity", "/initialpose"
+TF_STATIC, TRANSFORM = "/tf_static", "geometry_msgs/msg/TransformStamped"
 TYPES = {
     VELOCITY: "geometry_msgs/msg/TwistWithCovarianceStamped",
     POSE: "geometry_msgs/msg/PoseWithCovarianceStamped",
+    TF_STATIC: TRANSFORMS,
 }
 
 
@@ -372,6 +375,21 @@ def change_frame_id(topic: str, name: str) -> Injection:
     def inject(flight: Flight) -> None:
         for entry in flight.within(topic):
             entry.message.header.frame_id = name
+
+    return inject
+
+
+def stray_frame_id(topic: str, share: float) -> Injection:
+    """Return what renames the frame of some messages, while /tf_static places that elsewhere."""
+
+    def inject(flight: Flight) -> None:
+        transforms, placed = new_message(TRANSFORMS), new_message(TRANSFORM)
+        quarter = quat_from_rpy(0.0, 0.0, 0.5 * math.pi)
+        fill_transform(placed, flight.from_ns, "base_link", "elsewhere", [1.0, 0.0, 0.5], quarter)
+        transforms.transforms = [placed]
+        for entry in flight.some(topic, share):
+            entry.message.header.frame_id = "elsewhere"
+        flight.insert(TF_STATIC, flight.from_ns, transforms)
 
     return inject
 

@@ -48,6 +48,7 @@ from tools.robustness.disturbances import (
     late_start,
     moved_north,
     repeat_stamps,
+    stray_frame_id,
     swap_in_time,
     with_attributes,
     with_covariance,
@@ -223,6 +224,12 @@ FAULTS: tuple[Fault, ...] = (
         change_frame_id(IMU, ""),
         ("imu/data: frame_id changes",),
     ),
+    Fault(
+        "imu_frame_id_stray",
+        "one message in ten has a frame_id that /tf_static places elsewhere",
+        stray_frame_id(IMU, 0.1),
+        ("imu/data: another frame_id|imu/data: frame_id changes", "no aligning anew"),
+    ),
     # Stamps and gaps of the IMU.
     Fault(
         "imu_zero_stamps",
@@ -380,6 +387,12 @@ FAULTS: tuple[Fault, ...] = (
         "the frame_id changes",
         change_frame_id(FIX, "elsewhere"),
         ("gnss/fix: frame_id changes",),
+    ),
+    Fault(
+        "fix_frame_id_stray",
+        "one fix in five has a frame_id that /tf_static places elsewhere",
+        stray_frame_id(FIX, 0.2),
+        ("gnss/fix: another frame_id|gnss/fix: frame_id changes", "no aligning anew"),
     ),
     # Fixes: covariances.
     Fault(

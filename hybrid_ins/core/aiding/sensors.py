@@ -83,12 +83,16 @@ class AidingSensor:
     error_time: ClassVar[float] = 0.5
 
     def __init__(self) -> None:
+        self.restart()
+        self._refused_with = 0.0  # mean variance of the state that refused it in an outage
+        self._lasting = LastingErrors()
+
+    def restart(self) -> None:
+        """Await a first reading, as the filter restarts; what is known of its errors is kept."""
         self._last_ns = self._used_ns = 0
         self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
-        self._refused_with = 0.0  # mean variance of the state that refused it in an outage
-        self._lasting = LastingErrors()
 
     def state(self, t_ns: int) -> AidingState:
         """Return the state at a stamp [ns]."""
@@ -112,8 +116,8 @@ class AidingSensor:
 
     def admit(self, t_ns: int) -> bool:
         """Note a reading at a stamp [ns]; return whether it is due to be used."""
-        if t_ns - self._last_ns > SILENCE_NS:
-            self._nis, self._checked, self._agrees = 0.0, None, None
+        if abs(t_ns - self._last_ns) > SILENCE_NS:  # silence, or another time base
+            self.restart()
         self._last_ns = max(self._last_ns, t_ns)
         if t_ns - self._used_ns < round(0.9 * self.period * 1e9):
             return False

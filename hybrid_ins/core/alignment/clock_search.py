@@ -25,6 +25,7 @@ from hybrid_ins.core.alignment.multiple_model import (
     MultipleModelBank,
     mixture_of,
 )
+from hybrid_ins.core.filter.events import ClockFound
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.state import (
@@ -245,12 +246,11 @@ class ClockSearch(MultipleModelBank):
         """Give the decision's filter the mixture's clock offset."""
         tried = self._offsets_ns[self._best] * 1e-9
         decision = decision._replace(offset=tried - self.in_force_ns * 1e-9)
-        prior = np.array([self._log_prior[offset_ns] for offset_ns in self._offsets_ns])
-        residual, sigma = self._clock(self.log_weights - prior)
-        clock = decision.filter.clock
-        clock.set_estimate(residual - decision.offset, sigma)
-        if self._prior is not None:
-            clock.prior = self._prior._replace(mean=self._prior.mean - tried)
+        log_prior = np.array([self._log_prior[offset_ns] for offset_ns in self._offsets_ns])
+        residual, sigma = self._clock(self.log_weights - log_prior)
+        prior = self._prior and self._prior._replace(mean=self._prior.mean - tried)
+        t_ns, found = decision.filter.t_ns, residual - decision.offset
+        decision.filter.submit(ClockFound(t_ns, found, sigma, prior))
         from_first = residual + self.in_force_ns * 1e-9
         return decision._replace(at_edge=abs(from_first) >= MAX_OFFSET_NS * 1e-9)
 

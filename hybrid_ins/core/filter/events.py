@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
+from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.measurements import Measurement
 
 Array = NDArray[np.float64]
@@ -51,12 +53,34 @@ class NoiseChange:
 
 
 @dataclass(frozen=True, slots=True)
+class SettingsChange:
+    """Other settings, from its stamp on; None: as they were."""
+
+    t_ns: int
+    gate: Gate | None = None  # one with the other limits
+    clock_prior: ClockPrior | None = None  # relative to the offset that is in force then
+    learn_scatter: bool | None = None
+    kind: ClassVar[str] = "settings change"  # after a clock shift: the prior contains it
+
+
+@dataclass(frozen=True, slots=True)
 class ClockShift:
     """From its stamp on, more is added to the stamps of fixes."""
 
     t_ns: int
     by: float  # s
     kind: ClassVar[str] = "clock shift"
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFound:
+    """From its stamp on, a filter's clock offset is that of the mixture which it is chosen from."""
+
+    t_ns: int
+    residual: float  # s, still to be added to the stamps of fixes
+    sigma: float  # s
+    prior: ClockPrior | None
+    kind: ClassVar[str] = "what was found of the clock"  # after measurements: it contains them
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +130,13 @@ Change = (
     | AntennaShift
     | NoiseEstimate
     | NoiseChange
+    | ClockFound
     | ClockInflation
     | ClockShift
     | CovarianceInflation
     | Outage
     | ScatterInForce
+    | SettingsChange
 )
 Event = Measurement | Change
 

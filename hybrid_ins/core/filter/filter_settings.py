@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.filter.events import SettingsChange
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.measurement_update import MeasurementUpdate
 from hybrid_ins.core.noise.position_scatter import PositionScatter
@@ -72,6 +73,17 @@ class FilterSettings:
         """Return the prior of the clock offset at a stamp [ns]."""
         prior = self.clock_prior
         return None if prior is None else prior.at(t_ns, self.clock_drift)
+
+    def change_of(self, update: MeasurementUpdate, t_ns: int) -> SettingsChange | None:
+        """Return what a filter's update lacks of these settings at a stamp [ns], if anything."""
+        prior, own = self.clock_prior, update.clock.prior
+        if prior is None or own is None or prior.is_close(own):
+            prior = None
+        learns = self.learn_scatter
+        learn_scatter = None if learns == update.scatter.learning else learns
+        if prior is None and learn_scatter is None:
+            return None
+        return SettingsChange(t_ns, clock_prior=prior, learn_scatter=learn_scatter)
 
     def update(self, noise: FilterNoise, gate: Gate, t_ns: int) -> MeasurementUpdate:
         """Return what a filter that begins at a stamp [ns] applies events with."""

@@ -233,11 +233,12 @@ class InsFilter:
         return waiting
 
     def change_settings(self, settings: FilterSettings) -> None:
-        """Change ``max_delay``, ``consider_clock`` and a clock's prior from now on."""
+        """Change ``max_delay``, ``consider_clock``, and what is in `SettingsChange` from now on."""
         self._history.horizon_ns = int(settings.max_delay * 1e9)
         self._consider_clock = settings.consider_clock
-        if self.clock.prior is not None:
-            self.clock.prior = settings.clock_prior
+        change = settings.change_of(self.update, self.t_ns)
+        if change is not None:
+            self.submit(change)
 
     def _schedule(self) -> None:
         """Set the stamp from which on `predict` has to do more than a step."""

@@ -17,6 +17,7 @@ from hybrid_ins.core.filter.events import (
     AntennaFound,
     AntennaShift,
     Change,
+    ClockFound,
     ClockInflation,
     ClockShift,
     CovarianceInflation,
@@ -24,6 +25,7 @@ from hybrid_ins.core.filter.events import (
     NoiseChange,
     Outage,
     ScatterInForce,
+    SettingsChange,
 )
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.fix_update import (
@@ -343,8 +345,13 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
     """Do what a change does to a state, overwritten, and to what is held beside it."""
     if isinstance(change, NoiseChange):
         own.noise = own.noise.replaced_by(change.noise)
+    elif isinstance(change, SettingsChange):
+        _change_settings(own, change)
     elif isinstance(change, NoiseEstimate):
         own.noise.learn_estimate(change)
+    elif isinstance(change, ClockFound):
+        own.clock.set_estimate(change.residual, change.sigma)
+        own.clock.prior = change.prior
     elif isinstance(change, ClockInflation):
         own.clock.inflate(change.std)
     elif isinstance(change, ClockShift):
@@ -365,6 +372,15 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
         own.scale_errors.restart()
     elif isinstance(change, Outage):
         own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)
+
+
+def _change_settings(own: MeasurementUpdate, change: SettingsChange) -> None:
+    if change.gate is not None:
+        own.gate = own.gate.replaced_by(change.gate)
+    if change.clock_prior is not None:
+        own.clock.prior = change.clock_prior
+    if change.learn_scatter is not None:
+        own.scatter.begin(change.learn_scatter)
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

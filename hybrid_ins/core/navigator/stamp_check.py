@@ -22,6 +22,7 @@ AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyo
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+STAMPED_AHEAD = "stamped ahead of the IMU"  # the reason of one that is further ahead
 PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
 
 
@@ -63,6 +64,10 @@ class ImuStampCheck:
         """Forget all stamps."""
         self.last_ns = 0
         self._jumped_ns = self._jumps = 0
+
+    def is_ahead(self, t_ns: int) -> bool:
+        """Return whether a measurement's stamp [ns] lies further ahead than samples may lack."""
+        return self.last_ns > 0 and t_ns - self.last_ns > self.max_gap_ns + AHEAD_NS
 
     def check(self, t_ns: int) -> StampFault | None:
         """
@@ -147,9 +152,9 @@ class MeasurementCheck:
         key = (measurement.kind, measurement.t_ns)
         if key in self._seen:
             return Verdict.rejected(measurement, "repeated stamp")
-        ahead_ns = measurement.t_ns - stamps.last_ns
-        if stamps.last_ns and ahead_ns > stamps.max_gap_ns + AHEAD_NS:
-            return Verdict.rejected(measurement, "stamped ahead of the IMU", -ahead_ns * 1e-9)
+        if stamps.is_ahead(measurement.t_ns):
+            age = (stamps.last_ns - measurement.t_ns) * 1e-9
+            return Verdict.rejected(measurement, STAMPED_AHEAD, age)
         self._seen.append(key)
         if not self._speed_check.is_reachable(measurement):
             return Verdict.rejected(measurement, "faster than gnss.max_speed")

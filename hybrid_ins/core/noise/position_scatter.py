@@ -129,16 +129,20 @@ class PositionScatter(ShallowCopy):
 
     def __init__(self, given: float = 1.0, learning: bool = False) -> None:
         self._given = given
-        self.learning = learning
+        self._t_ns = 0  # of the last position
+        self._claimed_slow = np.empty(0)  # m², of its slow error
+        self.in_force = False
+        self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
+        self.begin(learning)
+
+    def begin(self, learning: bool) -> None:
+        """Return to the given share, and learn it from the fixes from now on, or do not."""
+        given, self.learning = self._given, learning
         self._count = PRIOR_COUNT
         self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
         self.learned = given
-        self._t_ns = 0  # of the last position
-        self._claimed_slow = np.empty(0)  # m², of its slow error
-        self._normalised = np.empty(0)  # its innovation
+        self._normalised = np.empty(0)  # the last position's innovation
         self._walk = 1.0  # factor on the walk of the slow error
-        self.in_force = False
-        self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
 
     def share(self, claimed: Array) -> float:
         """Return the share in force for a claimed covariance (m, m)."""

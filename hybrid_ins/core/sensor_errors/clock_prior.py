@@ -65,6 +65,10 @@ class ClockPrior(NamedTuple):
         scale = math.hypot(self.scale, age * drift.std)
         return ClockPrior(self.mean + age * drift.mean, scale)
 
+    def is_close(self, other: ClockPrior) -> bool:
+        """Return whether another prior is the same but for rounding."""
+        return self[1:] == other[1:] and math.isclose(self.mean, other.mean, abs_tol=1e-9)
+
     def posterior(
         self, estimate: float, variance: float, at_start: float, spread: float, shared: float
     ) -> tuple[float, float]:

@@ -42,6 +42,7 @@ SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averag
 UNREMARKABLE = 1.5  # a scale that is forgotten
 UNCONFIRMED = "innovation beyond the gate after a pause: waits for a fix that agrees"
 LEAST_PATIENCE_NS = 1_000_000_000  # with a state that rests on one fix
+LONG_SINCE_NS = -(2**62)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,9 +164,15 @@ class Gate(ShallowCopy):
     def __init__(self, thresholds: Mapping[int, float], patience: float) -> None:
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
-        self._confirmed_since_ns = -self._patience_ns
+        self._confirmed_since_ns = LONG_SINCE_NS
         self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
         self._scales: dict[str, float] = {}  # likewise; 1 where there is none
+
+    def replaced_by(self, other: Gate) -> Gate:
+        """Return a gate with the limits of ``other`` that knows what this one has seen."""
+        twin = self.__copy__()
+        twin._thresholds, twin._patience_ns = other._thresholds, other._patience_ns
+        return twin
 
     def threshold(self, components: int) -> float:
         """Return the largest NIS of a measurement that agrees, by its number of components."""

@@ -20,8 +20,10 @@ from hybrid_ins.core.aiding.sensors import (
     HeightSensor,
     VelocitySensor,
 )
+from hybrid_ins.core.filter.ins_filter import TOO_OLD, InsFilter
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.stamp_check import STAMPED_AHEAD
 from hybrid_ins.core.update.measurements import Measurement
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages, substituted
 from hybrid_ins.ros.messages.conversions import FLIP, Message, Refused
@@ -35,6 +37,7 @@ Array = NDArray[np.float64]
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
 QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
 KEPT = 12  # states, one with each tenth of a second: readings may be a second late
+OLDEST_NS = 1_200_000_000  # before there are any
 EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
     "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
@@ -88,6 +91,8 @@ class AidingSources:
 
     def restart(self) -> None:
         """Restart, as the filter did; the sensors are the same."""
+        for sensor in (self._velocity, self._heading, self._height):
+            sensor.restart()
         self._states.clear()
         self._quiet_until_ns.clear()
 
@@ -113,12 +118,17 @@ class AidingSources:
         if isinstance(reading, Refused):
             self._inputs.count_and_warn(topic, reading)
             return
-        if self._navigator.filter is None or not sensor.admit(reading.t_ns):
+        running = self._navigator.filter
+        if running is None:
             return
-        nav = self._state_at(reading.t_ns)
-        if nav is None:
-            self._inputs.counts[f"{sensor.name}: too old"] += 1
+        fault = self._stamp_fault(reading.t_ns, running)
+        if fault:
+            text = _describe_stamp((reading.t_ns - running.t_ns) * 1e-9)
+            self._inputs.count_and_warn(topic, Refused(f"{sensor.name}: {fault}", text))
             return
+        if not sensor.admit(reading.t_ns):
+            return
+        nav = self._state_at(reading.t_ns, running)
         fixes_come = self._fixes.settled(self._navigator.last_ns)
         outage = self._fixes.outage(self._navigator.last_ns)
         measurement = sensor.check(reading, nav, checked=fixes_come, outage=outage)
@@ -126,14 +136,17 @@ class AidingSources:
         if measurement is not None:
             self._navigator.measure(measurement)
 
-    def _state_at(self, t_ns: int) -> Array | None:
-        """Return the flat state nearest to a stamp [ns]; None where it is older than all."""
-        running = self._navigator.filter
-        assert running is not None
+    def _stamp_fault(self, t_ns: int, running: InsFilter) -> str:
+        """Return why there is no state to check a reading with a stamp [ns] against, if so."""
+        if self._navigator.stamps.is_ahead(t_ns):
+            return STAMPED_AHEAD
+        oldest_ns = self._states[0][0] - 60_000_000 if self._states else running.t_ns - OLDEST_NS
+        return TOO_OLD if t_ns < oldest_ns else ""
+
+    def _state_at(self, t_ns: int, running: InsFilter) -> Array:
+        """Return the flat state nearest to a stamp [ns]."""
         if t_ns > running.t_ns - 30_000_000 or not self._states:
             return running.flat_state()
-        if t_ns < self._states[0][0] - 60_000_000:
-            return None
         return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1]
 
     def run_periodic(self, t_ns: int) -> None:
@@ -167,7 +180,7 @@ class AidingSources:
                 f"component): it is not used; {REMEDIES[sensor.name]}",
             )
         elif state is AidingState.LOST:
-            self._inputs.log("warn", f"aiding: {sensor.name}: no messages for 2 s")
+            self._inputs.log("warn", f"aiding: {sensor.name}: no message of use for 2 s")
         elif state is AidingState.AIDING:
             self._inputs.log("info", f"aiding: {sensor.name} agrees with the motion: it is used")
 
@@ -209,3 +222,10 @@ class AidingSources:
             values["baro_offset"] = self._height.offset
             values["baro_offset_std"] = self._height.offset_std
         return status("aiding", level, ", ".join(parts) or "no sensors besides GNSS", values)
+
+
+def _describe_stamp(ahead: float) -> str:
+    """Return that a stamp is so far ahead of the IMU's [s], and the remedy."""
+    if ahead > 0.0:
+        return f"header.stamp is {ahead:.1f} s ahead of the IMU's: let both stamp by one clock"
+    return f"header.stamp is {-ahead:.1f} s behind the IMU's: let both stamp by one clock"

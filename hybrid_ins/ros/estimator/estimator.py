@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.alignment.alignment import Alignment
 from hybrid_ins.core.navigator.events import (
     ClockOffsetFound,
     Event,
@@ -46,6 +47,7 @@ from hybrid_ins.ros.review.input_review import InputReview
 Array = NDArray[np.float64]
 
 REPORT_NS = 100_000_000  # between two reports of the state
+SENSOR_MOVED = Refused("restart: a sensor was moved", "a sensor was moved: aligning anew")
 KEEP_CLOCK = (
     RestartCause.NO_SAMPLES,
     RestartCause.IMU_UNUSABLE,
@@ -109,7 +111,7 @@ class Estimator:
         self.odometry = OdometrySource()
         self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
         self._review = InputReview(values, self.navigator, self.placement, self.inputs)
-        self.reporter = Reporter(values, self.navigator, self.inputs, self.odometry)
+        self.reporter = Reporter(self.values, self.navigator, self.inputs, self.odometry)
         self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
         self.noise = NoiseInput(self.navigator, log)
         self.noise.configure(values, self.placement.mount)
@@ -179,17 +181,21 @@ class Estimator:
         if self.placement.add_transforms(message):
             self._on_moved_sensors()
 
-    def handle_frame_id(self, topic: str, frame: str) -> None:
-        """Use the frame_id of the messages on ``imu/data`` or ``gnss/fix``."""
-        if self.placement.set_frame(topic, frame):
+    def _admits_frame(self, topic: str, frame: str, t_ns: int) -> bool:
+        """Use the frame_id of a message that is of use; False: that is refused for it."""
+        admitted = self.placement.admits(topic, frame, t_ns)
+        if admitted and self.placement.set_frame(topic, frame):
             self._on_moved_sensors()
+        return admitted
 
     def _on_moved_sensors(self) -> None:
         self._fixes.configure()
         self._review.axes.restart()
-        self.noise.configure(self.values, self.placement.mount)
+        self.noise.set_mount(self.placement.mount)
         self.aids.configure(self.placement)
         if self.navigator.ring.count:
+            if self.aligned:
+                self.inputs.count_and_warn("placement", SENSOR_MOVED)
             self.navigator.reset()
             self._restart(self.clock.forget)
 
@@ -199,22 +205,23 @@ class Estimator:
         """
         Use an Imu message; returns the odometry after it, if there is any.
 
-        `run_periodic` is due once that is published. See `imu_block` for many at once.
+        ``received_ns`` replaces the stamp where it is given: the owner knows ``use_receive_time``.
+        `run_periodic` is due once the odometry is published. See `imu_block` for many at once.
         """
         navigator, placement = self.navigator, self.placement
-        if imu.frame_id != placement.frame_of("imu/data"):
-            self.handle_frame_id("imu/data", imu.frame_id)
         if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
             self.inputs.count_and_warn("imu/data", NO_READING)
             return None
-        if navigator.filter is None and imu.orientation_cov0 != -1.0:
-            self._use_orientation(imu.orientation_xyzw)
-        t_ns, force, rate = imu.stamp_ns, imu.specific_force, imu.angular_rate
-        if received_ns is not None and self.values["use_receive_time"]:
-            t_ns = received_ns
+        force, rate = imu.specific_force, imu.angular_rate
+        t_ns = imu.stamp_ns if received_ns is None else received_ns
         if not is_usable(t_ns, *force, *rate, *self._limits):
             self.inputs.count_and_warn("imu/data", refusal(t_ns, force, rate, self._limits[0]))
             return None
+        is_settled = placement.is_settled("imu/data", imu.frame_id)
+        if not is_settled and not self._admits_frame("imu/data", imu.frame_id, t_ns):
+            return None
+        if self.values["alignment.heading_source"] == "imu" and navigator.alignment is not None:
+            _observe_orientation(navigator.alignment, imu, placement.mount)
         fault = navigator.imu(t_ns, *placement.to_body(*force), *placement.to_body(*rate))
         if fault is not None:
             self.inputs.count_and_warn("imu/data", STAMP_FAULTS[fault])
@@ -228,20 +235,15 @@ class Estimator:
             navigator.give_up(RestartCause.NOT_FINITE)
         return odometry
 
-    def _use_orientation(self, quat_xyzw: Sequence[float]) -> None:
-        alignment = self.navigator.alignment
-        if alignment is not None and self.values["alignment.heading_source"] == "imu":
-            yaw = conversions.imu_yaw(quat_xyzw, self.placement.mount)
-            if yaw is not None:
-                alignment.observe_yaw(yaw)
-
     # GNSS.
 
     def handle_fix(self, message: Message, received_ns: int | None = None) -> None:
         """Use a sensor_msgs/NavSatFix."""
-        if message.header.frame_id != self.placement.frame_of("gnss/fix"):
-            self.handle_frame_id("gnss/fix", message.header.frame_id)
-        fix = self._fixes.position(message, received_ns)
+        fix, frame = self._fixes.position(message, received_ns), message.header.frame_id
+        if not isinstance(fix, Refused) and not self.placement.is_settled("gnss/fix", frame):
+            if not self._admits_frame("gnss/fix", frame, fix.t_ns):
+                return
+            fix = self._fixes.position(message, received_ns)  # the antenna may be elsewhere
         if not isinstance(fix, Refused) and self.odometry.map is None:
             self.set_datum(np.nan_to_num(fix.lla), fix.t_ns)
         self._review.on_fix(message, fix)
@@ -305,3 +307,11 @@ class Estimator:
         elif isinstance(event, ClockOffsetFound):
             self.clock.on_found(event)
             self._fixes.configure()
+
+
+def _observe_orientation(alignment: Alignment, imu: ImuFields, mount: Array) -> None:
+    """Give the heading of the IMU's own orientation to the alignment; some have none."""
+    if imu.orientation_cov0 != -1.0:
+        yaw = conversions.imu_yaw(imu.orientation_xyzw, mount)
+        if yaw is not None:
+            alignment.observe_yaw(yaw)

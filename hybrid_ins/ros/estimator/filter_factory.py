@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import AlignmentSettings
-from hybrid_ins.core.filter.events import NoiseChange
+from hybrid_ins.core.filter.events import NoiseChange, SettingsChange
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
@@ -34,6 +34,9 @@ from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.ros.messages.conversions import clock_drift, first_biases, yaw_ned_from_enu
 
 Array = NDArray[np.float64]
+
+
+GATE = ("gnss.gate_probability", "gnss.patience")  # parameters of the gate
 
 
 class FilterFactory:
@@ -68,7 +71,9 @@ class FilterFactory:
         """Use checked values of run-time parameters from now on."""
         self._values.update(changes)
         consider = self._values["gnss.time_offset.estimate"]
-        self.settings = replace(self.settings, consider_clock=consider)
+        self.settings = replace(
+            self.settings, consider_clock=consider, learn_scatter=self._adapts()
+        )
         self.speed_check.max_speed = self._values["gnss.max_speed"]
         self.speed_check.patience = self._values["gnss.patience"]
 
@@ -103,8 +108,9 @@ class FilterFactory:
         )
 
     def change_running(self, running: InsFilter, changes: Mapping[str, Any]) -> None:
-        """Change the gate of a filter that runs, and its noise where that changes."""
-        running.update.gate = self.gate()
+        """Change the gate and the noise of a filter that runs, where ``changes`` concern them."""
+        if any(name in GATE for name in changes):
+            running.submit(SettingsChange(running.t_ns, gate=self.gate()))
         if any(name.startswith("noise.") or name.endswith("_bias_walk") for name in changes):
             noise = self.noise(running.noise.process.period)
             running.submit(NoiseChange(running.t_ns, noise))

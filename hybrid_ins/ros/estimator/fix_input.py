@@ -76,15 +76,12 @@ class FixInput:
     def position(self, message: Message, received_ns: int | None) -> PositionFix | Refused:
         """Convert a sensor_msgs/NavSatFix; see `GnssInput.position`."""
         self.follow()
-        return self._gnss.position(message, self._by_receipt(received_ns))
+        return self._gnss.position(message, received_ns)
 
     def velocity(self, message: Message, received_ns: int | None) -> Measurement | Refused:
         """Convert a geometry_msgs/TwistWithCovarianceStamped; see `GnssInput.velocity`."""
         self.follow()
-        return self._gnss.velocity(message, self._by_receipt(received_ns))
-
-    def _by_receipt(self, received_ns: int | None) -> int | None:
-        return received_ns if self._values["use_receive_time"] else None
+        return self._gnss.velocity(message, received_ns)
 
     def admit(self, topic: str, measurement: Measurement) -> Measurement | Refused:
         """Return a measurement of a topic, or why it is one too many."""

@@ -38,17 +38,17 @@ class GpsFixInput:
         self._new = new
         self._track = TrackCheck()
         self._fix_type = ""
-        self._other_ns = 0
+        self._other_ns: int | None = None  # stamp of the last NavSatFix
 
-    def note_fix(self, message: Message) -> None:
-        """Note a NavSatFix on gnss/fix: it goes before a GPSFix."""
-        self._other_ns = stamp_ns(message.header.stamp)
+    def note_fix(self, message: Message, received_ns: int | None = None) -> None:
+        """Note a NavSatFix on gnss/fix: it goes before a GPSFix, unless it has no stamp."""
+        self._other_ns = _time_of(message, received_ns) or self._other_ns
 
     def handle(self, message: Message, received_ns: int | None = None) -> list[Message]:
         """Use a message; returns what was made of it: a NavSatFix, a velocity."""
         estimator, inputs = self._estimator, self._estimator.inputs
-        t_ns = stamp_ns(message.header.stamp)
-        if abs(t_ns - self._other_ns) < OTHER_TOPIC_NS:
+        t_ns = _time_of(message, received_ns)
+        if self._other_ns is not None and abs(t_ns - self._other_ns) < OTHER_TOPIC_NS:
             inputs.warn_once(
                 "gnss: two topics of fixes",
                 "gnss/fix and gnss/gpsfix both have messages: gnss/gpsfix is not used; remap one",
@@ -83,3 +83,8 @@ class GpsFixInput:
             value = float(getattr(message, name))
             if value > 0.0:
                 inputs.receiver[name] = value
+
+
+def _time_of(message: Message, received_ns: int | None) -> int:
+    """Return a message's stamp, or when it was received where that counts [ns]."""
+    return stamp_ns(message.header.stamp) if received_ns is None else received_ns

@@ -24,6 +24,7 @@ def handle_imu_block(
     force: Array,
     rate: Array,
     orientation_xyzw: Array | None = None,
+    frame_id: str | None = None,
 ) -> list[OdometryBlock]:
     """
     Use readings in the IMU's own axes; the result is that of `Estimator.handle_imu` one by one.
@@ -37,6 +38,8 @@ def handle_imu_block(
         Specific force [m/s²] and angular rate [rad/s].
     orientation_xyzw : ndarray, shape (N, 4), optional
         Orientations in ENU; they matter to heading_source imu only.
+    frame_id : str, optional
+        Of the readings; by default it is the one in force.
 
     Returns
     -------
@@ -44,17 +47,18 @@ def handle_imu_block(
         Of each stretch in which the filter ran.
     """
     force, rate = np.ascontiguousarray(force), np.ascontiguousarray(rate)
+    frame = estimator.placement.frame_of("imu/data") if frame_id is None else frame_id
     done: list[OdometryBlock] = []
     k = 0
     while k < len(t_ns):
-        end = _end_of_stretch(estimator, t_ns, force, rate, k)
+        end = _end_of_stretch(estimator, t_ns, force, rate, k, frame)
         if end > k:
             block = _handle_stretch(estimator, t_ns[k:end], force[k:end], rate[k:end])
             if block is not None:
                 done.append(block)
         else:
             end = k + 1
-            one = estimator.handle_imu(_fields(estimator, k, t_ns, force, rate, orientation_xyzw))
+            one = estimator.handle_imu(_fields(k, t_ns, force, rate, orientation_xyzw, frame))
             if one is not None:
                 done.append(OdometryBlock(t_ns[k:end], one.in_map[None], one.in_odom[None]))
         estimator.run_periodic()
@@ -63,20 +67,15 @@ def handle_imu_block(
 
 
 def _fields(
-    estimator: Estimator,
     k: int,
     t_ns: NDArray[np.int64],
     force: Array,
     rate: Array,
     orientation_xyzw: Array | None,
+    frame: str,
 ) -> ImuFields:
     """Return one reading as a message."""
-    imu = ImuFields(
-        int(t_ns[k]),
-        tuple(force[k].tolist()),
-        tuple(rate[k].tolist()),
-        estimator.placement.frame_of("imu/data"),
-    )
+    imu = ImuFields(int(t_ns[k]), tuple(force[k].tolist()), tuple(rate[k].tolist()), frame)
     if orientation_xyzw is None:
         return imu
     orientation = tuple(orientation_xyzw[k].tolist())
@@ -84,11 +83,18 @@ def _fields(
 
 
 def _end_of_stretch(
-    estimator: Estimator, t_ns: NDArray[np.int64], force: Array, rate: Array, start: int
+    estimator: Estimator,
+    t_ns: NDArray[np.int64],
+    force: Array,
+    rate: Array,
+    start: int,
+    frame: str,
 ) -> int:
     """Return the end of the rows that need nothing between them, see `end_of_stretch`."""
     running = estimator.navigator.filter
     if running is None or estimator.odometry.map is None:
+        return start
+    if not estimator.placement.is_settled("imu/data", frame):
         return start
     stamps = estimator.navigator.stamps
     until_ns = min(estimator.due_ns, running.next_event_ns)

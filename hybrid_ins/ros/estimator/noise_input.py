@@ -52,6 +52,12 @@ class NoiseInput:
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
         self.restart()
 
+    def set_mount(self, mount: Array) -> None:
+        """Use another matrix (3, 3) from the IMU's axes to b; the regressor is the same."""
+        if self.reader is not None:
+            self.reader.set_mount(mount)
+        self.restart()
+
     def restart(self) -> None:
         """Make the next estimate due at once."""
         self.next_ns = NEVER_NS if self.reader is None else 0

@@ -61,7 +61,7 @@ class Reporter:
     Parameters
     ----------
     values : mapping
-        Checked parameters.
+        The parameters in force: they may change.
     navigator : Navigator
     inputs : InputLog
     odometry : OdometrySource
@@ -83,13 +83,12 @@ class Reporter:
         inputs: InputLog,
         odometry: OdometrySource,
     ) -> None:
+        self._values = values
         self._base_frame, self._map_frame = values["base_frame"], values["map_frame"]
         self._navigator = navigator
         self._inputs = inputs
         self._odometry = odometry
         self._odometry_due = RateLimiter(values["odometry_rate"])
-        self._max_speed = values["gnss.max_speed"]
-        self._rate_variance = np.full(3, values["noise.q_gyroscope"])
         self._reports: list[Report] = []
         self.fixes_fused = 0
         self.ever_located = self.ever_aligned = False
@@ -192,7 +191,8 @@ class Reporter:
         if nav is None:
             return
         if best is None:
-            self._report_odometry(t_ns, nav, arm_b, self._rate_variance)
+            rate_variance = np.full(3, self._values["noise.q_gyroscope"])
+            self._report_odometry(t_ns, nav, arm_b, rate_variance)
             return
         levels = best.noise.levels()
         if phase.filter is None:
@@ -212,7 +212,8 @@ class Reporter:
         sigma = total_std(nav)
         fastest = max(float(np.abs(nav[VELOCITY]).max()), float(sigma[DV].max()))
         is_rotation = abs(float(nav[QUAT] @ nav[QUAT]) - 1.0) < NOT_UNIT
-        return bool(np.isfinite(sigma).all()) and fastest < self._max_speed and is_rotation
+        is_reachable = fastest < self._values["gnss.max_speed"]
+        return bool(np.isfinite(sigma).all()) and is_reachable and is_rotation
 
     def _report_odometry(self, t_ns: int, nav: Array, arm_b: Array, rate_variance: Array) -> None:
         """Report odometry while no single filter runs; `Estimator` returns that of one."""

@@ -4,7 +4,7 @@ Where IMU and antenna are in the base frame: by parameters, or by ``/tf_static``
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros.messages.conversions import FLIP, Message, Refused, mount_matrix
+from hybrid_ins.ros.placement.frame_id import CONFIRMED, LASTING_NS, FrameId
 from hybrid_ins.ros.placement.static_transforms import LONGEST_NAME, MOST_FRAMES, StaticTransforms
 from hybrid_ins.ros.reporting.input_log import InputLog
 
@@ -62,7 +63,7 @@ class SensorPlacement:
             topic: any(any(values[name]) for name in names) for topic, names in PARAMETERS.items()
         }
         self._transforms = StaticTransforms()
-        self._frames = dict.fromkeys(PARAMETERS, "")
+        self._frames = {topic: FrameId() for topic in PARAMETERS}
         self._given_b: Array = np.full(3, np.nan)  # the antenna's place without that error
         self.antenna_error_b: Array = np.zeros(3)
         self.antenna_std: Array = np.zeros(3)
@@ -86,16 +87,46 @@ class SensorPlacement:
         return any(self._position) or self._is_placed_by_transform("imu/data")
 
     def _is_placed_by_transform(self, topic: str) -> bool:
-        is_base = self._frames[topic] == self._base  # so say drivers that do not know it
-        return not is_base and self._transform_of(topic) is not None
+        frame = self.frame_of(topic)
+        is_base = frame == self._base  # so say drivers that do not know it
+        return not is_base and self._transform_of(frame) is not None
 
     def frame_of(self, topic: str) -> str:
-        """Return the frame_id of the last message on ``imu/data`` or ``gnss/fix``."""
-        return self._frames[topic]
+        """Return the frame_id in force of the messages on ``imu/data`` or ``gnss/fix``."""
+        return self._frames[topic].in_force or ""
+
+    def is_settled(self, topic: str, frame: str) -> bool:
+        """Return whether a message's frame_id needs no check by `admits`."""
+        return self._frames[topic].is_settled(frame)
+
+    def admits(self, topic: str, frame: str, t_ns: int) -> bool:
+        """
+        Return whether a message's frame_id may be set; else the message is refused, and counted.
+
+        ``t_ns`` is its stamp [ns].
+        A frame_id that puts the sensor elsewhere, by ``/tf_static``, has to last: else one message
+        of another publisher would end the estimate.
+        """
+        known = self._frames[topic]
+        if known.is_confirmed(frame, t_ns) or known.in_force is None:
+            return True
+        if self.is_given[topic] or _are_equal(self._find(known.in_force), self._find(frame)):
+            return True
+        self._inputs.count_and_warn(
+            topic,
+            Refused(
+                f"{topic}: another frame_id",
+                f"the frame_id is '{shortened(frame)}', not '{shortened(known.in_force)}', and "
+                f"/tf_static does not place both alike: rejected until {CONFIRMED} messages in a "
+                f"row have it for {LASTING_NS * 1e-9:g} s; do two publishers share the topic?",
+            ),
+        )
+        return False
 
     def set_frame(self, topic: str, frame: str) -> bool:
         """Set the frame_id of the messages on a topic; True where that moves a sensor."""
-        known, self._frames[topic] = self._frames[topic], frame
+        known = self._frames[topic].in_force
+        self._frames[topic].set(frame)
         if known and frame != known:
             self._inputs.count_and_warn(
                 topic,
@@ -105,18 +136,18 @@ class SensorPlacement:
                     "publishers on one topic?",
                 ),
             )
-        if (
-            not known
-            and frame not in ("", self._base)
-            and not self.is_given[topic]
-            and self._transforms.find(self._base, frame) is None
-        ):
+        moved = self._place_again()
+        names_other = frame != self._base if frame else moved
+        is_placed = self.is_given[topic] or self._transforms.find(self._base, frame) is not None
+        if frame != known and names_other and not is_placed:
             self._inputs.inform(
                 f"{topic}: no transform",
                 f"{topic}: no transform from '{self._base}' to '{shortened(frame)}' (neither "
                 f"{PARAMETERS[topic][0]} nor /tf_static): assuming that they coincide",
             )
-        return self._place_again()
+        elif moved:
+            self._inform_of_transforms()
+        return moved
 
     def add_transforms(self, message: Message) -> bool:
         """Use a tf2_msgs/TFMessage of /tf_static; True where it moves a sensor."""
@@ -129,7 +160,10 @@ class SensorPlacement:
                     "characters: left out",
                 ),
             )
-        return self._place_again()
+        moved = self._place_again()
+        if moved:
+            self._inform_of_transforms()
+        return moved
 
     def move_antenna(self, error_b: Array, std: Array, moves_odometry: bool = True) -> None:
         """
@@ -146,20 +180,20 @@ class SensorPlacement:
     def _place_again(self) -> bool:
         before = self.mount, self.arm_b, self.lever_b
         self._place()
-        if all(map(np.array_equal, before, (self.mount, self.arm_b, self.lever_b))):
-            return False
+        return not _are_equal(before, (self.mount, self.arm_b, self.lever_b))
+
+    def _inform_of_transforms(self) -> None:
         self._inputs.inform(
             "sensors moved", f"/tf_static gives the positions of IMU and antenna in '{self._base}'"
         )
-        return True
 
     def _place(self) -> None:
         mount, position, antenna = mount_matrix(self._mount_rpy), self._position, self._antenna
         if not self.is_given["imu/data"]:
-            C, place = self._find("imu/data")
+            C, place = self._find(self.frame_of("imu/data"))
             mount, position = FLIP @ C, place.tolist()
         if not self.is_given["gnss/fix"]:
-            antenna = self._find("gnss/fix")[1].tolist()
+            antenna = self._find(self.frame_of("gnss/fix"))[1].tolist()
         self.mount = mount
         self._mount_rows: tuple[float, ...] = tuple(mount.ravel().tolist())
         given_b = FLIP @ np.subtract(antenna, position)
@@ -169,12 +203,16 @@ class SensorPlacement:
         self.arm_b: Array = FLIP @ np.array(position) + self._imu_error_b
         self.lever_b: Array = given_b + self.antenna_error_b
 
-    def _find(self, topic: str) -> tuple[Array, Array]:
-        """Rotation and position in the base frame of the frame that a topic's messages have."""
-        found = self._transform_of(topic)
+    def _find(self, frame: str) -> tuple[Array, Array]:
+        """Return rotation and position in the base frame of a frame that messages have."""
+        found = self._transform_of(frame)
         return (np.eye(3), np.zeros(3)) if found is None else found
 
-    def _transform_of(self, topic: str) -> tuple[Array, Array] | None:
+    def _transform_of(self, frame: str) -> tuple[Array, Array] | None:
         """Return that as ``/tf_static`` says it; None where it does not."""
-        frame = self._frames[topic]
         return self._transforms.find(self._base, frame) if frame and self._use_transforms else None
+
+
+def _are_equal(one: Sequence[Array], other: Sequence[Array]) -> bool:
+    """Return whether two places are the same, array by array."""
+    return all(map(np.array_equal, one, other))

@@ -73,6 +73,34 @@ def test_scale_of_wheels_is_found_to_a_tenth_of_a_percent(seed: int) -> None:
     assert sensor.sigma[0] < 0.002
 
 
+def test_a_restart_keeps_what_is_known_of_the_errors() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.02, 1000.0, 2)
+    known = sensor.scale, sensor.sigma.tolist(), sensor.factor
+
+    sensor.restart()
+
+    assert sensor.state(1060 * SECOND) is AidingState.ABSENT
+    assert (sensor.scale, sensor.sigma.tolist(), sensor.factor) == known
+    wheels(sensor, 10.0, 1.02, 0.5, 2)
+    assert sensor.state(10 * SECOND) is AidingState.AIDING
+
+
+@pytest.mark.parametrize("stray", [5000.0, -3000.0, 1.5], ids=["back", "ahead", "little"])
+def test_stamps_that_go_back_are_a_new_time_base(stray: float) -> None:
+    # GIVEN a reading that is stamped far ahead, or stamps that go back from then on
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 20.0, 1.0, 6000.0, 2)
+
+    start = 6020.0 - stray
+    admitted = sum(sensor.admit(round((start + 0.1 * k) * SECOND)) for k in range(100))
+    wheels(sensor, 10.0, 1.0, start + 10.0, 2)
+
+    # THEN the next ones are used: every second one, as they come twice as often as needed
+    assert admitted >= (42 if stray == 1.5 else 50)
+    assert sensor.state(round((start + 19.9) * SECOND)) is AidingState.AIDING
+
+
 @pytest.mark.parametrize("seed", [2, 4])
 def test_place_of_a_velocity_sensor_is_found_in_turns(seed: int) -> None:
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.analytic_motion import Series, Truth, Wave, difference, travel
 
-from hybrid_ins.core.filter.events import Event, NoiseChange
+from hybrid_ins.core.filter.events import Event, NoiseChange, SettingsChange
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter, Measurement
@@ -33,6 +34,7 @@ from hybrid_ins.core.inertial.state import (
     unpack_total,
 )
 from hybrid_ins.core.noise.process_noise import ConstantNoise, NoiseEstimate, ProcessNoise
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.kalman import inject
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
@@ -378,6 +380,30 @@ def test_noise_takes_effect_at_its_stamp_also_when_late() -> None:
     np.testing.assert_array_equal(late.nav[:N_NAV], in_order.nav[:N_NAV])
     np.testing.assert_allclose(in_order.nav[PSD][:6], 100.0 * Q * 0.01)
     assert not late.verdicts
+
+
+def test_settings_outlast_a_rewind_and_apply_from_their_stamp_on() -> None:
+    # GIVEN settings that change after a fix was valid that comes late
+    truth = flight()
+    ins, prior = make_filter(truth), ClockPrior(0.0, 0.004)
+    ins.clock.prior = ClockPrior(0.0, 0.001)
+    ins.submit(fix(truth, ins.t_ns))  # whose checkpoint has that prior
+    fly(ins, imu(truth)[1:101])
+    other = FilterSettings(max_delay=1.0, clock_prior=prior, learn_scatter=True)
+    ins.submit(SettingsChange(ins.t_ns, gate=Gate({3: 9.0}, 7.0)))
+    ins.change_settings(other)
+    fly(ins, imu(truth)[101:151])
+
+    ins.submit(fix(truth, ins.t_ns - 700_000_000))
+
+    assert ins.update.gate.threshold(3) == 9.0
+    assert ins.clock.prior == prior and ins.update.scatter.learning
+    assert ins.verdicts[-1].threshold == 1e9
+
+    # THEN nothing is left to change: the same settings make no event
+    before = ins.update.clock.prior
+    ins.change_settings(replace(other, clock_prior=ClockPrior(1e-12, 0.004)))
+    assert ins.update.clock.prior is before
 
 
 def test_very_late_noise_takes_effect_now() -> None:

@@ -45,6 +45,18 @@ def test_one_outlier_is_refused_with_a_reason(gate: Gate) -> None:
     assert judge(gate, 2.0, 0.1).accepted
 
 
+def test_other_limits_leave_a_run_of_rejections_as_it_was(gate: Gate) -> None:
+    judge(gate, 1.0, 0.1)
+    judge(gate, 2.0, 50.0)
+
+    changed = gate.replaced_by(Gate({3: 6.3}, patience=7.0))
+
+    assert changed.rejects and changed.threshold(3) == 6.3
+    verdicts = [judge(changed, 2.0 + 0.5 * k, 50.0) for k in range(1, 16)]
+    assert [v.inflated for v in verdicts] == [False] * 13 + [True] + [False]
+    assert gate.threshold(3) == 21.1
+
+
 def test_large_innovation_that_an_ins_can_make_is_weighted_not_rejected(gate: Gate) -> None:
     verdict = judge(gate, 1.0, 5.0)
 
