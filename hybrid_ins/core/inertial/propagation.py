@@ -23,6 +23,7 @@ from hybrid_ins.core.inertial.state import (
     LAST_F,
     LAST_W,
     LLA,
+    MEAN_RATE,
     N_NAV,
     PENDING_C,
     PENDING_DT,
@@ -38,7 +39,7 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.core.inertial.strapdown import mechanise
 
 FASTMATH = {"contract", "arcp"}  # fused multiply-add, reciprocals: rounding only
-MEAN_TIME = 0.05  # s, over which the acceleration is averaged
+MEAN_TIME = 0.05  # s, over which acceleration and angular rate are averaged
 GRAVITY = 9.8  # m/s²: the mean acceleration needs it no better
 
 
@@ -117,6 +118,10 @@ def step(nav, dt, fx, fy, fz, wx, wy, wz, interval):  # type: ignore[no-untyped-
     nav[PENDING_DT] += dt
     last_f[0], last_f[1], last_f[2] = fx, fy, fz
     last_w[0], last_w[1], last_w[2] = wx, wy, wz
+    rate, share = nav[MEAN_RATE], dt / (dt + MEAN_TIME)
+    rate[0] += share * (wx - rate[0])
+    rate[1] += share * (wy - rate[1])
+    rate[2] += share * (wz - rate[2])
     if nav[PENDING_DT] >= interval:
         propagate_covariance(nav)
 

@@ -45,9 +45,11 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_G,
     COVARIANCE,
+    DP,
     DV,
+    EPS,
     HEADING_VARIANCE,
-    LAST_W,
+    MEAN_RATE,
     N_ERROR,
     QUAT,
     VELOCITY,
@@ -251,11 +253,15 @@ class LeverArmObserver(ShallowCopy):
 
 @kernel()
 def dependence_on_lever_arm(nav, H):  # type: ignore[no-untyped-def]
-    """Return how an innovation depends on the lever arm besides by the state, (m, 3)."""
+    """
+    Return how an innovation depends on the lever arm besides by the state, (m, 3).
+
+    A velocity does with the angular rate: vibration in it would be taken for turns.
+    """
     m, C, rate = len(H), np.empty(9), np.empty(3)
     rotation(nav[QUAT], C)
     for i in range(3):
-        rate[i] = nav[LAST_W][i] - nav[BIAS_G][i]
+        rate[i] = nav[MEAN_RATE][i] - nav[BIAS_G][i]
     found = np.zeros((m, 3))
     for a in range(m):
         for j in range(3):
@@ -330,6 +336,20 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
     for i in range(3):
         values[LAST_VELOCITY][i] = after[VELOCITY][i]
     rotation(after[QUAT], values[LAST_C])
+    _turn(s, C, values[LAST_C])
+
+
+@register_jitable
+def _turn(s, before, after):  # type: ignore[no-untyped-def]
+    """
+    Turn the sensitivities of position, velocity and attitude with a corrected attitude.
+
+    What a lever arm does to the state turns with the vehicle, not with what is known of its
+    attitude: otherwise the correction of a heading would be taken for a turn.
+    """
+    change = after.reshape(3, 3) @ before.reshape(3, 3).T
+    for part in (DP, DV, EPS):
+        s[part] = change @ s[part]
 
 
 @register_jitable

@@ -204,7 +204,7 @@ PUBLISHED = (
 
 TRIGGER = "std_srvs/srv/Trigger"
 SERVICES = (
-    Service("~/reset", TRIGGER, "discards the state and the clock offset, and starts the alignment again"),
+    Service("~/reset", TRIGGER, "discards the state and the clock offset, and aligns again"),
     Service("~/save", TRIGGER, "writes `state_file`, see [warm start](warm_start.md)"),
     Service("~/load", TRIGGER, "reads it, and starts the alignment again"),
     Service(
