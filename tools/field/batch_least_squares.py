@@ -31,7 +31,7 @@ from hybrid_ins.core.inertial.state import (
     NavState,
     covariance,
 )
-from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import Smoother
 from hybrid_ins.core.smoothing.step import run_and_keep
 from hybrid_ins.core.update.iterated_update import update as correct
@@ -88,7 +88,9 @@ class Flight:
             self.true[0].bias_a - error[B_A],
             self.true[0].bias_g - error[B_G],
         )
-        self.start = Start(T0_NS, reading(self.samples[0]), NavState.from_flat(nav), PSD_TRUE)
+        self.start = SmootherStart(
+            T0_NS, reading(self.samples[0]), NavState.from_flat(nav), PSD_TRUE
+        )
 
 
 def reading(sample: np.void) -> Array:
@@ -126,7 +128,7 @@ def difference(of: Array, than: Array) -> Array:
     return e
 
 
-def started(start: Start) -> Array:
+def started(start: SmootherStart) -> Array:
     """Return the flat state at a start."""
     nav = start.state.to_flat()
     nav[LAST_F], nav[LAST_W], nav[PSD] = start.sample[:3], start.sample[3:], start.psd

@@ -20,7 +20,7 @@ from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
 from hybrid_ins.core.inertial.state import DP, DV, EPS, LLA, QUAT, VELOCITY, covariance
 from hybrid_ins.core.noise.process_noise import ProcessNoise
-from hybrid_ins.core.smoothing.segments import Start, Update
+from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import Smoother
 from hybrid_ins.evaluation.result import Errors, Result
 from hybrid_ins.evaluation.statistics import nees
@@ -116,7 +116,9 @@ def simulation_task(seed: int) -> list[Row]:
     process = ProcessNoise(run.bias_walk, 1.0 / scenario.rate)
     psd = process.psd(np.repeat((4e-4, 4e-6), 3))
     first = run.samples[0]
-    start = Start(int(first["t_ns"]), np.concatenate((first["f"], first["w"])), run.start, psd)
+    start = SmootherStart(
+        int(first["t_ns"]), np.concatenate((first["f"], first["w"])), run.start, psd
+    )
     updates = [Update(fix.t_ns, psd, fix) for fix in run.fixes]
     smoother = Smoother(start, run.samples, updates, 0.01 - 1e-6, 40_000_000, {}, {})
     blocks = [rows for _, rows in smoother.smooth()]

@@ -229,8 +229,8 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
         return {}
     if _rates_disagree(navigator, running.noise):
         found["the angular rates disagree with GNSS"] = (
-            "the angular rates disagree with GNSS by more than their noise: check the scale, "
-            "resolution and range of the gyroscopes"
+            "the angular rates disagree with GNSS by more than their noise: check "
+            "gnss.antenna_position, then the scale, resolution and range of the gyroscopes"
         )
     if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
         found["fixes scatter by more than they claim"] = (
