@@ -57,9 +57,9 @@ JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `
 ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
 # rad², NED, upper triangle row by row, of an attitude by an IMU's scale errors: `scale_errors`
 SCALE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
-HEADING_DOUBT = SCALE_COVARIANCE.stop  # rad², of a heading that may be another: `heading_check`
-MEAN_RATE = slice(HEADING_DOUBT + 1, HEADING_DOUBT + 4)  # rad/s, b, as measured, the recent mean
-N_NAV = MEAN_RATE.stop
+MEAN_RATE = slice(SCALE_COVARIANCE.stop, SCALE_COVARIANCE.stop + 3)  # rad/s, b, measured, recent
+HEADING_DOUBT = MEAN_RATE.stop  # rad², of a heading that may be another: `heading_check`
+N_NAV = HEADING_DOUBT + 1
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
 PRODUCTS = slice(SCRATCH.stop, SCRATCH.stop + 24 * 16)  # see `covariance_step`
