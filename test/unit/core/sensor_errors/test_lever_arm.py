@@ -11,10 +11,20 @@ from support.runs import begin
 
 from hybrid_ins.core.filter.events import AntennaFound, AntennaShift
 from hybrid_ins.core.filter.ins_filter import InsFilter
-from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
+from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.rotations import (
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_from_rpy,
+    quat_multiply,
+    skew,
+)
 from hybrid_ins.core.inertial.state import (
     ANTENNA_VARIANCE,
+    BIAS_G,
     CLOCK_VARIANCE,
+    COVARIANCE,
+    DV,
     HEADING_VARIANCE,
     N_ERROR,
     QUAT,
@@ -22,7 +32,14 @@ from hybrid_ins.core.inertial.state import (
     unpack_total,
 )
 from hybrid_ins.core.sensor_errors.clock_offset import MAX_STD
-from hybrid_ins.core.sensor_errors.lever_arm import P_PARAMETERS, SENSITIVITIES, LeverArmObserver
+from hybrid_ins.core.sensor_errors.lever_arm import (
+    _START,
+    P_PARAMETERS,
+    SENSITIVITIES,
+    LeverArmObserver,
+    dependence_on_lever_arm,
+    observe_lever_arm,
+)
 from hybrid_ins.core.update.measurements import VelocityFix
 from hybrid_ins.simulation.motions import car_drive
 from tools.paper.runs import Run, Scenario, draw
@@ -208,3 +225,39 @@ def test_the_uncertainty_of_a_place_counts_in_its_own_direction() -> None:
     assert (east / north, down / north) == pytest.approx((10.0, 50.0))
     assert anywhere[0] == anywhere[1] == pytest.approx(np.hypot(north, east))
     assert anywhere[2] == down
+
+
+def observed(values: np.ndarray, T: float, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Observe an innovation of a position that is zero; return the covariance of the error."""
+    H, S = np.eye(3, N_ERROR), 1e-4 * np.eye(3)
+    K = np.zeros((N_ERROR, 3))
+    observe_lever_arm(values, T, before, after, np.zeros(3), H, K, S, 1.0, True, True)
+    return values[P_PARAMETERS].reshape(5, 5)[2:, 2:].copy()
+
+
+def test_a_corrected_heading_is_no_turn_that_shows_where_the_antenna_is() -> None:
+    before = draw(DRIVE, 1).start.to_flat()
+    before[COVARIANCE] = 0.0
+    after, values = before.copy(), _START.copy()
+    after[QUAT] = quat_multiply(quat_from_rotvec([0.0, 0.0, np.radians(8.0)]), before[QUAT])
+
+    known = observed(values, -1.0, before, after)
+    corrected = observed(values, 0.2, after, after)
+
+    np.testing.assert_allclose(corrected, known, atol=1e-3)
+    # AND a turn is one
+    turned = observed(values, 0.2, before, before)
+    assert np.linalg.eigvalsh(turned)[0] < 0.01 * np.linalg.eigvalsh(known)[0]
+
+
+def test_vibration_of_the_gyroscopes_is_no_turn_to_a_velocity() -> None:
+    nav = draw(DRIVE, 1).start.to_flat()
+    H = np.zeros((3, N_ERROR))
+    H[:, DV] = np.eye(3)
+    for k in range(400):  # 0.3 rad/s at 200 Hz, and 0.5 rad/s that alternate
+        propagation.step(nav, 0.005, 0.0, 0.0, -9.8, 0.5 * (-1.0) ** k, 0.0, 0.3, 0.01)
+
+    of_itself = dependence_on_lever_arm(nav, H)
+
+    swing = matrix_from_quat(nav[QUAT]) @ skew([0.0, 0.0, 0.3] - nav[BIAS_G])
+    np.testing.assert_allclose(of_itself, swing, atol=0.03)
