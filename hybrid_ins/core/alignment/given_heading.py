@@ -76,12 +76,16 @@ class GivenHeading:
     @property
     def std(self) -> float:
         """Standard deviation of the heading now [rad]."""
-        return math.hypot(self._std, self._turning * self._bias_std)
+        return math.hypot(self._std, self._drift_std)
 
     @property
     def is_outdated(self) -> bool:
-        """The heading was given with a use, and is of none any more."""
-        return self.std > max(self._std, HEADING_KEPT_STD)
+        """The gyroscopes' bias may have turned it so far that it is of no use."""
+        return self._drift_std > HEADING_KEPT_STD
+
+    @property
+    def _drift_std(self) -> float:
+        return self._turning * self._bias_std
 
     def now(self, down_b: Array) -> float:
         """Return the heading now [rad from north]; ``down_b`` (3,) is the direction of gravity."""

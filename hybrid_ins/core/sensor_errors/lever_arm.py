@@ -45,9 +45,7 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_G,
     COVARIANCE,
-    DP,
     DV,
-    EPS,
     HEADING_VARIANCE,
     MEAN_RATE,
     N_ERROR,
@@ -347,9 +345,19 @@ def _turn(s, before, after):  # type: ignore[no-untyped-def]
     What a lever arm does to the state turns with the vehicle, not with what is known of its
     attitude: otherwise the correction of a heading would be taken for a turn.
     """
-    change = after.reshape(3, 3) @ before.reshape(3, 3).T
-    for part in (DP, DV, EPS):
-        s[part] = change @ s[part]
+    change, row = np.zeros((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                change[i, j] += after[3 * i + k] * before[3 * j + k]
+    for j in range(3):
+        for part in range(0, 9, 3):  # position, velocity, attitude
+            for i in range(3):
+                row[i] = 0.0
+                for k in range(3):
+                    row[i] += change[i, k] * s[part + k, j]
+            for i in range(3):
+                s[part + i, j] = row[i]
 
 
 @register_jitable

@@ -16,6 +16,7 @@ def carried(
     rate,
     seconds: float,
     *,
+    std: float = GIVEN_STD,
     bias: float = 0.0,
     known_bias: float = 0.0,
     bias_std: float = 1e-4,
@@ -24,15 +25,15 @@ def carried(
 ) -> GivenHeading:
     """Return a heading that followed a turn of ``rate(t)`` [rad/s] to its right."""
     ring, rng, period_ns = ImuRing(), np.random.default_rng(1), 1_000_000_000 // rate_hz
-    heading = GivenHeading(period_ns, GIVEN, GIVEN_STD)
+    heading = GivenHeading(period_ns, GIVEN, std)
     for k in range(1, int(seconds * rate_hz) + 1):
         f = (*rng.normal(0.0, 0.01, 2), -9.81)
         w = (*rng.normal(0.0, noise, 2), rate(k / rate_hz) + bias + rng.normal(0.0, noise))
         ring.push(k * period_ns, *f, *w)
         if k % (rate_hz // 10) == 0 and k > rate_hz:
             window = ring.latest(rate_hz)
-            known, std = np.array([0.0, 0.0, known_bias]), np.full(3, bias_std)
-            heading.follow(ring, window, known, std)
+            known = np.array([0.0, 0.0, known_bias])
+            heading.follow(ring, window, known, np.full(3, bias_std))
     return heading
 
 
@@ -70,6 +71,12 @@ def test_in_motion_an_unknown_bias_makes_it_uncertain_until_it_is_of_no_use() ->
     assert abs(error) < 2.0 * shortly.std and shortly.std == pytest.approx(0.2, rel=0.1)
     assert not shortly.is_outdated
     assert long.is_outdated and long.std > HEADING_KEPT_STD
+
+
+def test_a_heading_that_is_given_as_hardly_known_is_used_all_the_same() -> None:
+    heading = carried(lambda t: 0.5 * math.sin(t), 10.0, std=1.0, bias_std=0.01)
+
+    assert not heading.is_outdated and heading.std == pytest.approx(1.0, rel=0.01)
 
 
 def test_a_tilted_vehicle_turns_about_the_vertical() -> None:
