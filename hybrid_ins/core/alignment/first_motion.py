@@ -20,8 +20,8 @@ SHORTEST_SPAN = 0.3  # s
 ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
 SPEED_STD = 100.0  # m/s, of a velocity of which nothing is known
 CLIMB_STD = 5.0  # m/s, of the vertical velocity of which nothing is known
-LEAST_VARIANCE = 0.01  # m²/s², of a receiver's velocity at the start
 HEIGHT_STD = 100.0  # m, likewise; an unknown height is considered besides, see `missing_height`
+LEAST_VARIANCE = 0.01  # m²/s², of a receiver's velocity at the start
 
 
 class FirstMotion(NamedTuple):
@@ -64,10 +64,9 @@ def first_motion(
     if not np.isfinite(p_cov[2, 2]) or not math.isfinite(last.lla[2]):
         p_cov[2, :] = p_cov[:, 2] = 0.0
         p_cov[2, 2] = HEIGHT_STD**2
-    known: tuple[Array, Array] | None
-    slope = known = _slope(fixes, lla, p_cov, bool(heights))
+    known = _slope(fixes, lla, p_cov, bool(heights))
     if velocity is not None and abs(now - velocity.t_ns) < 1e9:
-        known = _measured(velocity, slope)
+        known = _measured(velocity, known)
     velocity_n, v_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
     age = (now - last.t_ns) * 1e-9
     p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2

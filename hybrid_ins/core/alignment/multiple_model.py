@@ -97,10 +97,16 @@ def headings(filters: Sequence[InsFilter], best: InsFilter) -> Array:
     return turns
 
 
+def _states(filters: Sequence[InsFilter]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the flat states of several filters, (K, N_NAV), and which of them are finite."""
+    navs = np.stack([one.nav[:N_NAV] for one in filters])
+    return navs, np.asarray(np.isfinite(navs).all(axis=1))
+
+
 def _excluded(log_weights: Array, filters: Sequence[InsFilter]) -> NDArray[np.intp]:
     """Return which hypotheses are unlikely, or have a state that is not finite, unless all have."""
-    lost = np.array([not np.isfinite(one.nav[:N_NAV]).all() for one in filters])
-    return np.flatnonzero((log_weights < math.log(MIN_WEIGHT)) | (lost & ~lost.all()))
+    _, sound = _states(filters)
+    return np.flatnonzero((log_weights < math.log(MIN_WEIGHT)) | (~sound & sound.any()))
 
 
 def _restore_cells(filters: Sequence[InsFilter], lever_b: Array) -> None:
@@ -337,8 +343,7 @@ class MultipleModelBank:
         section 1.4.16.
         """
         best, weights = self.best.nav, np.exp(self.log_weights)
-        navs = np.stack([hypothesis.nav[:N_NAV] for hypothesis in self.filters])
-        sound = np.isfinite(navs).all(axis=1)  # others are removed with the next measurement
+        navs, sound = _states(self.filters)  # others are removed with the next measurement
         nav: Array = best.copy()
         if sound.any():
             navs, weights = navs[sound], weights[sound] / weights[sound].sum()

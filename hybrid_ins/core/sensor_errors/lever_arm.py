@@ -45,7 +45,9 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_G,
     COVARIANCE,
+    DP,
     DV,
+    EPS,
     HEADING_VARIANCE,
     MEAN_RATE,
     N_ERROR,
@@ -60,6 +62,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight
 from hybrid_ins.core.update.linalg import factorise, mean_square, regress, whiten
+from hybrid_ins.core.update.measurements import turned
 
 Array = NDArray[np.float64]
 
@@ -345,19 +348,12 @@ def _turn(s, before, after):  # type: ignore[no-untyped-def]
     What a lever arm does to the state turns with the vehicle, not with what is known of its
     attitude: otherwise the correction of a heading would be taken for a turn.
     """
-    change, row = np.zeros((3, 3)), np.empty(3)
+    change = np.empty(9)  # C_after C_before'
     for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                change[i, j] += after[3 * i + k] * before[3 * j + k]
+        change[i::3] = turned(after, before[3 * i : 3 * i + 3])
     for j in range(3):
-        for part in range(0, 9, 3):  # position, velocity, attitude
-            for i in range(3):
-                row[i] = 0.0
-                for k in range(3):
-                    row[i] += change[i, k] * s[part + k, j]
-            for i in range(3):
-                s[part + i, j] = row[i]
+        for part in (DP, DV, EPS):
+            s[part, j] = turned(change, s[part, j])
 
 
 @register_jitable

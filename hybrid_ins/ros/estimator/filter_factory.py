@@ -35,7 +35,6 @@ from hybrid_ins.ros.messages.conversions import clock_drift, first_biases, yaw_n
 
 Array = NDArray[np.float64]
 
-
 GATE = ("gnss.gate_probability", "gnss.patience")  # parameters of the gate
 
 
