@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,23 @@ from support.scenes import scene
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import convert
 from hybrid_ins.dataset.convert_logs import convert_logs
-from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, rtklib, ubx
+from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, nmea, rtklib, ubx
 from hybrid_ins.dataset.logs.plausibility import (
     check_clocks,
     check_imu,
     check_velocity,
     mount_yaw,
 )
-from hybrid_ins.dataset.logs.series import FIX, GPS_EPOCH, GnssLog, ImuLog, diagonal
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    GPS_EPOCH,
+    SBAS_FIX,
+    GnssLog,
+    ImuLog,
+    diagonal,
+    rising,
+)
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation import motions
@@ -332,3 +342,101 @@ def test_a_date_that_no_stamp_holds_is_refused(tmp_path: Path) -> None:
     late = fix_file(tmp_path / "f.csv", replace(gnss, t=gnss.t + 1e9 + GPS_EPOCH))
     with pytest.raises(InputError, match="stamps end in 2038"):
         convert_logs([imu_file(tmp_path / "imu.csv", imu), late], tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize(
+    ("word", "status"),
+    [
+        ("Autonomous", FIX),
+        ("Single Point", FIX),
+        ("NARROW_INT", GBAS_FIX),
+        ("INS_RTKFIXED", GBAS_FIX),
+        ("PSRDIFF", SBAS_FIX),
+    ],
+)
+def test_words_of_a_status_count_as_a_whole(tmp_path: Path, word: str, status: int) -> None:
+    rows = [f"{NOON + k},{THERE},{word}" for k in range(2)]
+    assert table(tmp_path / "a.csv", f"time,{PLACE},status", *rows).status.tolist() == [status] * 2
+
+
+def test_milliseconds_at_the_beginning_of_a_week(tmp_path: Path) -> None:
+    """GIVEN times below 604 800 in ms WHEN read THEN the steps between them show the unit."""
+    rows = [f"2288,{300_000 + 200 * k},{THERE}" for k in range(10)]
+    assert np.ptp(table(tmp_path / "a.csv", f"week,itow,{PLACE}", *rows).t) == pytest.approx(1.8)
+    imu = tmp_path / "imu.csv"
+    samples = [f"2288,{300_000 + 10 * k},0,0,9.8,0,0,0.0{k}" for k in range(20)]
+    imu.write_text("\n".join(["week,itow,ax,ay,az,gx,gy,gz", *samples]) + "\n")
+    assert np.ptp(imu_text.read_imu(imu).t) == pytest.approx(0.19)
+
+
+def test_a_clock_of_the_day_goes_on_after_midnight(tmp_path: Path) -> None:
+    clocks = [f"23:59:{59 + 0.1 * k:.1f}" for k in range(10)]
+    clocks += [f"00:00:{0.1 * k:04.1f}" for k in range(10)]
+    path = tmp_path / "imu.csv"
+    rows = [f"{clock},0,0,9.8,0,0,0.0{k}" for k, clock in enumerate(clocks)]
+    path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *rows]) + "\n")
+
+    assert np.diff(imu_text.read_imu(path).t) == pytest.approx([0.1] * 19)
+
+
+def test_rows_whose_time_does_not_rise_are_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """GIVEN tables in which times stand still and go back WHEN read THEN these rows are told."""
+    times = [0.0, 0.2, 0.4, 0.4, 0.3, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6]
+    log = table(tmp_path / "a.csv", f"time,{PLACE}", *(f"{NOON + t},{THERE}" for t in times))
+    path = tmp_path / "imu.csv"
+    samples = [f"{t},0,0,9.8,0.1,0.2,{k}" for k, t in enumerate(times)]
+    path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *samples]) + "\n")
+    imu = imu_text.read_imu(path)
+
+    assert len(log.t) == len(imu.t) == 9
+    assert "a.csv: 2 of 11 fixes are left out, whose time does not rise" in caplog.text
+    assert "imu.csv: 2 of 11 IMU samples are left out" in caplog.text
+    assert "the first is number 4, at 0.400 s after 0.400 s" in caplog.text
+
+
+def test_a_time_that_is_none_costs_no_other_row(tmp_path: Path) -> None:
+    assert rising(tmp_path, np.array([np.nan, 1.0, np.nan, 2.0]), "rows").tolist() == [
+        *(False, True, False, True)
+    ]
+
+
+def nmea_file(path: Path, *epochs: tuple[str, str], date_by: str = "RMC") -> Path:
+    """Write fixes at times of day, with their date (ddmmyy) where that is not empty."""
+
+    def sentence(body: str) -> str:
+        return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+
+    text = ""
+    for clock, day in epochs:
+        text += sentence(f"GNGGA,{clock},3206.0,N,03448.0,E,1,10,0.9,20.0,M,17.0,M,,")
+        if day and date_by == "RMC":
+            text += sentence(f"GNRMC,{clock},A,3206.0,N,03448.0,E,5.0,90.0,{day},,,A")
+        elif day:
+            text += sentence(f"GNZDA,{clock},{day[:2]},{day[2:4]},20{day[4:]},00,00")
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("date_by", ["RMC", "ZDA"])
+def test_each_epoch_of_a_receivers_stream_has_its_own_date(tmp_path: Path, date_by: str) -> None:
+    """GIVEN pauses over midnight and of days WHEN read THEN every time is that of its sentence."""
+    pytest.importorskip("pynmeagps")
+    epochs = [
+        ("225800.00", ""),  # before the receiver gives the date
+        ("225801.00", "101123"),
+        ("225801.50", ""),
+        ("000500.00", "111123"),  # after a pause
+        ("235959.50", "111123"),
+        ("000000.00", ""),
+        ("130000.00", ""),  # resumed two days later
+        ("130001.00", "141123"),
+    ]
+
+    log = nmea.read_gnss(nmea_file(tmp_path / "log.nmea", *epochs, date_by=date_by))
+
+    assert [iso(t)[8:19] for t in log.t] == [
+        *("10T22:58:00", "10T22:58:01", "10T22:58:01", "11T00:05:00", "11T23:59:59"),
+        *("12T00:00:00", "14T13:00:00", "14T13:00:01"),
+    ]
