@@ -38,6 +38,7 @@ from hybrid_ins.dataset.logs.series import (
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array
 
+VERTICAL = 1.5  # times the horizontal standard deviation, where a table has that alone
 NAMES = {  # quantity: what its column may be called, unit and punctuation taken off
     "week": "week|gpsweek|gwk|wn",
     "tow": "tow|itow|sow|gpstow|secondsofweek|gpsseconds|timeofweek|gms",
@@ -369,12 +370,14 @@ class _Columns:
             ):
                 if i == j or what in self.at:
                     P[:, i, j] = P[:, j, i] = sign * self[what]
-            return P
-        if "sdn" in self.at:
-            return self.covariance_of(("sdn", "sde", "sdu"))
-        horizontal = self.metric("hacc") / 2**0.5
-        vertical = self.metric("vacc") if "vacc" in self.at else 1.5 * horizontal
-        return diagonal(np.column_stack((horizontal, horizontal, vertical)))
+        elif "sdn" in self.at:
+            P = self.covariance_of(("sdn", "sde", "sdu"))
+        else:
+            horizontal = self.metric("hacc") / 2**0.5
+            P = diagonal(np.column_stack((horizontal, horizontal, self.metric("vacc"))))
+        unknown = np.isnan(P[:, 2, 2])
+        P[unknown, 2, 2] = VERTICAL**2 * P[unknown, :2, :2].trace(axis1=1, axis2=2) / 2.0
+        return P
 
     def velocity(self) -> tuple[Array | None, Array | None]:
         """Return velocities (M, 3), NED, and their covariances, where there are any."""

@@ -47,9 +47,9 @@ class GnssLog:
     path: Path
     t: Array  # (M,) s since 1970, UTC
     lla: Array  # (M, 3) rad, rad, m
-    covariance_n: Array  # (M, 3, 3) m², NED; NaN where the receiver gave none
+    covariance_n: Array  # (M, 3, 3) m², NED; NaN of axes where the receiver gave none
     status: NDArray[np.int8]  # (M,) NavSatStatus
-    velocity_n: Array | None = None  # (M, 3) m/s, NED; NaN where there is none
+    velocity_n: Array | None = None  # (M, 3) m/s, NED; NaN of axes where there is none
     velocity_covariance_n: Array | None = None  # (M, 3, 3) (m/s)², NED; NaN where unknown
     is_dated: bool = True  # else: the clock is that of the IMU in the same log
 
@@ -130,8 +130,8 @@ def rising(path: Path, t: Array, what: str) -> NDArray[np.bool_]:
 
 
 def diagonal(std: Array) -> Array:
-    """Return covariances (M, 3, 3) of standard deviations (M, 3)."""
-    return np.asarray(std)[..., None] ** 2 * np.eye(3)
+    """Return covariances (M, 3, 3) of standard deviations (M, 3), each of which may be NaN."""
+    return np.where(np.eye(3), np.asarray(std)[..., None] ** 2, 0.0)  # NaN stays in its axis
 
 
 def utc_from_gps(seconds: Array | float) -> Array:

@@ -440,3 +440,52 @@ def test_each_epoch_of_a_receivers_stream_has_its_own_date(tmp_path: Path, date_
         *("10T22:58:00", "10T22:58:01", "10T22:58:01", "11T00:05:00", "11T23:59:59"),
         *("12T00:00:00", "14T13:00:00", "14T13:00:01"),
     ]
+
+
+def converted(tmp_path: Path, gnss: GnssLog, imu: ImuLog, header: str, *given: str) -> str:
+    """Convert a table of fixes, each with the same further words, and return what is told."""
+    rows = [
+        f"{t},{np.degrees(lat)},{np.degrees(lon)},{height},{given[k % len(given)]}"
+        for k, (t, (lat, lon, height)) in enumerate(zip(gnss.t, gnss.lla, strict=True))
+    ]
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text("\n".join([f"time,{PLACE},{header}", *rows]) + "\n")
+    paths = [imu_file(tmp_path / "imu.csv", imu), fixes]
+    return convert_logs(paths, tmp_path / "out.mcap", overwrite=True)
+
+
+def test_an_axis_that_is_missing_costs_no_other(tmp_path: Path) -> None:
+    """GIVEN deviations and velocities of horizontal axes alone THEN these are in the bag."""
+    imu, gnss = drive(10.0)
+
+    told = converted(tmp_path, gnss, imu, "sdn,sde,vn,ve,sdvn,sdve", "0.3,0.4,1.0,2.0,0.05,0.06")
+
+    assert "left out" not in told
+    with BagReader(tmp_path / "out.mcap") as bag:
+        fix = next(message for _, _, message in bag.messages("/gnss/fix"))
+        velocities = [message.twist for _, _, message in bag.messages("/gnss/velocity")]
+    assert fix.position_covariance_type == 3
+    # Of the vertical axis: as where a table has one horizontal accuracy alone.
+    expected = np.array([0.16, 0.09, 1.5**2 * 0.125])
+    assert np.diag(fix.position_covariance.reshape(3, 3)) == pytest.approx(expected)
+    assert len(velocities) == len(gnss.t)
+    assert velocities[0].twist.linear.x == 2.0
+    assert np.isnan(velocities[0].twist.linear.z)
+    variances = np.diag(velocities[0].covariance.reshape(6, 6))
+    assert variances == pytest.approx([0.0036, 0.0025, 1e6, 1e6, 1e6, 1e6])
+
+
+def test_what_lacks_a_horizontal_axis_is_counted(tmp_path: Path) -> None:
+    imu, gnss = drive(10.0)
+
+    told = converted(
+        tmp_path, gnss, imu, "cov_nn,cov_ee,vn,ve,sdvn,sdve", *("1,,1,2,.1,.1", "1,1,1,2,,.1")
+    )
+
+    half = len(gnss.t) // 2
+    assert f"{len(gnss.t) - half} of {len(gnss.t)} fixes lack the standard deviation" in told
+    assert f"{half} of {len(gnss.t)} velocities are left out: they lack a horizontal" in told
+    with BagReader(tmp_path / "out.mcap") as bag:
+        kinds = [m.position_covariance_type for _, _, m in bag.messages("/gnss/fix")]
+        assert bag.count("/gnss/velocity") == len(gnss.t) - half
+    assert kinds[:4] == [0, 3, 0, 3]
