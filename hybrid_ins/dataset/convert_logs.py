@@ -17,6 +17,7 @@ from hybrid_ins.bags.flight_bag import (
     Entry,
     TruthRecord,
     odometry_entries,
+    set_place,
     set_vector,
     stamp,
     stamps,
@@ -143,8 +144,7 @@ def _fix_entries(gnss: GnssLog) -> Iterator[Entry]:
     for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
         stamp(message, stamp_ns, "gnss_link")
         message.status.status = int(gnss.status[row])
-        message.latitude, message.longitude = np.degrees(gnss.lla[row, :2]).tolist()
-        message.altitude = float(gnss.lla[row, 2])
+        set_place(message, gnss.lla[row])
         message.position_covariance_type = KNOWN if is_known[row] else UNKNOWN
         message.position_covariance = covariance_enu[row].ravel()
         yield stamp_ns, 1, "/gnss/fix", message
