@@ -21,6 +21,7 @@ from hybrid_ins.dataset.logs.plausibility import (
     check_imu,
     check_velocity,
     mount_yaw,
+    turn_factor,
 )
 from hybrid_ins.dataset.logs.series import (
     FIX,
@@ -489,3 +490,16 @@ def test_what_lacks_a_horizontal_axis_is_counted(tmp_path: Path) -> None:
         kinds = [m.position_covariance_type for _, _, m in bag.messages("/gnss/fix")]
         assert bag.count("/gnss/velocity") == len(gnss.t) - half
     assert kinds[:4] == [0, 3, 0, 3]
+
+
+def test_a_steady_gyroscope_shows_no_factor() -> None:
+    """GIVEN two equal samples WHEN compared with the course THEN no number is made of them."""
+    imu, gnss = drive(60.0)
+    two = replace(
+        imu,
+        t=imu.t[[0, -1]],
+        specific_force=imu.specific_force[[0, 0]],
+        angular_rate=imu.angular_rate[[0, 0]],
+    )
+    with np.errstate(all="raise"):
+        assert turn_factor(two, gnss) is None
