@@ -33,7 +33,7 @@ from hybrid_ins.worker_processes import worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 CLUSTER_PATIENCE = "10s"
-KILLED = "its process was killed, probably for want of memory: fewer --jobs, or a shorter bag"
+KILLED = "its process was killed each time, probably for want of memory: make room, or cut the bag"
 
 Row = dict[str, Any]  # what the table shows of a bag, by column
 

@@ -31,7 +31,7 @@ def test_a_killed_process_costs_its_own_bag_only(
         batch.run(jobs, killed_at_b, {}, workers=2)
 
     said = capsys.readouterr()
-    assert "b: its process was killed, probably for want of memory: fewer --jobs" in said.err
+    assert "b: its process was killed each time, probably for want of memory: make room" in said.err
     rows = [line.split() for line in said.out.splitlines()]
     assert [row[0] for row in rows] == ["bag", "a", "b", "c", "d"]
     assert [row[1] for row in rows] == ["x", "1", "failed:", "1", "1"]
