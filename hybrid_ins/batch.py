@@ -2,20 +2,21 @@
 Many bags: in parallel, resumed after an interruption, one table at the end.
 
 A bag that cannot be used is reported and does not stop the rest. What is finished leaves a record
-beside its output, with a fingerprint of everything that the result depends on: the same command
-again does only what is missing.
+beside its output, with everything that the result depends on: the same command again does only what
+is missing.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -32,6 +33,7 @@ from hybrid_ins.worker_processes import worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 CLUSTER_PATIENCE = "10s"
+KILLED = "its process was killed each time, probably for want of memory: make room, or cut the bag"
 
 Row = dict[str, Any]  # what the table shows of a bag, by column
 
@@ -86,7 +88,8 @@ def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
 
 def _bags_below(path: Path, out: Path | None) -> Iterator[tuple[Path, str]]:
     if is_bag(path):
-        yield path, path.name.removesuffix(path.suffix if path.suffix in SUFFIXES else "")
+        name = (path if path.name not in ("", "..") else path.resolve()).name
+        yield path, name.removesuffix(path.suffix if path.suffix in SUFFIXES else "")
         return
     for folder, folders, files in os.walk(path):
         here = Path(folder)
@@ -103,14 +106,50 @@ def _bags_below(path: Path, out: Path | None) -> Iterator[tuple[Path, str]]:
                 )
 
 
-def fingerprint(source: Path, settings: Mapping[str, Any]) -> str:
-    """Return a digest of a bag's name, size and age and of all that the work depends on."""
-    known = {**settings, "version": _package_version()}
-    digest = hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode())
-    for file in sorted(source.rglob("*")) if source.is_dir() else [source]:
-        about = file.stat()
-        digest.update(f"{file.resolve()} {about.st_size} {about.st_mtime_ns}".encode())
-    return digest.hexdigest()
+def made_from(source: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Return all that a result depends on, by its name, as JSON holds it.
+
+    Settings and the package's version; and size [bytes] and age [ns] of every file of the bag, and
+    of those that settings name.
+    """
+    single: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            single.update({f"{name} {part}": one for part, one in value.items()})
+        else:
+            single[name] = value
+    found: dict[str, Any] = {**single, "version": _package_version()}
+    for path in [source, *filter(None, map(_named, single.values()))]:
+        for file in path.rglob("*") if path.is_dir() else [path]:
+            about = file.stat()
+            found[str(file.resolve())] = [about.st_size, about.st_mtime_ns]
+    return dict(json.loads(json.dumps(found, default=str)))
+
+
+def _named(value: object) -> Path | None:
+    """Return the file or bag that a setting names, if it names one."""
+    if isinstance(value, Path):
+        return value
+    with suppress(OSError):  # too long for a name
+        if isinstance(value, str) and Path(value).is_file():
+            return Path(value)
+    return None
+
+
+def changes(job: Job, settings: Mapping[str, Any]) -> str:
+    """Return what differs from what a job's record was made from, as text."""
+    before = {} if job.record is None else _read_record(job.record).get("made from", {})
+    if not before:
+        return "its record cannot be read"
+    now = made_from(job.source, settings)
+    texts = [
+        f"{name} has changed" if name.startswith("/") else f"{name} was {old}, is {new}"
+        for name in sorted(before.keys() | now.keys())
+        if (old := before.get(name)) != (new := now.get(name))
+    ]
+    more = f" and {len(texts) - 3} more" if len(texts) > 3 else ""
+    return ", ".join(texts[:3]) + more
 
 
 def run(
@@ -133,7 +172,8 @@ def run(
         Returns a row of the table; raises `InputError` on a bag that cannot be used. It runs in
         another process: a module's function, or a `functools.partial` of one.
     settings
-        All that the result depends on besides the bag.
+        All that the result depends on besides the bag, a value or a mapping each; of files that
+        they name the result depends, too.
     redo
         Ignore the results of earlier runs.
     workers
@@ -148,12 +188,14 @@ def run(
     """
     attempt = partial(_attempt, work, settings, redo)
     outcomes: list[Outcome] = []
-    with _executor(min(workers, len(jobs)), cluster) as executor:
-        futures = [executor.submit(attempt, job) for job in jobs]
-        for future in progress.track(as_completed(futures), "bags", len(jobs), "bag"):
-            outcomes.append(future.result())
-            if outcomes[-1].failure:
-                tqdm.write(f"{outcomes[-1].name}: {outcomes[-1].failure}", file=sys.stderr)
+    results = _by_processes(attempt, jobs, workers)
+    if cluster is not None:
+        results = _by_cluster(attempt, jobs, cluster)
+    with closing(results):
+        for outcome in progress.track(results, "bags", len(jobs), "bag"):
+            outcomes.append(outcome)
+            if outcome.failure:
+                tqdm.write(f"{outcome.name}: {outcome.failure}", file=sys.stderr)
     outcomes.sort(key=lambda outcome: outcome.name)
     print(table(outcomes))
     failed = [outcome for outcome in outcomes if outcome.failure]
@@ -213,14 +255,14 @@ def _attempt(
     """Do one job, or return its recorded result; a failure is an outcome, too."""
     progress.hide()
     try:
-        mark = fingerprint(job.source, settings)
+        mark = made_from(job.source, settings)
         record = {} if redo or job.record is None else _read_record(job.record)
-        if record.get("fingerprint") == mark:
+        if record.get("made from") == mark:
             return Outcome(job.name, record["row"], kept=True)
         row = work(job)
         if job.record is not None:
             job.record.parent.mkdir(parents=True, exist_ok=True)
-            write_text(job.record, json.dumps({"fingerprint": mark, "row": row}, indent=1))
+            write_text(job.record, json.dumps({"made from": mark, "row": row}, indent=1))
     except InputError as error:
         return Outcome(job.name, {}, str(error).removeprefix(f"{job.source}: "))
     except OSError as error:
@@ -240,18 +282,59 @@ def _read_record(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return record if isinstance(record, dict) and isinstance(record.get("row"), dict) else {}
+    parts = [record.get(name) for name in ("made from", "row")] if isinstance(record, dict) else []
+    return record if parts and all(isinstance(part, dict) for part in parts) else {}
 
 
-@contextmanager
-def _executor(workers: int, cluster: str | None) -> Iterator[Executor]:
-    """Yield processes of this machine or of a Dask cluster; they end with the block."""
-    if cluster is not None:
-        with _dask_client(cluster) as client:
-            yield client.get_executor()
-        return
-    with worker_processes(workers) as executor:
-        yield executor
+def _by_processes(
+    attempt: Callable[[Job], Outcome], jobs: Sequence[Job], workers: int
+) -> Generator[Outcome, None, None]:
+    """
+    Yield outcomes of processes of this machine as they come.
+
+    Where one is killed, the pool and with it the jobs in work are lost, and nobody knows whose it
+    was: each of them is done again alone, and has failed if that is killed, too.
+    """
+    waiting = deque(jobs)
+    while waiting:
+        for job in (yield from _until_one_is_killed(attempt, waiting, workers)):
+            if (yield from _until_one_is_killed(attempt, deque([job]), 1)):
+                yield Outcome(job.name, {}, KILLED)
+
+
+def _until_one_is_killed(
+    attempt: Callable[[Job], Outcome], waiting: deque[Job], workers: int
+) -> Generator[Outcome, None, list[Job]]:
+    """Take jobs until none waits, and yield their outcomes; return those that were lost."""
+    running: dict[Future[Outcome], Job] = {}
+    with worker_processes(min(workers, len(waiting))) as executor:
+        try:
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    future = executor.submit(attempt, waiting[0])
+                    running[future] = waiting.popleft()
+                done = wait(running, return_when=FIRST_COMPLETED).done
+                for future in sorted(done, key=lambda one: one.exception() is not None):
+                    outcome = future.result()
+                    del running[future]
+                    yield outcome
+        except BrokenProcessPool:
+            return list(running.values())
+    return []
+
+
+def _by_cluster(
+    attempt: Callable[[Job], Outcome], jobs: Sequence[Job], address: str
+) -> Generator[Outcome, None, None]:
+    """Yield outcomes of a Dask cluster, which itself does again what a killed process lost."""
+    with _dask_client(address) as client:
+        executor = client.get_executor()
+        futures = {executor.submit(attempt, job): job for job in jobs}
+        for future in as_completed(futures):
+            try:
+                yield future.result()
+            except Exception as error:  # Dask's own, for a job that it gave up
+                yield Outcome(futures[future].name, {}, f"{KILLED} ({type(error).__name__})")
 
 
 def _dask_client(address: str) -> Any:

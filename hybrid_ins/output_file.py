@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path
 
 from hybrid_ins.errors import InputError
@@ -81,6 +82,13 @@ def cannot_be_written(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}")
 
 
+def private_name(target: Path) -> Path:
+    """Return a hidden name beside `target` for this process alone: there is nothing yet."""
+    numbers = chain([""], (f".{number}" for number in count(2)))
+    names = (f".{os.getpid()}{number}.{target.name}" for number in numbers)
+    return next(path for path in map(target.with_name, names) if not os.path.lexists(path))
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """
@@ -93,7 +101,7 @@ def replacing(path: Path) -> Iterator[Path]:
     if _is_device(target):
         yield target
         return
-    unfinished = target.with_name(f".{os.getpid()}.{target.name}")
+    unfinished = private_name(target)
     try:
         yield unfinished
         if target.is_dir() and unfinished.is_dir():  # a file never takes a folder's place

@@ -14,10 +14,18 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from hybrid_ins.bags.mcap_reader import Channel
+from hybrid_ins.bags.mcap_reader import MAGIC, Channel
 from hybrid_ins.output_file import cannot_be_written
 
 CHUNK_SIZE = 1 << 18  # bytes; a killed writer loses two at most
+PROFILE, LIBRARY = "ros2", "hybrid_ins"  # of the header, which tells whose file it is
+
+
+def is_own(path: Path) -> bool:
+    """Return whether a file is one that `McapWriter` has begun; an empty one may be."""
+    with path.open("rb") as file:
+        head = file.read(64)
+    return not head or (head.startswith(MAGIC) and LIBRARY.encode() in head)
 
 
 class McapWriter:
@@ -40,7 +48,7 @@ class McapWriter:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._writer = Writer(self._file, CHUNK_SIZE, CompressionType.NONE)
         self._tasks: deque[tuple[Callable[..., Any], tuple[Any, ...]]] = deque()
-        self._tasks.append((self._writer.start, ("ros2", "hybrid_ins")))
+        self._tasks.append((self._writer.start, (PROFILE, LIBRARY)))
         self._size = 0  # bytes of the tasks' messages
         self._error: OSError | None = None
         self._thread = ThreadPoolExecutor(1)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags.formats import BEGINNINGS, METADATA, is_only_a_bag
 from hybrid_ins.bags.mcap_reader import Channel
-from hybrid_ins.bags.mcap_writer import McapWriter
+from hybrid_ins.bags.mcap_writer import McapWriter, is_own
 from hybrid_ins.bags.messages import LATCHED, TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import cannot_be_written, check_output
+from hybrid_ins.output_file import cannot_be_written, check_output, private_name
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -38,7 +38,8 @@ class BagWriter:
 
     It is written beside its place, under its name with ``.part`` added, and takes its place when it
     is complete; what was there before is removed only then. A killed process leaves the part, which
-    can be read up to its last chunk; the next writer of that bag sets it aside.
+    can be read up to its last chunk; the next writer of that bag sets it aside. Nothing is removed
+    that this program did not make.
 
     As a context manager it is completed however the block ends: after an exception or Ctrl-C it
     holds everything written so far, and a warning says that it ends early and where it is: in its
@@ -53,12 +54,14 @@ class BagWriter:
     inputs
         Files and bags that are read meanwhile.
     keep_partial
-        Whether a bag that ends early is left, by this writer or an earlier one.
+        Whether a bag that ends early is left. Else the part is hidden, and where this process is
+        killed the next such writer removes it.
 
     Raises
     ------
     InputError
-        `path` is an input, exists and may not be overwritten, or is being written already.
+        `path` is an input, exists and may not be overwritten, or is being written already; or
+        what is in the place of its part is none.
 
     """
 
@@ -77,7 +80,8 @@ class BagWriter:
         self._keep_partial = keep_partial
         self._is_open = True
         self._target = self.path.resolve()  # where a link points to
-        self._part = self._target.with_name(f"{self._target.name}.part")
+        hidden = "" if keep_partial else "."
+        self._part = self._target.with_name(f"{hidden}{self._target.name}.part")
         self._set_aside_abandoned()
         file = self._part
         try:
@@ -156,7 +160,7 @@ class BagWriter:
         part = self._part
         if not part.exists():
             return
-        for file in part.glob("*.mcap") if part.is_dir() else [part]:
+        for file in _own_files(part):
             with file.open("rb") as opened, suppress(OSError):  # a file system without locks
                 try:
                     fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -175,12 +179,16 @@ class BagWriter:
             (self._part / METADATA).write_text(text, encoding="utf-8")
 
     def _take_place(self) -> None:
-        old = self._target.with_name(f"{self._target.name}.old")
+        old = private_name(self._target)
         if self._target.exists():
             _check_replaceable(self.path)
-            _remove(old)
             self._target.rename(old)
-        self._part.rename(self._target)
+        try:
+            self._part.rename(self._target)
+        except BaseException:
+            if old.exists() and not self._target.exists():
+                old.rename(self._target)
+            raise
         self._is_open = False
         _remove(old)
 
@@ -303,6 +311,17 @@ def _check_replaceable(path: Path) -> None:
             is_bag = not head or head.startswith(BEGINNINGS)
         if not is_bag:
             raise InputError(f"{path}: is not a bag: not overwritten")
+
+
+def _own_files(part: Path) -> list[Path]:
+    """Return the files of an unfinished bag; `InputError` where they are not this program's."""
+    files = list(part.iterdir()) if part.is_dir() else [part]
+    if not all(file.name == METADATA or (file.is_file() and is_own(file)) for file in files):
+        raise InputError(
+            f"{part}: is not an unfinished bag of this program, which would be written there: "
+            "rename it"
+        )
+    return files
 
 
 def _set_aside(part: Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from itertools import chain, repeat
@@ -42,6 +43,11 @@ curves, acceleration and braking."""
 
 WORTH_A_PROCESS = 150.0
 """Seconds of recordings whose replay takes about as long as the start of a process."""
+
+KILLED = (
+    "a process that replayed a recording was killed, probably for want of memory: a smaller "
+    "--longest needs less"
+)
 
 EXAMPLE = "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot calibration.png"
 
@@ -138,10 +144,13 @@ def _body(args: argparse.Namespace) -> int:
                 on_stage=stages.start,
                 log=log_message,
             )
-        comparison = None
-        if not args.use_truth:
-            comparison = _compare(chain(before, replay(found.values)), len(args.bags))
-    objection = _objection(found, comparison)
+        comparison, objection = None, ""
+        try:
+            if not args.use_truth:
+                comparison = _compare(chain(before, replay(found.values)), len(args.bags))
+        except BrokenProcessPool:
+            objection = f"not compared with the given parameters: {KILLED}"
+    objection = _objection(found, comparison) or objection
     if args.out and (args.force or not objection):  # before the text: its reader may stop reading
         write_text(args.out, parameter_file(found))
     if args.plot:

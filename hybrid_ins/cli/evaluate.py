@@ -176,7 +176,7 @@ def _write_files(args: argparse.Namespace, run: Run, result: Result) -> list[tup
 def _evaluate_many(args: argparse.Namespace, topics: Topics, scoring: Scoring) -> int:
     read = partial(_read, truth=args.truth, topics=topics, no_truth=args.no_truth)
     settings = {
-        "topics": vars(topics),
+        "topic": vars(topics),
         "scoring": vars(scoring),
         "truth": args.truth,
         "no_truth": args.no_truth,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hybrid_ins import batch, kernels
 from hybrid_ins.bags.reader import InputTopics
@@ -81,10 +82,13 @@ def _run(args: argparse.Namespace) -> int:
             raise InputError("--plot and --export are for one bag at a time")
         jobs = batch.find_jobs(args.input, args.output)
         kernels.prepare(partial(log_message, "info"), (kernels.SMOOTHING,) if args.smooth else ())
+        used = {name: value for name, value in values.items() if name != "state_file"}
+        settings = {"parameter": used, "topic": topics, "smooth": args.smooth}
+        replay = partial(_replay_one, values, topics, args.smooth)
         return batch.run(
             jobs,
-            partial(_replay_one, values, topics, args.smooth, args.overwrite),
-            {"values": values, "topics": topics, "smooth": args.smooth},
+            replay if args.overwrite else partial(_replay_new, replay, settings),
+            settings,
             redo=args.overwrite,
             workers=args.jobs,
             cluster=args.dask,
@@ -108,14 +112,32 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _replay_one(
-    values: Values, topics: InputTopics, smooth: bool, overwrite: bool, job: batch.Job
-) -> batch.Row:
-    """Replay one bag of many; its output appears under its name once it is complete."""
+def _target(job: batch.Job) -> Path:
     assert job.record is not None
-    target = job.record.with_suffix(".mcap")
-    if target.exists() and not job.record.exists() and not overwrite:
-        raise InputError(f"{target} exists, but no record of its making: --overwrite to replace it")
+    return job.record.with_suffix(".mcap")
+
+
+def _replay_new(
+    replay: Callable[[batch.Job], batch.Row], settings: Mapping[str, Any], job: batch.Job
+) -> batch.Row:
+    """Replay one bag of many, unless there is an output already, which is another's."""
+    target = _target(job)
+    if target.exists():
+        assert job.record is not None
+        if not job.record.exists():
+            raise InputError(
+                f"{target} exists, but no record of its making: --overwrite to replace it"
+            )
+        raise InputError(
+            f"{target} was made otherwise ({batch.changes(job, settings)}): --overwrite to replace "
+            "it, or choose another folder"
+        )
+    return replay(job)
+
+
+def _replay_one(values: Values, topics: InputTopics, smooth: bool, job: batch.Job) -> batch.Row:
+    """Replay one bag of many; its output appears under its name once it is complete."""
+    target = _target(job)
     levels: list[str] = []
     replayed = replay_bag(
         job.source,

@@ -9,12 +9,15 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins import progress
 from hybrid_ins.bags.flight_bag import (
+    UNKNOWN_VARIANCE,
     Entry,
     TruthRecord,
     odometry_entries,
+    set_place,
     set_vector,
     stamp,
     stamps,
@@ -29,8 +32,9 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import SWAP, datum_fix
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
+Mask = NDArray[np.bool_]  # (M,)
+
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
-UNKNOWN_VARIANCE = 1e6
 AUTOPILOT = "/autopilot"  # topics of its own estimate
 LATEST = 2.0**31  # s, of a stamp
 EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
@@ -98,10 +102,7 @@ def convert_logs(
     if estimate is not None:
         streams.append(_estimate_entries(replace(estimate, t=estimate.t + EPOCH)))
         remarks += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
-    if gnss.velocity_n is not None and (
-        gnss.velocity_covariance_n is None or not np.isfinite(gnss.velocity_covariance_n).any()
-    ):
-        remarks += "; velocities have no standard deviation and are left out"
+    remarks += _left_out(gnss)
     count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)
     entries = heapq.merge(*streams, key=itemgetter(0, 1))
     with BagWriter(out, overwrite=overwrite) as bag:
@@ -139,15 +140,13 @@ def _imu_entries(imu: ImuLog) -> Iterator[Entry]:
 def _fix_entries(gnss: GnssLog) -> Iterator[Entry]:
     message = new_message(FIX)
     message.status.service = 1  # SERVICE_GPS
-    covariance_enu = SWAP @ gnss.covariance_n @ SWAP
+    covariance_enu, is_known = _covariance_enu(gnss.covariance_n)
     for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
         stamp(message, stamp_ns, "gnss_link")
         message.status.status = int(gnss.status[row])
-        message.latitude, message.longitude = np.degrees(gnss.lla[row, :2]).tolist()
-        message.altitude = float(gnss.lla[row, 2])
-        known = bool(np.isfinite(covariance_enu[row]).all())
-        message.position_covariance_type = KNOWN if known else UNKNOWN
-        message.position_covariance = np.nan_to_num(covariance_enu[row]).ravel()
+        set_place(message, gnss.lla[row])
+        message.position_covariance_type = KNOWN if is_known[row] else UNKNOWN
+        message.position_covariance = covariance_enu[row].ravel()
         yield stamp_ns, 1, "/gnss/fix", message
 
 
@@ -168,17 +167,69 @@ def _estimate_entries(estimate: EstimateLog) -> Iterator[Entry]:
 
 
 def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:
+    """Yield velocities whose horizontal part is known; an unknown vertical one is NaN."""
     if gnss.velocity_n is None or gnss.velocity_covariance_n is None:
         return
     message = new_message(VELOCITY)
-    velocity_enu = gnss.velocity_n @ SWAP
-    covariance_enu = SWAP @ gnss.velocity_covariance_n @ SWAP
-    for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
-        if not np.isfinite(velocity_enu[row]).all() or not np.isfinite(covariance_enu[row]).all():
-            continue
-        stamp(message, stamp_ns, "gnss_link")
+    velocity_enu = gnss.velocity_n[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+    covariance_enu, _ = _covariance_enu(gnss.velocity_covariance_n)
+    stamp_ns = stamps(gnss.t, 0.0).tolist()
+    for row in np.flatnonzero(_is_used(gnss.velocity_n, gnss.velocity_covariance_n)):
+        stamp(message, stamp_ns[row], "gnss_link")
         covariance = np.diag(np.full(6, UNKNOWN_VARIANCE))  # a receiver knows nothing of rotation
         covariance[:3, :3] = covariance_enu[row]
         message.twist.covariance = covariance.ravel()
         set_vector(message.twist.twist.linear, velocity_enu[row])
-        yield stamp_ns, 2, "/gnss/velocity", message
+        yield stamp_ns[row], 2, "/gnss/velocity", message
+
+
+def _covariance_enu(covariance_n: Array) -> tuple[Array, Mask]:
+    """
+    Return covariances for messages, and which of them are known.
+
+    Parameters
+    ----------
+    covariance_n : ndarray, shape (M, 3, 3)
+        NED; NaN where unknown.
+
+    Returns
+    -------
+    ndarray, shape (M, 3, 3), ndarray, shape (M,)
+        ENU, the vertical with ``UNKNOWN_VARIANCE`` where only that is unknown; zero where a
+        horizontal axis is.
+    """
+    P = covariance_n.copy()
+    unknown = ~np.isfinite(P[:, 2]).all(axis=1)
+    P[unknown, 2, :] = P[unknown, :, 2] = 0.0
+    P[unknown, 2, 2] = UNKNOWN_VARIANCE
+    is_known = np.isfinite(P).all(axis=(1, 2))
+    P[~is_known] = 0.0
+    return SWAP @ P @ SWAP, is_known
+
+
+def _is_used(velocity_n: Array, covariance_n: Array) -> Mask:
+    """Return which velocities (M, 3) are known horizontally, with their covariance (M, 3, 3)."""
+    return np.isfinite(velocity_n[:, :2]).all(axis=1) & _covariance_enu(covariance_n)[1]
+
+
+def _left_out(gnss: GnssLog) -> str:
+    """Return a remark on what the receiver gave and no message holds; empty for nothing."""
+    text = ""
+    some = np.isfinite(np.diagonal(gnss.covariance_n, axis1=1, axis2=2)).any(axis=1)
+    count = np.count_nonzero(some & ~_covariance_enu(gnss.covariance_n)[1])
+    if count:
+        text += f"; {count} of {len(gnss.t)} fixes lack the standard deviation of a horizontal axis"
+    if gnss.velocity_n is None:
+        return text
+    if gnss.velocity_covariance_n is None:
+        used = np.zeros(len(gnss.t), bool)
+    else:
+        used = _is_used(gnss.velocity_n, gnss.velocity_covariance_n)
+    some = np.isfinite(gnss.velocity_n).any(axis=1)
+    count = np.count_nonzero(some & ~used)
+    if count:
+        text += (
+            f"; {count} of {np.count_nonzero(some)} velocities are left out: they lack a "
+            "horizontal component or its standard deviation"
+        )
+    return text

@@ -190,11 +190,17 @@ def check_against_attitude(imu: ImuSeries, attitude: AttitudeSeries, faults: Fau
     Raises
     ------
     InputError
-        The gyroscope turns much faster or slower than the attitude.
+        The gyroscope turns much faster or slower than the attitude, or the IMU's time is too short
+        for both.
 
     """
     step = np.median(np.diff(attitude.t))
     times = np.arange(imu.t[0], imu.t[-1], step)
+    if times.size < 2:
+        raise InputError(
+            f"{imu.path}: its {imu.t.size} usable rows span {imu.t[-1] - imu.t[0]:.3g} s, no two"
+            f" epochs of {attitude.path.name}: too few"
+        )
     angle = np.zeros_like(imu.angular_rate_b)
     middle = 0.5 * (imu.angular_rate_b[1:] + imu.angular_rate_b[:-1])
     angle[1:] = np.cumsum(middle * np.diff(imu.t)[:, None], axis=0)

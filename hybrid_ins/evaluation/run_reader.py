@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import progress
+from hybrid_ins.bags.messages import absolute
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Topics, Verdicts
@@ -105,9 +106,9 @@ class _Bag:
 
     def __init__(self, reader: BagReader, topics: Topics) -> None:
         self.reader = reader
-        small = {_absolute(name) for name in vars(topics).values()}
+        small = {absolute(name) for name in vars(topics).values()}
         small |= {f"/truth{name}" for name in small}
-        small -= {_absolute(topics.odometry), _absolute(topics.truth)}
+        small -= {absolute(topics.odometry), absolute(topics.truth)}
         self._messages: dict[str, list[Any]] = {name: [] for name in small & set(reader.topics)}
         if self._messages:
             for topic, _, message in reader.messages(*self._messages):
@@ -115,13 +116,9 @@ class _Bag:
 
     def of(self, topic: str, type_name: str) -> list[Any]:
         """Return the messages of an optional topic: none if it is missing or of another type."""
-        topic = _absolute(topic)
+        topic = absolute(topic)
         matches = self.reader.topics.get(topic) == type_name
         return self._messages.get(topic, []) if matches else []
-
-
-def _absolute(topic: str) -> str:
-    return f"/{topic.lstrip('/')}"
 
 
 def _trajectory(
@@ -160,7 +157,7 @@ def _of_known_heading(
 
     While the filter searches for its heading it publishes on ``odometry`` only.
     """
-    first = _first(bag, f"{_absolute(topic)}/local")
+    first = _first(bag, f"{absolute(topic)}/local")
     if first is None:
         return estimate
     known = estimate.stamp_ns >= ns_of(first.header.stamp)

@@ -101,7 +101,7 @@ def test_a_fleet_is_replayed_resumed_and_evaluated(
         assert bag.count("/odometry") > 500
         assert bag.count("/truth/odometry") > 500
 
-    # Again: nothing is done twice; another parameter: everything is.
+    # Again: nothing is done twice; another parameter: only if that is asked for.
     first = ages(out)
     (folder / "broken.mcap").unlink()
     assert replay.main([str(folder), str(out), *HEADING, *ALONE]) == 0
@@ -112,7 +112,11 @@ def test_a_fleet_is_replayed_resumed_and_evaluated(
     done = ages(out)
     assert done["one.mcap"] != first["one.mcap"]
     capsys.readouterr()
-    assert replay.main([str(folder), str(out), *HEADING, *ALONE, "-p", "noise.mode:=constant"]) == 0
+    other = [str(folder), str(out), *HEADING, *ALONE, "-p", "noise.mode:=constant"]
+    assert replay.main(other) == 2
+    assert "(parameter noise.mode was learned, is constant)" in capsys.readouterr().err
+    assert ages(out) == done
+    assert replay.main([*other, "--overwrite"]) == 0
     assert "finished before" not in capsys.readouterr().out
     assert all(ages(out)[name] != age for name, age in done.items())
 

@@ -29,6 +29,7 @@ from hybrid_ins.dataset.logs.series import (
     GnssLog,
     ImuLog,
     diagonal,
+    rising,
 )
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
@@ -91,7 +92,7 @@ def read_imu(path: Path) -> ImuLog:
     if not rows:
         raise InputError(f"{path}: holds no IMU message; {hint}")
     table = np.array(rows, float)
-    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    table = table[rising(path, table[:, 0], "IMU samples")]
     return ImuLog(path, table[:, 0], table[:, 1:4] @ FLIP, table[:, 4:7] @ FLIP, False)
 
 
@@ -110,7 +111,7 @@ def read_gnss(path: Path) -> GnssLog:
     if not rows:
         raise InputError(f"{path}: holds no three-dimensional fix")
     table = np.array(rows, float)
-    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    table = table[rising(path, table[:, 0], "fixes")]
     t, status, lla, velocity, accuracy, epochs = np.split(table, [1, 2, 5, 8, 11], axis=1)
     accuracy[accuracy <= 0.0] = np.nan
     horizontal, vertical, speed = accuracy.T
@@ -141,7 +142,7 @@ def read_estimate(path: Path) -> EstimateLog | None:
     if origin is None or not rows:
         return None
     table = np.array(rows, float)
-    table = table[np.append(True, np.diff(np.maximum.accumulate(table[:, 0])) > 0.0)]
+    table = table[rising(path, table[:, 0], "estimates")]
     quats = np.array([quat_from_rpy(*rpy) for rpy in np.radians(table[:, 7:10])])
     lla = LocalFrame(origin).lla(table[:, 1:4])
     return EstimateLog(table[:, 0], lla, table[:, 4:7], quats)

@@ -31,12 +31,14 @@ from hybrid_ins.dataset.logs.series import (
     GnssLog,
     diagonal,
     from_ecef,
+    rising,
     text_of,
     utc_from_gps,
 )
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array
 
+VERTICAL = 1.5  # times the horizontal standard deviation, where a table has that alone
 NAMES = {  # quantity: what its column may be called, unit and punctuation taken off
     "week": "week|gpsweek|gwk|wn",
     "tow": "tow|itow|sow|gpstow|secondsofweek|gpsseconds|timeofweek|gms",
@@ -83,11 +85,10 @@ NAMES = {  # quantity: what its column may be called, unit and punctuation taken
     "fixtype": "fixtype|gpsfixtype",
     "status": "status|navsatstatus|fix|fixstatus|solution|solutionstatus|mode|carrsoln|type",
 }
-WORDS = {  # that a status may contain
-    GBAS_FIX: r"rtk|fixed|float|int|narrow|carrier|ppp",
-    SBAS_FIX: r"sbas|dgps|dgnss|diff|waas|egnos",
-    NO_FIX: r"no|none|invalid|lost",
-    FIX: r"fix|3d|single|spp|gps|valid|ok|autonomous|standalone",
+WORDS = {  # that a status may contain, whole: without one it is FIX
+    GBAS_FIX: r"\w*rtk\w*|ppp\w*|(narrow|wide)?(fixed|float|int|integer)|narrow|wide|carrier",
+    SBAS_FIX: r"sbas|dgps|dgnss|diff|psrdiff|differential|waas|egnos",
+    NO_FIX: r"no|nofix|not|none|invalid|lost|unknown",
 }
 CODES = {  # numbers of a status, by whose they are
     "Q": {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX},
@@ -154,7 +155,7 @@ def read_gnss(path: Path, origin: Array | None = None) -> GnssLog:
         lla = LocalFrame(origin).lla(enu[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
         covariance = table.covariance()
     good = np.isfinite(t) & np.isfinite(lla[:, :2]).all(axis=1) & (status >= 0)
-    good[good] &= np.append(True, np.diff(np.maximum.accumulate(t[good])) > 0.0)
+    good[good] &= rising(path, t[good], "fixes")
     if not good.any():
         raise InputError(f"{path}: no row holds a fix")
     return GnssLog(
@@ -302,8 +303,7 @@ class _Columns:
     def time(self) -> tuple[Array, bool]:
         """Return the times [s], and whether they are UTC; else the clock is one of its own."""
         if {"week", "tow"} <= self.at.keys():
-            tow = self["tow"]
-            tow = tow * (1e-3 if np.nanmax(tow) > WEEK else 1.0)
+            tow = self["tow"] * self._unit_of(self["tow"])
             return utc_from_gps(self["week"] * WEEK + tow), True
         if "clock" in self.at:
             t = text.dates(self.words("date")) + text.clocks(self.words("clock"))
@@ -312,19 +312,21 @@ class _Columns:
         if np.isnan(t).mean() > 0.5:
             t = text.stamps(self.words("t"))
             return self._utc(t, self.name("t")), True
-        steps = np.diff(t[np.isfinite(t)])
-        step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
-        unit = next((u for u in (1.0, 1e-3, 1e-6, 1e-9) if 0.009 <= step * u <= 60.0), None)
-        if unit is None:
-            raise InputError(
-                f"{self.path}: steps of {step:g} are those of a receiver in no unit from s to ns"
-            )
-        t = t * unit
+        t = t * self._unit_of(t)
         if np.nanmax(t) < 3e8:
             return t, False
         if "gps" in self.name("t") and np.nanmax(t) < 1.6e9:
             return utc_from_gps(t), True
         return self._utc(t, self.name("t")), True
+
+    def _unit_of(self, t: Array) -> float:
+        """Return a clock's unit [s]; receivers give up to 100 fixes a second, or one a minute."""
+        try:
+            return text.unit_of(t, 0.009, 60.0)
+        except ValueError as error:
+            raise InputError(
+                f"{self.path}: {error} are those of a receiver in no unit from s to ns"
+            ) from None
 
     def _utc(self, t: Array, name: str) -> Array:
         """Return UTC of a calendar's seconds since 1970 in the time scale of a column's name."""
@@ -349,8 +351,9 @@ class _Columns:
             if np.isfinite(number):
                 codes.append(meaning(int(number)))
             else:
-                matches = (s for s, text in WORDS.items() if re.search(text, word.lower()))
-                codes.append(next(matches, FIX))
+                plain = re.sub(r"[\W_]+", " ", word.lower())
+                found = (s for s, may in WORDS.items() if re.search(rf"\b({may})\b", plain))
+                codes.append(next(found, FIX))
         return np.array(codes, np.int8)
 
     def covariance_of(self, names: tuple[str, str, str]) -> Array:
@@ -367,12 +370,14 @@ class _Columns:
             ):
                 if i == j or what in self.at:
                     P[:, i, j] = P[:, j, i] = sign * self[what]
-            return P
-        if "sdn" in self.at:
-            return self.covariance_of(("sdn", "sde", "sdu"))
-        horizontal = self.metric("hacc") / 2**0.5
-        vertical = self.metric("vacc") if "vacc" in self.at else 1.5 * horizontal
-        return diagonal(np.column_stack((horizontal, horizontal, vertical)))
+        elif "sdn" in self.at:
+            P = self.covariance_of(("sdn", "sde", "sdu"))
+        else:
+            horizontal = self.metric("hacc") / 2**0.5
+            P = diagonal(np.column_stack((horizontal, horizontal, self.metric("vacc"))))
+        unknown = np.isnan(P[:, 2, 2])
+        P[unknown, 2, 2] = VERTICAL**2 * P[unknown, :2, :2].trace(axis1=1, axis2=2) / 2.0
+        return P
 
     def velocity(self) -> tuple[Array | None, Array | None]:
         """Return velocities (M, 3), NED, and their covariances, where there are any."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins.dataset.logs import text
-from hybrid_ins.dataset.logs.series import WEEK, ImuLog, text_of, utc_from_gps
+from hybrid_ins.dataset.logs.series import DAY, WEEK, ImuLog, rising, text_of, utc_from_gps
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array
 
@@ -60,30 +60,27 @@ def read_imu(path: Path) -> ImuLog:
     chosen = [k for k, one in enumerate(shapes) if one == shape]
     names = _header(lines[: chosen[0]], len(shape))
     table = np.array([rows[k] for k in chosen])
-    calendar, used = _calendar(names, lines[chosen[0]], [lines[k] for k in chosen], table)
+    calendar, used = _calendar(path, names, lines[chosen[0]], [lines[k] for k in chosen], table)
     free = [k for k, is_number in enumerate(shape) if is_number and k not in used]
     time, force, rate = _columns(path, table, names, free, calendar is not None)
-    t, seconds = (calendar, 1.0) if calendar is not None else _seconds(path, table[:, time])
-    later = np.append(True, np.diff(np.maximum.accumulate(t)) > 0.0)
+    t = calendar if calendar is not None else table[:, time] * _unit_of(path, table[:, time])
     factor = _unit_of_gravity(path, table[:, force])
     rates = table[:, rate]
     if _is_in_degrees(rates, " ".join(names[k] for k in rate) if names else ""):
         rates = np.radians(rates)
     held = np.append(False, (np.diff(table[:, [*force, *rate]], axis=0) == 0.0).all(axis=1))
-    kept = later & ~held  # a logger that asks faster than the sensor samples repeats rows
-    return ImuLog(
-        path, t[kept] * seconds, table[kept][:, force] * factor, rates[kept], t[0] * seconds > DATED
-    )
+    # A logger that asks faster than the sensor samples repeats rows.
+    kept = rising(path, t, "IMU samples") & ~held
+    return ImuLog(path, t[kept], table[kept][:, force] * factor, rates[kept], t[0] > DATED)
 
 
 def _calendar(
-    names: list[str], first: list[str], lines: list[list[str]], table: Array
+    path: Path, names: list[str], first: list[str], lines: list[list[str]], table: Array
 ) -> tuple[Array | None, list[int]]:
-    """Return times [s since 1970] of a calendar, if the table has such, and their columns."""
+    """Return times [s] of a calendar or a clock of the day, and their columns, if it has such."""
     found = {what: _named(names, NAMES[what]) for what in ("week", "tow")}
     if min(found.values()) >= 0:
-        tow = table[:, found["tow"]]
-        tow = tow * (1e-3 if np.max(tow) > WEEK else 1.0)
+        tow = table[:, found["tow"]] * _unit_of(path, table[:, found["tow"]])
         return utc_from_gps(table[:, found["week"]] * WEEK + tow), list(found.values())
     of_day = [k for k, word in enumerate(first) if text.CLOCK.fullmatch(word)]
     if of_day:
@@ -92,7 +89,8 @@ def _calendar(
         if days:
             t = text.dates([row[days[0]] for row in lines]) + table[:, clock]
             return t, [days[0], clock]
-        return table[:, clock], [clock]
+        midnights = np.cumsum(np.diff(table[:, clock], prepend=0.0) < -0.5 * DAY)
+        return table[:, clock] + midnights * DAY, [clock]
     iso = [k for k, word in enumerate(first) if np.isfinite(text.stamp(word))]
     return (table[:, iso[0]], iso) if iso else (None, [])
 
@@ -196,13 +194,11 @@ def _unit_of_gravity(path: Path, force: Array) -> float:
     return factor
 
 
-def _seconds(path: Path, t: Array) -> tuple[Array, float]:
-    """Return the times and their unit [s]: IMUs sample 5 to 10 000 times a second."""
-    steps = np.diff(t)
-    if not (steps > 0.0).any():
+def _unit_of(path: Path, t: Array) -> float:
+    """Return the unit [s] of a clock: IMUs sample 5 to 10 000 times a second."""
+    if not (np.diff(t) > 0.0).any():
         raise InputError(f"{path}: its times do not advance: is the first column the time?")
-    step = float(np.median(steps[steps > 0.0]))
-    for unit in (1.0, 1e-3, 1e-6, 1e-9):
-        if 1e-4 <= step * unit <= 0.2:
-            return t, unit
-    raise InputError(f"{path}: steps of {step:g} are those of an IMU in no unit from s to ns")
+    try:
+        return text.unit_of(t, 1e-4, 0.2)
+    except ValueError as error:
+        raise InputError(f"{path}: {error} are those of an IMU in no unit from s to ns") from None

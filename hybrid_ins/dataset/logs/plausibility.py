@@ -28,6 +28,7 @@ STEADY = 5.0  # m/s², of the mean specific force: gravity in a vehicle that mos
 SHORT = 5.0  # s, over which a vehicle keeps its attitude, or moves by more than fixes scatter
 LEAST_TURNS = math.radians(5.0)  # rad/s, RMS of the course rate that shows a factor
 LEAST_CORRELATION = 0.5
+STEADY_RATE = 1e-6  # rad/s, of the range of a rate that does not vary: of no correlation
 USUAL = 0.7, 1.4  # of the gyroscope's turn rate by that of the course
 DEGREES = 0.7 * math.degrees(1.0), 1.4 * math.degrees(1.0)  # the same, if units were mixed up
 
@@ -197,7 +198,7 @@ def turn_factor(imu: ImuLog, gnss: GnssLog) -> float | None:
     # The course is the noisier one, and a body may turn later: both at half a hertz.
     width = np.ones(round(2.0 / GRID)) * GRID / 2.0
     a, b = np.convolve(a, width, "valid"), np.convolve(b, width, "valid")
-    if abs(np.corrcoef(a, b)[0, 1]) < LEAST_CORRELATION:
+    if np.ptp(a) < STEADY_RATE or abs(np.corrcoef(a, b)[0, 1]) < LEAST_CORRELATION:
         return None
     sign = math.copysign(1.0, float(np.dot(a, b)))
     return sign * float(np.sqrt(np.mean(a**2) / np.mean(b**2)))

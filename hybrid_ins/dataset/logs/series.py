@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import gzip
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +18,15 @@ from hybrid_ins.ros.messages.trajectory import Array
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
 GPS_EPOCH = 315_964_800  # 1980-01-06T00:00:00Z [s since 1970]
-WEEK = 604_800  # s
+DAY, WEEK = 86_400, 604_800  # s
 LEAPS = (  # from when on GPS time is ahead of UTC by one second more
     *("1981-07", "1982-07", "1983-07", "1985-07", "1988-01", "1990-01", "1991-01", "1992-07"),
     *("1993-07", "1994-07", "1996-01", "1997-07", "1999-01", "2006-01", "2009-01", "2012-07"),
     *("2015-07", "2017-01"),
 )
 GZIP = b"\x1f\x8b"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,9 @@ class GnssLog:
     path: Path
     t: Array  # (M,) s since 1970, UTC
     lla: Array  # (M, 3) rad, rad, m
-    covariance_n: Array  # (M, 3, 3) m², NED; NaN where the receiver gave none
+    covariance_n: Array  # (M, 3, 3) m², NED; NaN of axes where the receiver gave none
     status: NDArray[np.int8]  # (M,) NavSatStatus
-    velocity_n: Array | None = None  # (M, 3) m/s, NED; NaN where there is none
+    velocity_n: Array | None = None  # (M, 3) m/s, NED; NaN of axes where there is none
     velocity_covariance_n: Array | None = None  # (M, 3, 3) (m/s)², NED; NaN where unknown
     is_dated: bool = True  # else: the clock is that of the IMU in the same log
 
@@ -95,9 +98,40 @@ def text_of(path: Path) -> str:
     return head_of(path, -1).decode("utf-8-sig", errors="replace")
 
 
+def rising(path: Path, t: Array, what: str) -> NDArray[np.bool_]:
+    """
+    Return which rows of a log are later than all before them (N,), and warn of the others.
+
+    Parameters
+    ----------
+    path : Path
+        Of the log.
+    t : ndarray, shape (N,)
+        Times of its rows [s].
+    what : str
+        What a row is, in the plural.
+    """
+    before = np.fmax.accumulate(np.append(-np.inf, t[:-1]))
+    later = np.asarray(t > before)
+    if not later.all():
+        first = int(np.argmin(later))
+        _log.warning(
+            "%s: %d of %d %s are left out, whose time does not rise; the first is number %d, at "
+            "%.3f s after %.3f s: check the clock of the log",
+            path,
+            np.count_nonzero(~later),
+            len(t),
+            what,
+            first + 1,
+            t[first],
+            before[first],
+        )
+    return later
+
+
 def diagonal(std: Array) -> Array:
-    """Return covariances (M, 3, 3) of standard deviations (M, 3)."""
-    return np.asarray(std)[..., None] ** 2 * np.eye(3)
+    """Return covariances (M, 3, 3) of standard deviations (M, 3), each of which may be NaN."""
+    return np.where(np.eye(3), np.asarray(std)[..., None] ** 2, 0.0)  # NaN stays in its axis
 
 
 def utc_from_gps(seconds: Array | float) -> Array:

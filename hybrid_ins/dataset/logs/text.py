@@ -18,6 +18,7 @@ YEARS = 1980, 2100  # of a date; others are misread
 STAMP = re.compile(r"(\d{4}-\d\d?-\d\d?)[T ](\d\d?:\d\d:\d\d\.?\d*) ?(Z|UTC|[+-]\d\d:?\d\d)?")
 CLOCK = re.compile(r"\d\d?:\d\d:\d\d\.?\d*Z?")
 SEPARATORS = ";\t,"
+UNITS = 1.0, 1e-3, 1e-6, 1e-9  # s, of a clock
 
 _log = logging.getLogger(__name__)
 
@@ -45,6 +46,30 @@ def number(word: str) -> float:
         return float(word)
     except ValueError:
         return np.nan
+
+
+def unit_of(t: Array, shortest: float, longest: float) -> float:
+    """
+    Return the unit of a clock [s], by the steps between its readings.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Readings; NaN is left out.
+    shortest, longest : float
+        What the median of the steps can be [s].
+
+    Raises
+    ------
+    ValueError
+        In no unit it is that, or no step is above zero; says what the steps are.
+    """
+    steps = np.diff(t[np.isfinite(t)])
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
+    for unit in UNITS:
+        if shortest <= step * unit <= longest:
+            return unit
+    raise ValueError(f"steps of {step:g}")
 
 
 def dates(words: Sequence[str]) -> Array:

@@ -373,7 +373,8 @@ def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Me
     message = new("sensor_msgs/msg/NavSatFix")
     set_stamp(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
-    message.latitude, message.longitude = map(math.degrees, datum_lla[:2])
+    message.latitude = math.degrees(datum_lla[0])
+    message.longitude = math.degrees(math.remainder(datum_lla[1], math.tau))
     message.altitude = float(datum_lla[2])
     message.status.status = STATUS_FIX
     return message

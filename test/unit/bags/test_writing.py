@@ -2,11 +2,13 @@
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -282,3 +284,44 @@ def test_a_discarded_bag_leaves_nothing(tmp_path: Path) -> None:
         bag.write("/imu/data", imu_message(0), stamp_ns(0))
         bag.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("keep_partial", [True, False])
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+@pytest.mark.parametrize("other", ["{}.old", "{}.part", ".{}.part"])
+def test_what_this_program_did_not_make_stays(
+    tmp_path: Path, name: str, other: str, keep_partial: bool
+) -> None:
+    """GIVEN a user's file and folder beside a bag WHEN that is replaced THEN they are untouched."""
+    path = write_flight(tmp_path / name, 100)
+    notes = tmp_path / other.format(name)
+    for content in (notes / "notes.txt", notes):  # a folder, then a file
+        content.parent.mkdir(exist_ok=True)
+        content.write_text("precious")
+        with (
+            suppress(InputError),  # it may be where the part is to be written
+            BagWriter(path, overwrite=True, keep_partial=keep_partial) as bag,
+        ):
+            bag.write("/imu/data", imu_message(0), stamp_ns(0))
+        assert content.read_text() == "precious"
+        if content != notes:
+            shutil.rmtree(notes)
+
+
+def test_what_is_no_part_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bag.mcap.part").write_text("precious")
+    with pytest.raises(InputError, match=r"bag\.mcap\.part: is not an unfinished bag .*rename it"):
+        BagWriter(tmp_path / "bag.mcap")
+
+
+def test_a_hidden_part_that_a_killed_writer_left_is_removed(tmp_path: Path) -> None:
+    killed = BagWriter(tmp_path / "bag.mcap", keep_partial=False)
+    killed.write("/imu/data", imu_message(0), stamp_ns(0))
+    killed.flush()
+    killed._writer.abandon()  # as the system does
+    assert [p.name for p in tmp_path.iterdir()] == [".bag.mcap.part"]
+
+    with BagWriter(tmp_path / "bag.mcap", keep_partial=False) as bag:
+        bag.write("/imu/data", imu_message(0), stamp_ns(0))
+
+    assert [p.name for p in tmp_path.iterdir()] == ["bag.mcap"]

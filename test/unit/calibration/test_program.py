@@ -1,6 +1,7 @@
 """``ins_calibrate``: what it finds is not lost, and no input is lost either."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -165,6 +166,25 @@ def test_what_makes_withheld_fixes_worse_is_written_only_by_force(
     assert not Path("robot.yaml").exists()
     assert run("bag", "--out", "robot.yaml", "--force") == 0
     assert Path("robot.yaml").exists()
+
+
+def test_what_is_found_is_shown_where_the_comparison_is_killed(
+    run: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN a replay that the system kills THEN its table is there, and a line says why."""
+
+    def killed(*_: object) -> None:
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(program, "_compare", killed)
+
+    assert run("bag", "--out", "robot.yaml") == 2
+
+    said = capsys.readouterr()
+    assert "clock offset" in said.out
+    assert "a process that replayed a recording was killed" in said.err
+    assert not Path("robot.yaml").exists()
+    assert run("bag", "--out", "robot.yaml", "--force") == 0
 
 
 def with_wheels(plain: Path, out: Path, *, reading: float) -> None:

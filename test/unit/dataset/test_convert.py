@@ -596,6 +596,13 @@ BAD_FILES: list[tuple[str, Callable[[Path], object], str]] = [
     ("gone", lambda f: (f / "GT.csv").unlink(), "GT.csv: No such file"),
     ("no IMU", lambda f: (f / "IMU_1.csv").unlink(), "IMU_1.csv: no such file"),
     ("empty", lambda f: (f / "GT.csv").write_text(""), "no column 'time'; the header has an empty"),
+    (
+        "two samples",
+        lambda f: (f / "IMU_1.csv").write_text(
+            "\n".join((f / "IMU_1.csv").read_text().splitlines()[:3]) + "\n"
+        ),
+        "its 2 usable rows span 0.00833 s, no two epochs of GT.csv: too few",
+    ),
     ("header only", lambda f: (f / "GT.csv").write_text(GT_HEADER), "0 usable rows: too few"),
     ("binary", lambda f: (f / "IMU_1.csv").write_bytes(bytes(range(256)) * 50), "IMU_1.csv: no "),
     (

@@ -476,6 +476,9 @@ def test_ardupilot(tmp_path: Path, write: Callable[[Path], None]) -> None:
     assert np.diag(gnss.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09], rel=1e-5)
     assert gnss.velocity_n is not None
     assert gnss.velocity_n[0, :2] == pytest.approx([0.0, 2.0], abs=1e-6)
+    convert_logs([path], tmp_path / "out.mcap")
+    with BagReader(tmp_path / "out.mcap") as bag:
+        assert bag.count("/gnss/velocity") == 1  # of telemetry without a vertical component
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,24 @@ from support.scenes import scene
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import convert
 from hybrid_ins.dataset.convert_logs import convert_logs
-from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, rtklib, ubx
+from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, nmea, rtklib, ubx
 from hybrid_ins.dataset.logs.plausibility import (
     check_clocks,
     check_imu,
     check_velocity,
     mount_yaw,
+    turn_factor,
 )
-from hybrid_ins.dataset.logs.series import FIX, GPS_EPOCH, GnssLog, ImuLog, diagonal
+from hybrid_ins.dataset.logs.series import (
+    FIX,
+    GBAS_FIX,
+    GPS_EPOCH,
+    SBAS_FIX,
+    GnssLog,
+    ImuLog,
+    diagonal,
+    rising,
+)
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation import motions
@@ -332,3 +343,163 @@ def test_a_date_that_no_stamp_holds_is_refused(tmp_path: Path) -> None:
     late = fix_file(tmp_path / "f.csv", replace(gnss, t=gnss.t + 1e9 + GPS_EPOCH))
     with pytest.raises(InputError, match="stamps end in 2038"):
         convert_logs([imu_file(tmp_path / "imu.csv", imu), late], tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize(
+    ("word", "status"),
+    [
+        ("Autonomous", FIX),
+        ("Single Point", FIX),
+        ("NARROW_INT", GBAS_FIX),
+        ("INS_RTKFIXED", GBAS_FIX),
+        ("PSRDIFF", SBAS_FIX),
+    ],
+)
+def test_words_of_a_status_count_as_a_whole(tmp_path: Path, word: str, status: int) -> None:
+    rows = [f"{NOON + k},{THERE},{word}" for k in range(2)]
+    assert table(tmp_path / "a.csv", f"time,{PLACE},status", *rows).status.tolist() == [status] * 2
+
+
+def test_milliseconds_at_the_beginning_of_a_week(tmp_path: Path) -> None:
+    """GIVEN times below 604 800 in ms WHEN read THEN the steps between them show the unit."""
+    rows = [f"2288,{300_000 + 200 * k},{THERE}" for k in range(10)]
+    assert np.ptp(table(tmp_path / "a.csv", f"week,itow,{PLACE}", *rows).t) == pytest.approx(1.8)
+    imu = tmp_path / "imu.csv"
+    samples = [f"2288,{300_000 + 10 * k},0,0,9.8,0,0,0.0{k}" for k in range(20)]
+    imu.write_text("\n".join(["week,itow,ax,ay,az,gx,gy,gz", *samples]) + "\n")
+    assert np.ptp(imu_text.read_imu(imu).t) == pytest.approx(0.19)
+
+
+def test_a_clock_of_the_day_goes_on_after_midnight(tmp_path: Path) -> None:
+    clocks = [f"23:59:{59 + 0.1 * k:.1f}" for k in range(10)]
+    clocks += [f"00:00:{0.1 * k:04.1f}" for k in range(10)]
+    path = tmp_path / "imu.csv"
+    rows = [f"{clock},0,0,9.8,0,0,0.0{k}" for k, clock in enumerate(clocks)]
+    path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *rows]) + "\n")
+
+    assert np.diff(imu_text.read_imu(path).t) == pytest.approx([0.1] * 19)
+
+
+def test_rows_whose_time_does_not_rise_are_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """GIVEN tables in which times stand still and go back WHEN read THEN these rows are told."""
+    times = [0.0, 0.2, 0.4, 0.4, 0.3, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6]
+    log = table(tmp_path / "a.csv", f"time,{PLACE}", *(f"{NOON + t},{THERE}" for t in times))
+    path = tmp_path / "imu.csv"
+    samples = [f"{t},0,0,9.8,0.1,0.2,{k}" for k, t in enumerate(times)]
+    path.write_text("\n".join(["time,ax,ay,az,gx,gy,gz", *samples]) + "\n")
+    imu = imu_text.read_imu(path)
+
+    assert len(log.t) == len(imu.t) == 9
+    assert "a.csv: 2 of 11 fixes are left out, whose time does not rise" in caplog.text
+    assert "imu.csv: 2 of 11 IMU samples are left out" in caplog.text
+    assert "the first is number 4, at 0.400 s after 0.400 s" in caplog.text
+
+
+def test_a_time_that_is_none_costs_no_other_row(tmp_path: Path) -> None:
+    assert rising(tmp_path, np.array([np.nan, 1.0, np.nan, 2.0]), "rows").tolist() == [
+        *(False, True, False, True)
+    ]
+
+
+def nmea_file(path: Path, *epochs: tuple[str, str], date_by: str = "RMC") -> Path:
+    """Write fixes at times of day, with their date (ddmmyy) where that is not empty."""
+
+    def sentence(body: str) -> str:
+        return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+
+    text = ""
+    for clock, day in epochs:
+        text += sentence(f"GNGGA,{clock},3206.0,N,03448.0,E,1,10,0.9,20.0,M,17.0,M,,")
+        if day and date_by == "RMC":
+            text += sentence(f"GNRMC,{clock},A,3206.0,N,03448.0,E,5.0,90.0,{day},,,A")
+        elif day:
+            text += sentence(f"GNZDA,{clock},{day[:2]},{day[2:4]},20{day[4:]},00,00")
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("date_by", ["RMC", "ZDA"])
+def test_each_epoch_of_a_receivers_stream_has_its_own_date(tmp_path: Path, date_by: str) -> None:
+    """GIVEN pauses over midnight and of days WHEN read THEN every time is that of its sentence."""
+    pytest.importorskip("pynmeagps")
+    epochs = [
+        ("225800.00", ""),  # before the receiver gives the date
+        ("225801.00", "101123"),
+        ("225801.50", ""),
+        ("000500.00", "111123"),  # after a pause
+        ("235959.50", "111123"),
+        ("000000.00", ""),
+        ("130000.00", ""),  # resumed two days later
+        ("130001.00", "141123"),
+    ]
+
+    log = nmea.read_gnss(nmea_file(tmp_path / "log.nmea", *epochs, date_by=date_by))
+
+    assert [iso(t)[8:19] for t in log.t] == [
+        *("10T22:58:00", "10T22:58:01", "10T22:58:01", "11T00:05:00", "11T23:59:59"),
+        *("12T00:00:00", "14T13:00:00", "14T13:00:01"),
+    ]
+
+
+def converted(tmp_path: Path, gnss: GnssLog, imu: ImuLog, header: str, *given: str) -> str:
+    """Convert a table of fixes, each with the same further words, and return what is told."""
+    rows = [
+        f"{t},{np.degrees(lat)},{np.degrees(lon)},{height},{given[k % len(given)]}"
+        for k, (t, (lat, lon, height)) in enumerate(zip(gnss.t, gnss.lla, strict=True))
+    ]
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text("\n".join([f"time,{PLACE},{header}", *rows]) + "\n")
+    paths = [imu_file(tmp_path / "imu.csv", imu), fixes]
+    return convert_logs(paths, tmp_path / "out.mcap", overwrite=True)
+
+
+def test_an_axis_that_is_missing_costs_no_other(tmp_path: Path) -> None:
+    """GIVEN deviations and velocities of horizontal axes alone THEN these are in the bag."""
+    imu, gnss = drive(10.0)
+
+    told = converted(tmp_path, gnss, imu, "sdn,sde,vn,ve,sdvn,sdve", "0.3,0.4,1.0,2.0,0.05,0.06")
+
+    assert "left out" not in told
+    with BagReader(tmp_path / "out.mcap") as bag:
+        fix = next(message for _, _, message in bag.messages("/gnss/fix"))
+        velocities = [message.twist for _, _, message in bag.messages("/gnss/velocity")]
+    assert fix.position_covariance_type == 3
+    # Of the vertical axis: as where a table has one horizontal accuracy alone.
+    expected = np.array([0.16, 0.09, 1.5**2 * 0.125])
+    assert np.diag(fix.position_covariance.reshape(3, 3)) == pytest.approx(expected)
+    assert len(velocities) == len(gnss.t)
+    assert velocities[0].twist.linear.x == 2.0
+    assert np.isnan(velocities[0].twist.linear.z)
+    variances = np.diag(velocities[0].covariance.reshape(6, 6))
+    assert variances == pytest.approx([0.0036, 0.0025, 1e6, 1e6, 1e6, 1e6])
+
+
+def test_what_lacks_a_horizontal_axis_is_counted(tmp_path: Path) -> None:
+    imu, gnss = drive(10.0)
+
+    told = converted(
+        tmp_path, gnss, imu, "cov_nn,cov_ee,vn,ve,sdvn,sdve", *("1,,1,2,.1,.1", "1,1,1,2,,.1")
+    )
+
+    half = len(gnss.t) // 2
+    assert f"{len(gnss.t) - half} of {len(gnss.t)} fixes lack the standard deviation" in told
+    assert f"{half} of {len(gnss.t)} velocities are left out: they lack a horizontal" in told
+    with BagReader(tmp_path / "out.mcap") as bag:
+        kinds = [m.position_covariance_type for _, _, m in bag.messages("/gnss/fix")]
+        assert bag.count("/gnss/velocity") == len(gnss.t) - half
+    assert kinds[:4] == [0, 3, 0, 3]
+
+
+def test_a_steady_gyroscope_shows_no_factor() -> None:
+    """GIVEN two equal samples WHEN compared with the course THEN no number is made of them."""
+    imu, gnss = drive(60.0)
+    two = replace(
+        imu,
+        t=imu.t[[0, -1]],
+        specific_force=imu.specific_force[[0, 0]],
+        angular_rate=np.zeros((2, 3)),
+    )
+    with np.errstate(all="raise"):
+        assert turn_factor(two, gnss) is None

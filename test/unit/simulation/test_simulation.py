@@ -591,3 +591,15 @@ def test_wrong_arguments_leave_one_line_and_no_bag(
     assert status == 2
     assert words in capsys.readouterr().err.strip().splitlines()[-1]
     assert not out.exists()
+
+
+def test_longitudes_in_a_bag_are_within_half_a_turn(tmp_path: Path) -> None:
+    """GIVEN starts at 200 degrees and at the date line WHEN simulated THEN fixes and datum fit."""
+    drive = "--trajectory car --duration 20 --imu-rate 100 --heading 90"
+    for start, expected in (("10 200 0", -160.0), ("10 179.9999999 0", 180.0)):
+        bag = run(tmp_path / f"{expected}", f"{drive} --start {start}")
+        with BagReader(bag) as reader:
+            places = [m.longitude for _, _, m in reader.messages("/gnss/fix", "/truth/datum")]
+        assert np.abs(places).max() <= 180.0
+        away = (np.array(places) - expected + 180.0) % 360.0 - 180.0
+        assert np.abs(away).max() < 0.01
