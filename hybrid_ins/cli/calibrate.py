@@ -207,8 +207,7 @@ def _objection(found: Calibration, comparison: Comparison | None) -> str:
     """Return why the parameters should not be used; empty if they may."""
     if found.misfits:
         return f"does not fit: check units, axes and mount: {'; '.join(found.misfits)}"
-    worse = "" if comparison is None else comparison.worse
-    return f"worse than the given parameters: {worse}" if worse else ""
+    return "" if comparison is None else comparison.objection
 
 
 class _Stages:
