@@ -26,7 +26,7 @@ from hybrid_ins.core.filter.gap import LONG_GAP
 from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.fix_checks.velocity_check import VelocityCheck
 from hybrid_ins.core.imu.samples import sample_period
-from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages import conversions, gps_fix
@@ -93,8 +93,8 @@ class Recording:
         t = np.arange(self.aid_t[fixes[0]], self.aid_t[fixes[-1]], MOTION_STEP)
         if len(t) < 3 or t[-1] - start <= length:
             return start
-        scale = curvature_scale(self.aid[fixes[0]])[:2]
-        track = [np.interp(t, self.aid_t[fixes], self.aid[fixes, k] * scale[k]) for k in (0, 1)]
+        moved = displacement(np.nan_to_num(self.aid[fixes[0]]), self.aid[fixes])
+        track = [np.interp(t, self.aid_t[fixes], moved[:, k]) for k in (0, 1)]
         change = np.sum(np.diff(track, 2) ** 2, axis=0)
         sums = np.concatenate(([0.0, 0.0], np.cumsum(change)))
         by_begin = sums[np.minimum(np.searchsorted(t, t + length), len(t) - 1)] - sums[: len(t)]

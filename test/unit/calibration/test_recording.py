@@ -1,5 +1,6 @@
 """What is read from a bag for calibration, and which recordings are refused with the reason."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.calibration.recording import WHEELS, read_recording
+from hybrid_ins.calibration.filter_pass import Nominal, first_state
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import WHEELS, Recording, read_recording
 from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import set_stamp
@@ -90,3 +93,38 @@ def test_wheels_are_read_from_either_topic_in_the_order_of_their_stamps(
     assert all(np.isnan(one.velocity_b[1:]).all() for one in found)
     np.testing.assert_allclose(found[0].point_b, [-1.3, -0.5, -0.1])
     assert found[0].covariance_b[0, 0] == pytest.approx(0.04)
+
+
+def circling_late(longitude: float, height: float) -> Recording:
+    """Return a minute that moves in its last third only, about a longitude [rad]."""
+    t, fix_t = np.arange(0.0, 60.0, 0.02), np.arange(0.0, 60.0, 0.2)
+    turn = np.maximum(fix_t - 40.0, 0.0)
+    east, north = 5e-7 + 2e-6 * np.sin(turn), 2e-6 * (1.0 - np.cos(turn))
+    east[::2] -= 1e-6  # the first fixes are on both sides
+    lla = np.column_stack((0.5 + north, longitude + east, np.full(len(fix_t), height)))
+    lla[:, 1] = np.remainder(lla[:, 1] + math.pi, 2.0 * math.pi) - math.pi
+    return Recording(
+        "late",
+        t,
+        np.tile([0.0, 0.0, -9.8, 0.0, 0.0, 0.0], (len(t), 1)),
+        fix_t,
+        np.full(len(fix_t), POSITION),
+        lla,
+        np.tile(np.eye(3), (len(fix_t), 1, 1)),
+    )
+
+
+@pytest.mark.parametrize("height", [100.0, math.nan])
+def test_the_date_line_and_a_missing_height_are_no_motion(height: float) -> None:
+    """At the date line a metre was 40 000 km, and without a height no motion was found."""
+    inland, across = circling_late(1.0, 100.0), circling_late(math.pi, height)
+    std, none = np.full(3, 0.1), np.zeros(3)
+    nominal = Nominal(0.0, none, 1e-4, 1e-8, 1e-3, 1e-5, none, std, none, std)
+
+    there, here = (first_state(one, 0.0, nominal) for one in (inland, across))
+
+    assert np.ptp(across.aid[:, 1]) > 6.0
+    for name in ("position", "velocity", "up_n"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-3)
+    assert across.begin_of_motion(15.0) == pytest.approx(inland.begin_of_motion(15.0))
+    assert inland.begin_of_motion(15.0) > 30.0
