@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
-from hybrid_ins.bags.reader import BagReader, InputTopics
+from hybrid_ins.bags.reader import BagReader, InputTopics, received
 from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.ros.estimator.estimator import Estimator
@@ -29,7 +29,6 @@ TRIM = 0.95  # share of the withheld fixes that count: a receiver's outliers are
 WORSE = 1.05  # factor on the error at the withheld fixes from which parameters are worse
 LESS_USED = 0.02  # share of the fixes
 NOTHING_COMPARED = "no withheld fix could be compared with the odometry"
-ALWAYS = (0, 2**63 - 1)  # ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +88,7 @@ class _Withheld:
 
 
 def run_trial(
-    path: Path, values: Mapping[str, Any], topics: InputTopics, span_ns: tuple[int, int] = ALWAYS
+    path: Path, values: Mapping[str, Any], topics: InputTopics, rows: slice = slice(None)
 ) -> Trial:
     """
     Run the estimator over a bag with some fixes withheld, and compare it with them.
@@ -102,11 +101,11 @@ def run_trial(
         Checked parameters.
     topics : InputTopics
         Where the input is.
-    span_ns : tuple of int
-        The IMU's stamps [ns] of the first and the last sample that are used.
+    rows : slice
+        The Imu messages that are used.
     """
     estimator = Estimator(values, lambda level, text: None)
-    track, withheld, given = _run(path, values, topics, span_ns, estimator)
+    track, withheld, given = _run(path, values, topics, rows, estimator)
     antenna_b = np.asarray(values["gnss.antenna_position"], float)
     error, nis = np.full(len(withheld), np.nan), np.full(len(withheld), np.nan)
     if track is not None:
@@ -119,7 +118,7 @@ def _run(
     path: Path,
     values: Mapping[str, Any],
     topics: InputTopics,
-    span_ns: tuple[int, int],
+    rows: slice,
     estimator: Estimator,
 ) -> tuple[_Track | None, list[_Withheld], int]:
     """Return the odometry, the withheld fixes, and how many an aligned estimator was given."""
@@ -131,9 +130,10 @@ def _run(
         fix_topic = bag.require(topics["fix_topic"], messages.FIX, "--fix-topic")
         velocity_topic = topics["velocity_topic"]
         has_velocity = bag.topics.get(velocity_topic) == messages.VELOCITY
-        usable = imu.has_reading & (imu.stamp_ns >= span_ns[0]) & (imu.stamp_ns <= span_ns[1])
-        stamps, log_ns = imu.stamp_ns[usable], imu.log_ns[usable]
-        force, rate = imu.specific_force[usable], imu.angular_rate[usable]
+        used = np.arange(len(imu.log_ns))[rows]
+        used = used[imu.has_reading[used]]
+        stamps, log_ns = imu.times_ns(values)[used], imu.log_ns[used]
+        force, rate = imu.specific_force[used], imu.angular_rate[used]
         estimator.noise.preload(stamps, force, rate)
         given, start, first_ns = 0, 0, 0
 
@@ -151,18 +151,18 @@ def _run(
             message = gps_fix.position_of(message, messages.new_message)
             if start == len(stamps):
                 break
-            first_ns = first_ns or at_ns
+            first_ns, received_ns = first_ns or at_ns, received(values, at_ns)
             withhold = int((at_ns - first_ns) * 1e-9 / SPAN) % EVERY == EVERY - 1
             if topic == velocity_topic and not withhold:
-                estimator.handle_velocity(message)
+                estimator.handle_velocity(message, received_ns)
             elif topic == fix_topic and withhold:
-                fix = convert.position(message)
+                fix = convert.position(message, received_ns)
                 if not isinstance(fix, Refused):
                     offset_ns = round(estimator.clock.offset * 1e9)
                     withheld.append(_Withheld(fix.t_ns + offset_ns, fix.lla, fix.covariance_n))
             elif topic == fix_topic:
                 given += estimator.aligned
-                estimator.handle_fix(message)
+                estimator.handle_fix(message, received_ns)
         advance(len(stamps))
     if estimator.odometry.map is None:
         return None, withheld, given

@@ -46,7 +46,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
     monkeypatch.chdir(tmp_path)
-    short = SimpleNamespace(t=np.zeros(2), begin=0.0, origin_ns=0, end_ns=0)
+    short = SimpleNamespace(t=np.zeros(2), begin=0.0, rows=np.arange(2))
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: short)
     monkeypatch.setattr(program, "with_placement", lambda bags, values, *topics: values)
     monkeypatch.setattr(program, "axes_fault", lambda *args: None)

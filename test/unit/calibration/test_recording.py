@@ -1,20 +1,23 @@
 """What is read from a bag for calibration, and which recordings are refused with the reason."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.filter_pass import Nominal, first_state
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import WHEELS, Recording, read_recording
 from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
+from hybrid_ins.replay import replay_bag
 from hybrid_ins.ros.messages.conversions import set_stamp
 from tools.robustness.disturbances import Flight
 from tools.robustness.lasting_faults import by_another_clock
@@ -128,3 +131,65 @@ def test_the_date_line_and_a_missing_height_are_no_motion(height: float) -> None
         np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-3)
     assert across.begin_of_motion(15.0) == pytest.approx(inland.begin_of_motion(15.0))
     assert inland.begin_of_motion(15.0) > 30.0
+
+
+def with_imu(plain: Path, out: Path, change: Callable[[int, Any], None]) -> Path:
+    """Copy a flight; ``change`` is given the number and the message of each IMU sample."""
+    with BagReader(plain) as bag, BagWriter(out) as copy:
+        for topic in ("/imu/data", "/gnss/fix"):
+            for k, (_, log_ns, message) in enumerate(bag.messages(topic)):
+                if topic == "/imu/data":
+                    change(k, message)
+                copy.write(topic, message, log_ns)
+    return out
+
+
+def test_samples_that_the_node_refuses_are_left_out_and_no_others(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """
+    GIVEN a flight with one stamp far ahead, and readings that say that they are none
+    WHEN it is read, and replayed
+    THEN both leave out the same samples, use what follows, and say why.
+    """
+    plain = tmp_path / "flight.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+
+    def spoil(k: int, imu: Any) -> None:
+        if k == 100:
+            imu.header.stamp.sec += 1000
+        elif k % 3 == 2:
+            imu.linear_acceleration_covariance = np.array([-1.0, *np.zeros(8)])
+
+    path = with_imu(plain, tmp_path / "spoilt.mcap", spoil)
+    values = parameters.defaults()
+
+    read = read_recording(path, values)
+
+    topics: InputTopics = {
+        "imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity",
+    }  # fmt: skip
+    replayed = replay_bag(path, tmp_path / "out.mcap", values, topics)
+    count = len(read_recording(plain, values).t)
+    expected = {"imu: stamp jumps": 1, "imu: no reading": count // 3}
+    assert {k: n for k, n in replayed.estimator.inputs.counts.items() if "imu: " in k} == expected
+    assert read.rows.tolist() == [k for k in range(count) if k != 100 and k % 3 != 2]
+    assert f"1 of {count} samples are left out: header.stamp jumps" in caplog.text
+    assert f"{count // 3} of {count} samples are left out: covariance[0] is -1" in caplog.text
+
+
+def test_recordings_are_dated_by_receipt_where_the_node_is_told_to(tmp_path: Path) -> None:
+    plain = tmp_path / "flight.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+    path = with_imu(plain, tmp_path / "other.mcap", lambda k, imu: set_stamp(imu.header.stamp, 1))
+    values = parameters.check_all({"use_receive_time": True})
+
+    read = read_recording(path, values)
+
+    with BagReader(path) as bag:
+        imu_ns = bag.imu().log_ns
+        fix_ns = np.array([log_ns for _, log_ns, _ in bag.messages("/gnss/fix")])
+    np.testing.assert_allclose(read.t, 1e-9 * (imu_ns - imu_ns[0]))
+    np.testing.assert_allclose(read.aid_t, 1e-9 * (fix_ns - imu_ns[0]))
+    with pytest.raises(InputError):
+        read_recording(path, parameters.defaults())
