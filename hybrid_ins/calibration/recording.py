@@ -67,6 +67,7 @@ class Recording:
     rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) numbers
     # of the samples among the bag's Imu messages
     begin: float = 0.0  # s, time 0 after the first sample
+    states_std: bool = True  # the receiver states the standard deviations of most fixes
 
     @property
     def period(self) -> float:
@@ -201,6 +202,7 @@ def read_recording(
         aid: list[tuple[int, int, Array, Array]] = []
         ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
         delay_ns: list[int] = []  # of fixes behind the IMU
+        unstated = 0  # fixes without a covariance
         attitude = None
         if use_truth:
             aid, attitude = _truth(bag)
@@ -218,6 +220,7 @@ def read_recording(
                     before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
                     delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
+                    unstated += bool(conversions.missing_covariance(message))
             if bag.topics.get(velocity_topic) == messages.VELOCITY:
                 for _, log_ns, message in bag.messages(velocity_topic):
                     velocity = gnss.velocity(message, received(values, log_ns))
@@ -268,6 +271,7 @@ def read_recording(
         ),
         np.array(delay_ns) * 1e-9,
         rows=rows,
+        states_std=2 * unstated <= len(delay_ns),
     )
     used = whole.part_in_motion(longest)
     left = used.fixes_within(values["gnss.time_offset.value"], search)

@@ -14,6 +14,7 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
 from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
 from hybrid_ins.cli import simulate
@@ -25,9 +26,13 @@ from hybrid_ins.parameters.parameter_file import load
 
 def found(*misfits: str) -> Calibration:
     """Return a calibration without the work."""
+    read = Recording(
+        "bag", np.zeros(2), np.zeros((2, 6)), np.zeros(5), np.zeros(5, int), np.zeros((5, 3)),
+        np.zeros((5, 3, 3)),
+    )  # fmt: skip
     one = FilterPass(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.ones(5), np.empty((0, 1)))
     fitted = Fit(
-        ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (), np.zeros(1),
+        ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (read,), np.zeros(1),
         np.zeros((1, 1)), np.array([0.0]), True,
     )  # fmt: skip
     values = {**defaults(), "gnss.time_offset.value": 0.1}

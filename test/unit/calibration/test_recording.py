@@ -193,3 +193,16 @@ def test_recordings_are_dated_by_receipt_where_the_node_is_told_to(tmp_path: Pat
     np.testing.assert_allclose(read.aid_t, 1e-9 * (fix_ns - imu_ns[0]))
     with pytest.raises(InputError):
         read_recording(path, parameters.defaults())
+
+
+def test_a_receiver_that_states_no_covariance_is_known(tmp_path: Path) -> None:
+    plain, path = tmp_path / "flight.mcap", tmp_path / "unknown.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+    flight = Flight.read(plain, 0.0, 1.0)
+    for entry in flight.entries:
+        if entry.topic == "/gnss/fix":
+            entry.message.position_covariance_type = 0
+    flight.write(path)
+
+    assert read_recording(plain, parameters.defaults()).states_std
+    assert not read_recording(path, parameters.defaults()).states_std
