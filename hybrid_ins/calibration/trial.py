@@ -28,7 +28,7 @@ MAX_STEP = 0.6  # s between two odometry messages that are interpolated
 TRIM = 0.95  # share of the withheld fixes that count: a receiver's outliers are no one's fault
 WORSE = 1.05  # factor on the error at the withheld fixes from which parameters are worse
 LESS_USED = 0.02  # share of the fixes
-NOTHING_COMPARED = "no withheld fix could be compared with the odometry"
+NOTHING_COMPARED = "no withheld fix could be compared with the odometry of both"
 
 
 @dataclass(frozen=True, eq=False)
