@@ -28,7 +28,7 @@ from hybrid_ins.bags.messages import (
     Message,
     new_message,
 )
-from hybrid_ins.bags.reader import BagReader, InputTopics
+from hybrid_ins.bags.reader import BagReader, InputTopics, received
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.errors import InputError
@@ -187,6 +187,7 @@ class _Replay:
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"), (kernels.SMOOTHING,) if record is not None else ())
         self._estimator = estimator = Estimator(values, log, record)
+        self._stamps_ns = imu.times_ns(values)
         rows = slice(None) if imu.has_reading.all() else imu.has_reading
         estimator.noise.preload(
             self._stamps_ns[rows], imu.specific_force[rows], imu.angular_rate[rows]
@@ -217,13 +218,6 @@ class _Replay:
             handle = estimator.handle_static_transforms
             self._handlers["/tf_static"] = lambda message, _: handle(message)
 
-    @property
-    def _stamps_ns(self) -> NDArray[np.int64]:
-        return self._imu.log_ns if self._values["use_receive_time"] else self._imu.stamp_ns
-
-    def _received_ns(self, log_ns: int) -> int | None:
-        return log_ns if self._values["use_receive_time"] else None
-
     def filter(self) -> Estimator:
         """Handle every message in the order of the recording."""
         start = 0
@@ -252,11 +246,11 @@ class _Replay:
     def _measure(
         self, handle: Callable[[Message, int | None], None], message: Message, log_ns: int
     ) -> None:
-        handle(message, self._received_ns(log_ns))
+        handle(message, received(self._values, log_ns))
 
     def _handle_gps_fix(self, message: Message, log_ns: int) -> None:
         """Handle a GPSFix, and write what was made of it, for `ins_evaluate` and viewers."""
-        used = self._gps_fix.handle(message, self._received_ns(log_ns))
+        used = self._gps_fix.handle(message, received(self._values, log_ns))
         for made, topic in zip(used, ("/gnss/fix", "/gnss/velocity"), strict=False):
             self._out.write(topic, made, log_ns)
 

@@ -9,7 +9,7 @@ accept them with or without the leading slash. Times are integer nanoseconds.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import chain, islice
 from pathlib import Path
@@ -69,6 +69,10 @@ class ImuTable:
         """The first message's; empty where there is none."""
         return self.frames[0][1] if self.frames else ""
 
+    def times_ns(self, values: Mapping[str, Any]) -> NDArray[np.int64]:
+        """Return when the samples were taken (N,) [ns], for checked parameters; see `received`."""
+        return self.log_ns if values["use_receive_time"] else self.stamp_ns
+
     @classmethod
     def joined(cls, parts: Iterable[ImuTable], make_blocks: Callable[[], Blocks]) -> ImuTable:
         """Return consecutive parts, one at least, as one table, whose columns are kept apart."""
@@ -84,6 +88,11 @@ class ImuTable:
                 columns[name].append(getattr(part, name))
         arrays: dict[str, Any] = {name: columns[name].array() for name in names}
         return cls(**arrays, frames=tuple(frames))
+
+
+def received(values: Mapping[str, Any], log_ns: int) -> int | None:
+    """Return a message's log time [ns] where ``use_receive_time`` lets it replace the stamp."""
+    return log_ns if values["use_receive_time"] else None
 
 
 def _changes(names: NDArray[np.bytes_]) -> list[int]:

@@ -16,7 +16,7 @@ from hybrid_ins.calibration.innovations import (
     log_likelihood,
 )
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.inertial.earth import curvature_scale, normal_gravity
+from hybrid_ins.core.inertial.earth import curvature_scale, displacement, normal_gravity
 from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_from_matrix,
@@ -77,7 +77,6 @@ class FirstState:
     offset: float  # s, added to the stamps of fixes
     sample: int  # number of the sample that it holds at
     origin: Array  # (3,) latitude, longitude [rad], height [m]
-    scale: Array  # (3,) m per unit of these
     position: Array  # (3,) m, of the antenna from there, n
     velocity: Array  # (3,) m/s, n
     up_b: Array  # (3,) direction of the specific force, b
@@ -112,8 +111,7 @@ def first_state(recording: Recording, offset: float, nominal: Nominal) -> FirstS
     origin = recording.aid[window[0]].copy()
     height = recording.aid[window, 2]
     origin[2] = height[np.isfinite(height)][0] if np.any(np.isfinite(height)) else 0.0
-    scale = curvature_scale(origin)
-    positions = np.nan_to_num((recording.aid[window] - origin) * scale)
+    positions = np.nan_to_num(displacement(origin, recording.aid[window]))
     order = 2 if len(window) > 3 and np.ptp(dt) > 0.5 else 1
     design = np.vander(dt, order + 1, increasing=True)
     R0 = np.nan_to_num(recording.aid_R[window[0]], posinf=1e4)
@@ -136,7 +134,7 @@ def first_state(recording: Recording, offset: float, nominal: Nominal) -> FirstS
     up_b = _mean_force(recording, near, first, nominal)
     up_n = force_n / np.linalg.norm(force_n)
     biases = nominal.bias_a, nominal.bias_g
-    return FirstState(offset, first, origin, scale, position, velocity, up_b, up_n, *biases, P)
+    return FirstState(offset, first, origin, position, velocity, up_b, up_n, *biases, P)
 
 
 def initial_state(first: FirstState, lever_b: Array, yaw: float, yaw_std: float) -> Array:
@@ -155,7 +153,7 @@ def initial_state(first: FirstState, lever_b: Array, yaw: float, yaw_std: float)
     P = first.P.copy()
     P[8, 8] = yaw_std**2
     position = first.position - matrix_from_quat(quat) @ lever_b
-    lla = first.origin + position / first.scale
+    lla = first.origin + position / curvature_scale(first.origin)
     return NavState(lla, first.velocity, quat, first.bias_a, first.bias_g, P).to_flat()
 
 

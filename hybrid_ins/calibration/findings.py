@@ -66,6 +66,7 @@ COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
 SCATTER, SMALLEST_SCATTER, LARGEST_SCATTER = "gnss.position_scatter", 0.2, 10.0
+DEFAULT_STD = "gnss.position_std_default"
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,32 +341,38 @@ def add_biases(
 
 
 def add_fix_scatter(found: Findings, fitted: Fit) -> None:
-    """Add the scatter of the fixes relative to their stated standard deviation."""
+    """Add the scatter of the fixes relative to the standard deviation they were given."""
     if "gnss_scale" in fitted.frozen:
         return
     scale, sigma = fitted.value("gnss_scale"), fitted.sigma("gnss_scale")
     factor = math.exp(0.5 * scale)
-    if abs(scale) < max(3.0 * sigma, 0.4):
-        note = ""
+    differs = abs(scale) >= max(3.0 * sigma, 0.4)
+    is_stated = {recording.states_std for recording in fitted.recordings}
+    reference = "stated σ" if is_stated == {True} else "default σ"
+    if is_stated == {True, False}:
+        reference, note = "σ", "the receiver states its σ in some recordings only"
+    elif is_stated == {False}:
+        note = f"the receiver states no σ: {DEFAULT_STD} is used, set it to the receiver's"
     else:
-        note = "the receiver's σ is too " + ("small" if scale > 0 else "large")
+        note = f"the receiver's σ is too {'small' if scale > 0 else 'large'}" if differs else ""
     is_small = scale + 3.0 * sigma < 2.0 * math.log(SMALLEST_SCATTER)  # however small it is
-    verdict = "identified" if sigma < 0.3 or is_small else "weak"
-    if note and verdict == "identified":
+    is_known = (sigma < 0.3 or is_small) and len(is_stated) == 1
+    if differs and is_known:
         found.values[SCATTER] = min(max(round(factor, 2), SMALLEST_SCATTER), LARGEST_SCATTER)
-    text = f"{factor:.3g} × stated σ"
+    text = f"{factor:.3g} × {reference}"
+    verdict = "identified" if is_known else "weak"
     found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.1g}", verdict, note, SCATTER)
-    _add_slow_error(found, fitted)
+    _add_slow_error(found, fitted, reference)
 
 
-def _add_slow_error(found: Findings, fitted: Fit) -> None:
-    """Add the slow error of the fixes relative to their stated standard deviation."""
+def _add_slow_error(found: Findings, fitted: Fit, reference: str) -> None:
+    """Add the slow error of the fixes relative to the standard deviation they were given."""
     value, sigma = fitted.value("gnss_slow"), fitted.sigma("gnss_slow")
     verdict = "identified" if sigma < SLOW_IDENTIFIED else "not identifiable"
     note = f"changes within {SLOW_TIME:g} s; the filter finds it while running"
     found.add(
         "fixes' slow error",
-        f"{math.exp(0.5 * value):.2f} × stated σ",
+        f"{math.exp(0.5 * value):.2f} × {reference}",
         f"×/÷ {math.exp(min(0.5 * sigma, 9.0)):.1f}",
         verdict,
         note if verdict == "identified" else "smaller than the other errors",

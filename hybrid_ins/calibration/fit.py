@@ -126,7 +126,7 @@ def fit(
     if not any(np.any(recording.aid_kind == VELOCITY) for recording in recordings):
         held |= {VELOCITY_AGE}
     grid = np.asarray(centre + COARSE_STEP * np.arange(-reach, reach + 1), np.float64)
-    coarse = Likelihood([_within(r, centre, search) for r in recordings], nominal, own_offsets)
+    coarse = Likelihood([kept_within(r, centre, search) for r in recordings], nominal, own_offsets)
     coarse.on_pass = on_stage("coarse")
     profile = coarse.coarse(grid)
     if own_offsets:
@@ -136,7 +136,7 @@ def fit(
     coarse.choose_coarse_yaws(grid, offsets)
 
     fine = Likelihood(
-        [_within(r, o, 2.0 * COARSE_STEP) for r, o in zip(recordings, offsets, strict=True)],
+        [kept_within(r, o, 2.0 * COARSE_STEP) for r, o in zip(recordings, offsets, strict=True)],
         nominal,
         own_offsets,
     )
@@ -266,7 +266,16 @@ def filter_passes(fitted: Fit, nominal: Nominal, x: Array) -> list[FilterPass]:
     return [likelihood.run(k, x, keep_states=True) for k in range(len(likelihood.recordings))]
 
 
-def _within(recording: Recording, offset: float, margin: float) -> Recording:
-    """Keep the measurements that lie within the samples for all offsets near ``offset``."""
+def kept_within(recording: Recording, offset: float, margin: float) -> Recording:
+    """
+    Keep the measurements that lie within the samples for all offsets near ``offset``.
+
+    Velocities lie behind the first position, where the filter starts, and within the samples at any
+    age: a likelihood of fewer measurements is not one to compare with.
+    """
     first, last = recording.t[0] - offset + margin, recording.t[-1] - offset - margin
-    return recording.with_measurements_between(first, last)
+    kept = recording.with_measurements_between(first, last)
+    is_velocity = kept.aid_kind == VELOCITY
+    start = np.min(kept.aid_t[~is_velocity], initial=last) + kept.period
+    earliest, latest = kept.aid_t + VELOCITY_AGES[0], kept.aid_t + VELOCITY_AGES[-1]
+    return kept.only(~is_velocity | ((earliest > start) & (latest <= last)))

@@ -65,7 +65,7 @@ def innovations(  # type: ignore[no-untyped-def]
     clock,
 ):
     """
-    Run the filter from ``nav`` over samples and aiding measurements, up to the last of these.
+    Run the filter from ``nav`` over samples and later aiding measurements, up to the last of these.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def innovations(  # type: ignore[no-untyped-def]
         are given less weight rather than gated [2]_; 0: Gaussian.
     z, S, nis : ndarray, shape (M, 3), (M, 3, 3), (M,)
         Written: innovations, covariances, normalised squares; NaN for a measurement outside the
-        samples and for a component that was not given (S there: unit diagonal).
+        samples or at the first, and for a component that was not given (S there: unit diagonal).
     states : ndarray, shape (M, N_NAV) or (0, N_NAV)
         Written if it is not empty: the flat state after each measurement.
     clock : ndarray, shape (M, N_SAID) or (0, N_SAID)
@@ -104,7 +104,7 @@ def innovations(  # type: ignore[no-untyped-def]
     nav[LAST_F], nav[LAST_W] = samples[0, :3], samples[0, 3:]
     f, w = nav[LAST_F], nav[LAST_W]
     psd = nav[PSD][:6].copy()
-    while k < count and aid_t[k] < now:
+    while k < count and aid_t[k] <= now:  # the first state is made of them
         k += 1
     while i < n and k < count:
         aiding = aid_t[k] <= t[i]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, ImuTable, received
 from hybrid_ins.calibration.admission import (
     FEWEST_SAMPLES,
     check_fixes,
@@ -26,9 +27,10 @@ from hybrid_ins.core.filter.gap import LONG_GAP
 from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.fix_checks.velocity_check import VelocityCheck
 from hybrid_ins.core.imu.samples import sample_period
-from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
+from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.estimator.imu_admission import admitted_readings
 from hybrid_ins.ros.messages import conversions, gps_fix
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages
 from hybrid_ins.ros.messages.conversions import FLIP, SWAP, GnssInput, Refused
@@ -41,6 +43,8 @@ TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
 WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +64,10 @@ class Recording:
     # of a fix, less its own
     loudness: Array = field(default_factory=lambda: np.zeros((1, 2)))  # (N, 2) or (1, 2): logarithm
     # of the noise that accelerometer and gyroscope seem to have, relative to its mean
-    origin_ns: int = 0  # the IMU's stamp at time 0
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) numbers
+    # of the samples among the bag's Imu messages
     begin: float = 0.0  # s, time 0 after the first sample
+    states_std: bool = True  # the receiver states the standard deviations of most fixes
 
     @property
     def period(self) -> float:
@@ -93,8 +99,8 @@ class Recording:
         t = np.arange(self.aid_t[fixes[0]], self.aid_t[fixes[-1]], MOTION_STEP)
         if len(t) < 3 or t[-1] - start <= length:
             return start
-        scale = curvature_scale(self.aid[fixes[0]])[:2]
-        track = [np.interp(t, self.aid_t[fixes], self.aid[fixes, k] * scale[k]) for k in (0, 1)]
+        moved = displacement(np.nan_to_num(self.aid[fixes[0]]), self.aid[fixes])
+        track = [np.interp(t, self.aid_t[fixes], moved[:, k]) for k in (0, 1)]
         change = np.sum(np.diff(track, 2) ** 2, axis=0)
         sums = np.concatenate(([0.0, 0.0], np.cumsum(change)))
         by_begin = sums[np.minimum(np.searchsorted(t, t + length), len(t) - 1)] - sums[: len(t)]
@@ -117,10 +123,10 @@ class Recording:
         attitude = self.attitude
         return replace(
             used,
-            origin_ns=self.origin_ns + begin_ns,
             begin=begin,
             t=self.t[samples] - begin,
             samples=self.samples[samples],
+            rows=self.rows[samples],
             aid_t=used.aid_t - begin,
             attitude=None if attitude is None else (attitude[0] - begin, attitude[1]),
             body_velocity=tuple(one for one in shifted if 0 <= one.t_ns <= length * 1e9),
@@ -131,11 +137,6 @@ class Recording:
         first, last = self.t[0] - offset + margin, self.t[-1] - offset - margin
         fixes = self.aid_t[self.aid_kind == POSITION]
         return fixes[(fixes >= first) & (fixes <= last)]
-
-    @property
-    def end_ns(self) -> int:
-        """The IMU's stamp of the last sample."""
-        return self.origin_ns + round(1e9 * float(self.t[-1]))
 
     def with_measurements_between(self, first: float, last: float) -> Recording:
         """Return the recording with the GNSS measurements of an interval of their clock [s]."""
@@ -184,7 +185,7 @@ def read_recording(
     Returns
     -------
     Recording
-        The longest part without a gap in the IMU samples.
+        The longest part without a gap of the IMU samples that the node would use.
 
     Raises
     ------
@@ -195,11 +196,13 @@ def read_recording(
     """
     with BagReader(path) as bag:
         imu = bag.imu(imu_topic)
-        check_stamps(imu.stamp_ns, f"{path}: {imu_topic}")
+        imu_ns, place = imu.times_ns(values), f"{path}: {imu_topic}"
+        rows = _longest_part(imu, values, place)
         wheels = _wheels(bag, values)
         aid: list[tuple[int, int, Array, Array]] = []
         ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
         delay_ns: list[int] = []  # of fixes behind the IMU
+        unstated = 0  # fixes without a covariance
         attitude = None
         if use_truth:
             aid, attitude = _truth(bag)
@@ -208,17 +211,19 @@ def read_recording(
             gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
             repetition = RepetitionCheck()
             for _, log_ns, message in bag.messages(fix_topic):
-                fix = gnss.position(gps_fix.position_of(message, messages.new_message))
+                message = gps_fix.position_of(message, messages.new_message)
+                fix = gnss.position(message, received(values, log_ns))
                 if not isinstance(fix, Refused):
                     if repetition.is_again(fix.lla) and repetition.repeats:
                         continue
                     ahead_ns.append(fix.t_ns - log_ns)
                     before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
-                    delay_ns.append(int(imu.stamp_ns[max(before - 1, 0)]) - fix.t_ns)
+                    delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
+                    unstated += bool(conversions.missing_covariance(message))
             if bag.topics.get(velocity_topic) == messages.VELOCITY:
-                for _, _, message in bag.messages(velocity_topic):
-                    velocity = gnss.velocity(message)
+                for _, log_ns, message in bag.messages(velocity_topic):
+                    velocity = gnss.velocity(message, received(values, log_ns))
                     if not isinstance(velocity, Refused):
                         aid.append(
                             (
@@ -229,7 +234,7 @@ def read_recording(
                             )
                         )
     if ahead_ns:
-        ahead = (np.median(ahead_ns) - np.median(imu.stamp_ns - imu.log_ns)) * 1e-9
+        ahead = (np.median(ahead_ns) - np.median((imu_ns - imu.log_ns)[rows])) * 1e-9
         if abs(ahead) > BEFORE_AND_AFTER:
             raise InputError(
                 f"{path}: fixes on {fix_topic}: {describe_clocks(float(ahead))}: let both drivers "
@@ -237,28 +242,16 @@ def read_recording(
             )
     aid.sort(key=lambda row: row[:2])
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
-    stamps = imu.stamp_ns
-    samples = np.hstack((imu.specific_force @ mount.T, imu.angular_rate @ mount.T))
-    usable = (stamps > 0) & np.all(np.isfinite(samples), axis=1)
-    stamps, samples = stamps[usable], samples[usable]
-    usable = stamps > np.maximum.accumulate(np.concatenate(([0], stamps[:-1])))
-    stamps, samples = stamps[usable], samples[usable]
-    if len(stamps) < FEWEST_SAMPLES:
-        raise InputError(
-            f"{path}: {imu_topic} has {len(stamps)} usable samples: calibration needs "
-            f"{FEWEST_SAMPLES}"
-        )
-    part = _longest_without_gap(stamps)
-    stamps, samples = stamps[part], samples[part]
-    origin = int(stamps[0])
-    t = np.asarray((stamps - origin) * 1e-9, float)
-    check_imu(t, samples, f"{path}: {imu_topic}")
+    samples = np.hstack((imu.specific_force[rows] @ mount.T, imu.angular_rate[rows] @ mount.T))
+    origin = int(imu_ns[rows[0]])
+    t = np.asarray((imu_ns[rows] - origin) * 1e-9, float)
+    check_imu(t, samples, place)
     first, last = -BEFORE_AND_AFTER, t[-1] + BEFORE_AND_AFTER
-    rows = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
-    positions = np.array([row[0] - origin for row in rows if row[1] == POSITION]) * 1e-9
+    near = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
+    positions = np.array([row[0] - origin for row in near if row[1] == POSITION]) * 1e-9
     others = sum(row[1] == POSITION for row in aid) - len(positions)
     check_fixes(positions, others, float(t[-1]), str(path))
-    _refuse_wrong_velocities(path, velocity_topic, rows)
+    _refuse_wrong_velocities(path, velocity_topic, near)
     reference = None
     if attitude is not None:
         reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
@@ -266,10 +259,10 @@ def read_recording(
         path.name,
         t,
         samples,
-        np.array([(row[0] - origin) * 1e-9 for row in rows]),
-        np.array([row[1] for row in rows], np.int64),
-        np.array([row[2] for row in rows]),
-        np.array([row[3] for row in rows]),
+        np.array([(row[0] - origin) * 1e-9 for row in near]),
+        np.array([row[1] for row in near], np.int64),
+        np.array([row[2] for row in near]),
+        np.array([row[3] for row in near]),
         reference,
         tuple(
             replace(one, t_ns=one.t_ns - origin)
@@ -277,7 +270,8 @@ def read_recording(
             if 0 <= (one.t_ns - origin) * 1e-9 <= t[-1]
         ),
         np.array(delay_ns) * 1e-9,
-        origin_ns=origin,
+        rows=rows,
+        states_std=2 * unstated <= len(delay_ns),
     )
     used = whole.part_in_motion(longest)
     left = used.fixes_within(values["gnss.time_offset.value"], search)
@@ -347,9 +341,22 @@ def _truth(
     return aid, (np.array(stamps, np.int64)[known], attitudes)
 
 
-def _longest_without_gap(stamps: NDArray[np.int64]) -> slice:
-    """Return the longest range of samples without a gap."""
-    edges = np.flatnonzero(np.diff(stamps) > LONG_GAP * 1e9) + 1
-    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(stamps)]))
+def _longest_part(imu: ImuTable, values: Mapping[str, Any], place: str) -> NDArray[np.int64]:
+    """Return the rows of the longest part without a gap of the samples that the node would use."""
+    t_ns = imu.times_ns(values)
+    check_stamps(t_ns, place)
+    admitted = admitted_readings(
+        values, t_ns, imu.specific_force, imu.angular_rate, imu.has_reading
+    )
+    for count, refused in admitted.refused:
+        _log.warning("%s: %d of %d samples are left out: %s", place, count, len(t_ns), refused.text)
+    rows = admitted.rows
+    if len(rows) < FEWEST_SAMPLES:
+        raise InputError(
+            f"{place} has {len(rows)} usable samples: calibration needs {FEWEST_SAMPLES}"
+        )
+    steps = np.diff(t_ns[rows])
+    edges = np.flatnonzero((steps <= 0) | (steps > LONG_GAP * 1e9)) + 1
+    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(rows)]))
     best = int(np.argmax(stops - starts))
-    return slice(int(starts[best]), int(stops[best]))
+    return rows[starts[best] : stops[best]]

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
+from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.core.update import chi_square
 from hybrid_ins.parameters import PARAMETERS
 from hybrid_ins.parameters.parameter_file import to_yaml
+
+Array = NDArray[np.float64]
 
 
 def table(findings: Sequence[Finding]) -> str:
@@ -32,17 +37,37 @@ def table(findings: Sequence[Finding]) -> str:
 
 def innovation_line(calibration: Calibration) -> str:
     """Return a line with the innovations before and after the calibration."""
-
-    def figures(passes: Sequence[FilterPass]) -> tuple[float, float]:
-        z = np.concatenate([p.z[np.isfinite(p.nis)] for p in passes])
-        nis = np.concatenate([p.nis[np.isfinite(p.nis)] for p in passes])
-        return float(np.sqrt(np.nanmean(z**2))), float(np.median(nis))
-
-    before, after = figures(calibration.before), figures(calibration.after)
+    kinds = np.concatenate([one.aid_kind for one in calibration.fitted.recordings])
+    z, nis = zip(*map(_innovations, (calibration.before, calibration.after)), strict=True)
+    texts = []
+    for kind, unit in ((POSITION, "m"), (VELOCITY, "m/s")):
+        if np.any(kinds == kind):
+            rms = [np.sqrt(np.nanmean(one[kinds == kind] ** 2)) for one in z]
+            texts.append(f"RMS {rms[0]:.3f} -> {rms[1]:.3f} {unit}")
+    before, after = map(np.nanmedian, nis)
+    expected = _expected_median(np.isfinite(z[1]).sum(axis=1))
     return (
-        f"innovations: RMS {before[0]:.3f} -> {after[0]:.3f} m, "
-        f"median NIS {before[1]:.1f} -> {after[1]:.1f} (2.4 expected)"
+        f"innovations: {', '.join(texts)}, "
+        f"median NIS {before:.1f} -> {after:.1f} ({expected:.1f} expected)"
     )
+
+
+def _innovations(passes: Sequence[FilterPass]) -> tuple[Array, Array]:
+    """Return innovations (M, 3), NaN where nothing was measured, and their squares (M,)."""
+    return np.concatenate([p.z for p in passes]), np.concatenate([p.nis for p in passes])
+
+
+def _expected_median(sizes: NDArray[np.int64]) -> float:
+    """Return the median of the NIS of consistent innovations with so many components (M,)."""
+    numbers, counts = np.unique(sizes[sizes > 0], return_counts=True)
+    low, high = (chi_square.quantile(0.5, int(m)) for m in (numbers[0], numbers[-1]))
+    while low < (middle := 0.5 * (low + high)) < high:
+        above = [chi_square.survival(middle, int(m)) for m in numbers]
+        if np.average(above, weights=counts) > 0.5:
+            low = middle
+        else:
+            high = middle
+    return middle
 
 
 def parameter_file(calibration: Calibration) -> str:

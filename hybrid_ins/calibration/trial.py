@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
-from hybrid_ins.bags.reader import BagReader, InputTopics
-from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.bags.reader import BagReader, InputTopics, received
+from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
@@ -28,7 +28,7 @@ MAX_STEP = 0.6  # s between two odometry messages that are interpolated
 TRIM = 0.95  # share of the withheld fixes that count: a receiver's outliers are no one's fault
 WORSE = 1.05  # factor on the error at the withheld fixes from which parameters are worse
 LESS_USED = 0.02  # share of the fixes
-ALWAYS = (0, 2**63 - 1)  # ns
+NOTHING_COMPARED = "no withheld fix could be compared with the odometry of both"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Trial:
     """What an estimator did with a recording of which some fixes were withheld."""
 
     error: Array  # (M,) m, at the withheld fixes; NaN where there was no odometry
-    nis: Array  # (M,) their normalised squares over 3
+    nis: Array  # (M,) their normalised squares over the number of axes that are compared
     used: float  # share of the other fixes that were fused
 
 
@@ -65,27 +65,30 @@ class _Withheld:
     """A fix that the estimator did not get."""
 
     t_ns: int  # IMU clock
-    lla: Array
-    covariance_n: Array
+    lla: Array  # (3,) rad, rad, m; a height that is not known is NaN
+    covariance_n: Array  # (3, 3) m²
 
     def compare(self, track: _Track, antenna_b: Array) -> tuple[float, float]:
-        """Return the distance of the track to the fix [m] and its normalised square over its axes.
+        """
+        Return the distance of the track to the fix [m] and its normalised square over its axes.
 
-        Both are NaN where there is no odometry.
+        They are horizontal where the fix has no height, and NaN where there is no odometry.
         """
         found = track.antenna(self.t_ns, antenna_b)
         if found is None:
             return math.nan, math.nan
-        away = found[0] - track.frame.position(self.lla) @ SWAP
-        S = found[1] + SWAP @ self.covariance_n @ SWAP.T
-        seen = np.isfinite(away) & np.isfinite(np.diag(S))
-        away, S = away[seen], S[np.ix_(seen, seen)]
-        nis = away @ np.linalg.solve(S, away) / max(len(away), 1)
+        away_n = displacement(track.frame.lla(found[0] @ SWAP), self.lla)
+        S = SWAP @ found[1] @ SWAP.T + self.covariance_n
+        seen = np.isfinite(away_n) & np.isfinite(np.diag(S))
+        if not np.any(seen):
+            return math.nan, math.nan
+        away, S = away_n[seen], S[np.ix_(seen, seen)]
+        nis = away @ np.linalg.solve(S, away) / len(away)
         return float(np.linalg.norm(away)), float(nis)
 
 
 def run_trial(
-    path: Path, values: Mapping[str, Any], topics: InputTopics, span_ns: tuple[int, int] = ALWAYS
+    path: Path, values: Mapping[str, Any], topics: InputTopics, rows: slice = slice(None)
 ) -> Trial:
     """
     Run the estimator over a bag with some fixes withheld, and compare it with them.
@@ -98,11 +101,11 @@ def run_trial(
         Checked parameters.
     topics : InputTopics
         Where the input is.
-    span_ns : tuple of int
-        The IMU's stamps [ns] of the first and the last sample that are used.
+    rows : slice
+        The Imu messages that are used.
     """
     estimator = Estimator(values, lambda level, text: None)
-    track, withheld, given = _run(path, values, topics, span_ns, estimator)
+    track, withheld, given = _run(path, values, topics, rows, estimator)
     antenna_b = np.asarray(values["gnss.antenna_position"], float)
     error, nis = np.full(len(withheld), np.nan), np.full(len(withheld), np.nan)
     if track is not None:
@@ -115,7 +118,7 @@ def _run(
     path: Path,
     values: Mapping[str, Any],
     topics: InputTopics,
-    span_ns: tuple[int, int],
+    rows: slice,
     estimator: Estimator,
 ) -> tuple[_Track | None, list[_Withheld], int]:
     """Return the odometry, the withheld fixes, and how many an aligned estimator was given."""
@@ -127,9 +130,10 @@ def _run(
         fix_topic = bag.require(topics["fix_topic"], messages.FIX, "--fix-topic")
         velocity_topic = topics["velocity_topic"]
         has_velocity = bag.topics.get(velocity_topic) == messages.VELOCITY
-        usable = imu.has_reading & (imu.stamp_ns >= span_ns[0]) & (imu.stamp_ns <= span_ns[1])
-        stamps, log_ns = imu.stamp_ns[usable], imu.log_ns[usable]
-        force, rate = imu.specific_force[usable], imu.angular_rate[usable]
+        used = np.arange(len(imu.log_ns))[rows]
+        used = used[imu.has_reading[used]]
+        stamps, log_ns = imu.times_ns(values)[used], imu.log_ns[used]
+        force, rate = imu.specific_force[used], imu.angular_rate[used]
         estimator.noise.preload(stamps, force, rate)
         given, start, first_ns = 0, 0, 0
 
@@ -147,18 +151,18 @@ def _run(
             message = gps_fix.position_of(message, messages.new_message)
             if start == len(stamps):
                 break
-            first_ns = first_ns or at_ns
+            first_ns, received_ns = first_ns or at_ns, received(values, at_ns)
             withhold = int((at_ns - first_ns) * 1e-9 / SPAN) % EVERY == EVERY - 1
             if topic == velocity_topic and not withhold:
-                estimator.handle_velocity(message)
+                estimator.handle_velocity(message, received_ns)
             elif topic == fix_topic and withhold:
-                fix = convert.position(message)
+                fix = convert.position(message, received_ns)
                 if not isinstance(fix, Refused):
                     offset_ns = round(estimator.clock.offset * 1e9)
                     withheld.append(_Withheld(fix.t_ns + offset_ns, fix.lla, fix.covariance_n))
             elif topic == fix_topic:
                 given += estimator.aligned
-                estimator.handle_fix(message)
+                estimator.handle_fix(message, received_ns)
         advance(len(stamps))
     if estimator.odometry.map is None:
         return None, withheld, given
@@ -172,11 +176,23 @@ class Comparison:
 
     used: tuple[float, float]  # share of the fixes
     rms: tuple[float, float]  # m, at withheld fixes for which both have odometry, without the worst
-    nis: tuple[float, float]  # of these, over 3
-    covered: tuple[float, float]  # share of the withheld fixes with odometry
+    nis: tuple[float, float]  # of these, over their axes
+    covered: tuple[float, float]  # share of the withheld fixes that odometry can be compared with
 
     @property
-    def worse(self) -> str:
+    def is_blind(self) -> bool:
+        """No withheld fix can be compared with the odometry of both."""
+        return not math.isfinite(self.rms[0]) or not math.isfinite(self.rms[1])
+
+    @property
+    def objection(self) -> str:
+        """Return why the second set should not replace the first; empty where it may."""
+        if self.is_blind and not self.covered[0] == 0.0 < self.covered[1]:
+            return f"not compared with the given parameters: {NOTHING_COMPARED}: record longer"
+        worse = self._worse()
+        return f"worse than the given parameters: {worse}" if worse else ""
+
+    def _worse(self) -> str:
         """Return why the second set is worse than the first; empty where it is not."""
         if self.covered[1] < self.covered[0] - 0.1:
             return (
@@ -197,9 +213,13 @@ class Comparison:
 
     def text(self) -> str:
         """Return a line for the user."""
+        errors = (
+            f"these are {self.rms[0]:.3f} -> {self.rms[1]:.3f} m off, NIS/dof "
+            f"{self.nis[0]:.2f} -> {self.nis[1]:.2f} (1 expected)"
+        )
         return (
-            f"replayed with every fourth 2 s of fixes withheld: these are {self.rms[0]:.3f} -> "
-            f"{self.rms[1]:.3f} m off, NIS/3 {self.nis[0]:.2f} -> {self.nis[1]:.2f} (1 expected); "
+            "replayed with every fourth 2 s of fixes withheld: "
+            f"{NOTHING_COMPARED if self.is_blind else errors}; "
             f"fixes used {_percent(self.used[0])} -> {_percent(self.used[1])}"
         )
 
@@ -217,12 +237,16 @@ def compare(before: Sequence[Trial], after: Sequence[Trial]) -> Comparison:
         (_mean([t.used for t in before]), _mean([t.used for t in after])),
         (rms[0], rms[1]),
         (mean[0], mean[1]),
-        (float(np.mean(np.isfinite(error[0]))), float(np.mean(np.isfinite(error[1])))),
+        (_share(np.isfinite(error[0])), _share(np.isfinite(error[1]))),
     )
 
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else math.nan
+
+
+def _share(of: NDArray[np.bool_]) -> float:
+    return float(np.mean(of)) if len(of) else 0.0
 
 
 def _percent(share: float) -> str:

@@ -179,19 +179,18 @@ def _replays(
     when the result is asked for.
     """
     trial = partial(run_trial, topics=options.topics(args))
-    spans = [(recording.origin_ns, recording.end_ns) for recording in recordings]
+    parts = [slice(recording.rows[0], recording.rows[-1] + 1) for recording in recordings]
     seconds = sum(recording.t[-1] - recording.t[0] for recording in recordings)
     processors = os.cpu_count() or 1
     workers = min(processors, 2 * len(args.bags), int(2.0 * seconds / WORTH_A_PROCESS))
     if processors == 1 or workers == 0:
         yield lambda values: (
-            trial(path, values, span_ns=span_ns)
-            for path, span_ns in zip(args.bags, spans, strict=True)
+            trial(path, values, rows=rows) for path, rows in zip(args.bags, parts, strict=True)
         )
         return
     with worker_processes(workers) as executor:
         run = partial(_run_elsewhere, trial)
-        yield lambda values: executor.map(run, args.bags, repeat(values), spans)
+        yield lambda values: executor.map(run, args.bags, repeat(values), parts)
 
 
 def _compare(trials: Iterable[Trial], count: int) -> Comparison:
@@ -205,19 +204,18 @@ def _compare(trials: Iterable[Trial], count: int) -> Comparison:
 
 
 def _run_elsewhere(
-    trial: Callable[..., Trial], path: Path, values: Mapping[str, Any], span_ns: tuple[int, int]
+    trial: Callable[..., Trial], path: Path, values: Mapping[str, Any], rows: slice
 ) -> Trial:
     """Run a trial in a process that may have no kernels yet."""
     kernels.prepare()
-    return trial(path, values, span_ns=span_ns)
+    return trial(path, values, rows=rows)
 
 
 def _objection(found: Calibration, comparison: Comparison | None) -> str:
     """Return why the parameters should not be used; empty if they may."""
     if found.misfits:
         return f"does not fit: check units, axes and mount: {'; '.join(found.misfits)}"
-    worse = "" if comparison is None else comparison.worse
-    return f"worse than the given parameters: {worse}" if worse else ""
+    return "" if comparison is None else comparison.objection
 
 
 class _Stages:

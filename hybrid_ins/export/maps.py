@@ -12,12 +12,16 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.track import QUALITIES, Part, parts, utc
 from hybrid_ins.ros.messages.trajectory import Trajectory
+
+_Point = tuple[int, float, float, float]  # stamp [ns], latitude, longitude [deg], height [m]
 
 _HEIGHTS = "Heights are above the WGS-84 ellipsoid."
 
@@ -80,25 +84,32 @@ def gpx(trajectory: Trajectory, name: str) -> Iterator[str]:
 
 
 def geojson(trajectory: Trajectory, name: str) -> Iterator[str]:
-    """Yield the lines of a GeoJSON file: a LineString for every part of one quality."""
+    """
+    Yield the lines of a GeoJSON file: a LineString for every part of one quality.
+
+    It is a MultiLineString, cut at the antimeridian, where it crosses that; [3]_ section 3.1.9.
+    """
     _need_datum(trajectory, name)
     yield '{"type": "FeatureCollection", "name": ' + json.dumps(name) + ', "features": [\n'
     separator = ""
     for part in parts(trajectory):
-        points = list(_points(part))
-        if len(points) == 1:  # a LineString has two or more
-            points *= 2
+        lines = _cut_at_antimeridian(list(_points(part)))
+        times = [[utc(point[0]) for point in line] for line in lines]
+        coordinates = [
+            [[round(p[2], 9), round(p[1], 9), round(p[3], 3)] for p in line] for line in lines
+        ]
+        is_whole = len(lines) == 1
         feature = {
             "type": "Feature",
             "properties": {
                 "name": part.quality.name,
                 "stroke": f"#{part.quality.colour}",
                 "stroke-width": 3,
-                "coordTimes": [utc(point[0]) for point in points],
+                "coordTimes": times[0] if is_whole else times,
             },
             "geometry": {
-                "type": "LineString",
-                "coordinates": [[round(p[2], 9), round(p[1], 9), round(p[3], 3)] for p in points],
+                "type": "LineString" if is_whole else "MultiLineString",
+                "coordinates": coordinates[0] if is_whole else coordinates,
             },
         }
         yield separator + json.dumps(feature, ensure_ascii=False, allow_nan=False)
@@ -106,11 +117,29 @@ def geojson(trajectory: Trajectory, name: str) -> Iterator[str]:
     yield "\n]}\n"
 
 
-def _points(part: Part) -> Iterator[tuple[int, float, float, float]]:
+def _points(part: Part) -> Iterator[_Point]:
     for stamp_ns, (latitude, longitude, height) in zip(
         part.stamp_ns.tolist(), part.lat_lon_height.tolist(), strict=True
     ):
         yield stamp_ns, latitude, longitude, height
+
+
+def _cut_at_antimeridian(points: list[_Point]) -> list[list[_Point]]:
+    """Return lines of two points or more, each of which ends at the antimeridian it meets."""
+    lines = [points[:1]]
+    for before, after in pairwise(points):
+        turn = after[2] - before[2]
+        if abs(turn) > 180.0:
+            edge = math.copysign(180.0, before[2])
+            way = turn + 2.0 * edge
+            share = (edge - before[2]) / way if way else 0.0
+            stamp_ns = before[0] + round(share * (after[0] - before[0]))
+            latitude = before[1] + share * (after[1] - before[1])
+            height = before[3] + share * (after[3] - before[3])
+            lines[-1].append((stamp_ns, latitude, edge, height))
+            lines.append([(stamp_ns, latitude, -edge, height)])
+        lines[-1].append(after)
+    return [2 * line if len(line) == 1 else line for line in lines]
 
 
 def _need_datum(trajectory: Trajectory, name: str) -> None:

@@ -88,7 +88,10 @@ class ImuStampCheck:
         follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.short_ns
         self._jumps = self._jumps + 1 if follows else 1
         self._jumped_ns = t_ns
-        return StampFault.JUMP if self._jumps < JUMP_CONFIRMED else None
+        if self._jumps < JUMP_CONFIRMED:
+            return StampFault.JUMP
+        self._jumps = 0
+        return None
 
 
 class MeasurementCheck:

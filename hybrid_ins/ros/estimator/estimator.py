@@ -30,7 +30,7 @@ from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
 from hybrid_ins.ros.estimator.estimator_status import EstimatorStatus
 from hybrid_ins.ros.estimator.filter_factory import FilterFactory
 from hybrid_ins.ros.estimator.fix_input import FixInput
-from hybrid_ins.ros.estimator.imu_admission import NO_READING, is_usable, refusal
+from hybrid_ins.ros.estimator.imu_admission import ImuAdmission
 from hybrid_ins.ros.estimator.noise_input import NoiseInput
 from hybrid_ins.ros.estimator.reporter import Reporter
 from hybrid_ins.ros.messages import conversions
@@ -80,6 +80,8 @@ class Estimator:
         Counts of what was refused.
     placement : SensorPlacement
         Where the sensors are.
+    admission : ImuAdmission
+        Which Imu readings are used.
     clock : ClockCorrection
         Offset of the fixes' clock.
     odometry : OdometrySource
@@ -109,7 +111,7 @@ class Estimator:
         self.navigator = self._parts.navigator(record)
         self.clock = ClockCorrection(values, self.navigator, self.inputs)
         self.odometry = OdometrySource()
-        self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
+        self.admission = ImuAdmission(values, self.navigator.stamps)
         self._review = InputReview(values, self.navigator, self.placement, self.inputs)
         self.reporter = Reporter(self.values, self.navigator, self.inputs, self.odometry)
         self._fixes = FixInput(self.values, self.navigator, self._parts, self.placement, self.clock)
@@ -209,19 +211,17 @@ class Estimator:
         `run_periodic` is due once the odometry is published. See `imu_block` for many at once.
         """
         navigator, placement = self.navigator, self.placement
-        if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
-            self.inputs.count_and_warn("imu/data", NO_READING)
-            return None
-        force, rate = imu.specific_force, imu.angular_rate
         t_ns = imu.stamp_ns if received_ns is None else received_ns
-        if not is_usable(t_ns, *force, *rate, *self._limits):
-            self.inputs.count_and_warn("imu/data", refusal(t_ns, force, rate, self._limits[0]))
+        refused = self.admission.refused(imu, t_ns)
+        if refused is not None:
+            self.inputs.count_and_warn("imu/data", refused)
             return None
         is_settled = placement.is_settled("imu/data", imu.frame_id)
         if not is_settled and not self._admits_frame("imu/data", imu.frame_id, t_ns):
             return None
         if self.values["alignment.heading_source"] == "imu" and navigator.alignment is not None:
             _observe_orientation(navigator.alignment, imu, placement.mount)
+        force, rate = imu.specific_force, imu.angular_rate
         fault = navigator.imu(t_ns, *placement.to_body(*force), *placement.to_body(*rate))
         if fault is not None:
             self.inputs.count_and_warn("imu/data", STAMP_FAULTS[fault])

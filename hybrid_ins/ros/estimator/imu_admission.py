@@ -1,20 +1,127 @@
 """
-Admission of Imu readings: one rule for one reading and for many.
+Admission of Imu readings: one rule for one reading and for many, live and of recordings.
+
+A reading is used if it says what it should, and if its stamp follows, as `ImuStampCheck` decides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.navigator.stamp_check import ImuStampCheck
+from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import Refused
+from hybrid_ins.ros.reporting.wording import STAMP_FAULTS
 
+Array = NDArray[np.float64]
 Reading = tuple[float, float, float]
 
 NO_READING = Refused(
     "imu: no reading",
     "covariance[0] is -1: the message says that it carries no acceleration or no angular rate",
 )
+
+NEVER = 2**63 - 1  # ns
+
+
+class ImuAdmission:
+    """
+    Decides which Imu readings are used.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    stamps : ImuStampCheck
+        Where the IMU is; its owner sets ``last_ns`` to the stamp of each reading that is used.
+    """
+
+    def __init__(self, values: Mapping[str, Any], stamps: ImuStampCheck) -> None:
+        self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
+        self._stamps = stamps
+
+    def refused(self, imu: ImuFields, t_ns: int) -> Refused | None:
+        """Return why a reading of a stamp [ns] is useless by itself, or None."""
+        if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
+            return NO_READING
+        force, rate = imu.specific_force, imu.angular_rate
+        if is_usable(t_ns, *force, *rate, *self._limits):
+            return None
+        return refusal(t_ns, force, rate, self._limits[0])
+
+    def end_of_stretch(
+        self, t_ns: NDArray[np.int64], force: Array, rate: Array, start: int, until_ns: int
+    ) -> int:
+        """Return the end of the readings from ``start`` on that need no check, see the kernel."""
+        stamps = self._stamps
+        return int(
+            end_of_stretch(
+                t_ns, force, rate, start, stamps.last_ns, stamps.steady_ns, until_ns, *self._limits
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AdmittedReadings:
+    """Which readings of a recording are used, and why the others are not."""
+
+    rows: NDArray[np.int64]  # (M,) their numbers
+    refused: list[tuple[int, Refused]]  # how many for each reason, and the first of them
+
+
+def admitted_readings(
+    values: Mapping[str, Any],
+    t_ns: NDArray[np.int64],
+    force: Array,
+    rate: Array,
+    has_reading: NDArray[np.bool_],
+) -> AdmittedReadings:
+    """
+    Return which readings of a recording the estimator uses, where all are of one frame.
+
+    Parameters
+    ----------
+    values : mapping
+        Checked parameters.
+    t_ns : ndarray, shape (N,)
+        Stamps [ns].
+    force, rate : ndarray, shape (N, 3)
+        Specific force [m/s²] and angular rate [rad/s] in the IMU's own axes.
+    has_reading : ndarray, shape (N,)
+        False where the message says that it carries none.
+    """
+    stamps = ImuStampCheck(values["imu.max_gap"])
+    admission = ImuAdmission(values, stamps)
+    given = np.flatnonzero(has_reading)
+    t_ns, force, rate = t_ns[given], force[given], rate[given]
+    used = np.zeros(len(given), bool)
+    counts: dict[str, tuple[int, Refused]] = {}
+    if missing := len(has_reading) - len(given):
+        counts[NO_READING.name] = missing, NO_READING
+    k = 0
+    while k < len(given):
+        end = admission.end_of_stretch(t_ns, force, rate, k, NEVER)
+        if end == k:
+            end, now_ns = k + 1, int(t_ns[k])
+            imu = ImuFields(now_ns, tuple(force[k].tolist()), tuple(rate[k].tolist()), "")
+            refused = admission.refused(imu, now_ns)
+            if refused is None and (fault := stamps.check(now_ns)) is not None:
+                refused = STAMP_FAULTS[fault]
+            if refused is not None:
+                count, first = counts.get(refused.name, (0, refused))
+                counts[refused.name] = count + 1, first
+                k = end
+                continue
+        used[k:end] = True
+        stamps.last_ns = int(t_ns[end - 1])
+        k = end
+    return AdmittedReadings(given[used], list(counts.values()))
 
 
 @kernel()

@@ -11,7 +11,6 @@ from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import N_NAV
 from hybrid_ins.core.navigator.events import RestartCause
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.estimator.imu_admission import end_of_stretch
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.reporting.reports import OdometryBlock
 
@@ -90,21 +89,14 @@ def _end_of_stretch(
     start: int,
     frame: str,
 ) -> int:
-    """Return the end of the rows that need nothing between them, see `end_of_stretch`."""
+    """Return the end of the rows that need nothing between them."""
     running = estimator.navigator.filter
     if running is None or estimator.odometry.map is None:
         return start
     if not estimator.placement.is_settled("imu/data", frame):
         return start
-    stamps = estimator.navigator.stamps
     until_ns = min(estimator.due_ns, running.next_event_ns)
-    values = estimator.values
-    limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
-    return int(
-        end_of_stretch(
-            t_ns, force, rate, start, stamps.last_ns, stamps.steady_ns, until_ns, *limits
-        )
-    )
+    return estimator.admission.end_of_stretch(t_ns, force, rate, start, until_ns)
 
 
 def _handle_stretch(

@@ -99,16 +99,18 @@ def test_the_coarse_search_looks_where_the_vehicle_moves() -> None:
 
 
 def test_of_a_long_recording_the_part_in_motion_is_used() -> None:
-    whole = replace(standing_then_turning(200.0, 60.0), origin_ns=7_000_000_000)
+    whole = standing_then_turning(200.0, 60.0)
+    whole = replace(whole, rows=7 + np.arange(len(whole.t)))
     assert whole.part_in_motion(300.0) is whole
 
     part = whole.part_in_motion(90.0)
 
-    shift = (part.origin_ns - whole.origin_ns) * 1e-9
+    shift = part.begin
     assert 165.0 <= shift <= 170.0
     used = (whole.t > shift - 0.1) & (whole.t < shift + 90.1)
     np.testing.assert_allclose(part.t + shift, whole.t[used])
-    assert part.end_ns - part.origin_ns == pytest.approx(90e9)
+    assert part.t[-1] == pytest.approx(90.0)
+    np.testing.assert_array_equal(part.rows, 7 + np.flatnonzero(used))
     # Fixes up to 10 s before and after are kept: by another clock they may belong to it.
     near = (whole.aid_t > shift - 10.1) & (whole.aid_t < shift + 100.1)
     np.testing.assert_allclose(part.aid_t + shift, whole.aid_t[near])

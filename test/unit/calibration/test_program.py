@@ -15,6 +15,7 @@ from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.findings import Calibration, Finding
 from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.trial import Trial
 from hybrid_ins.cli import calibrate as program
 from hybrid_ins.cli import simulate
@@ -26,9 +27,13 @@ from hybrid_ins.parameters.parameter_file import load
 
 def found(*misfits: str) -> Calibration:
     """Return a calibration without the work."""
+    read = Recording(
+        "bag", np.zeros(2), np.zeros((2, 6)), np.zeros(5), np.zeros(5, int), np.zeros((5, 3)),
+        np.zeros((5, 3, 3)),
+    )  # fmt: skip
     one = FilterPass(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.ones(5), np.empty((0, 1)))
     fitted = Fit(
-        ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (), np.zeros(1),
+        ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (read,), np.zeros(1),
         np.zeros((1, 1)), np.array([0.0]), True,
     )  # fmt: skip
     values = {**defaults(), "gnss.time_offset.value": 0.1}
@@ -47,7 +52,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"recording")
     monkeypatch.chdir(tmp_path)
-    short = SimpleNamespace(t=np.zeros(2), begin=0.0, origin_ns=0, end_ns=0)
+    short = SimpleNamespace(t=np.zeros(2), begin=0.0, rows=np.arange(2))
     monkeypatch.setattr(program, "read_recording", lambda *args, **options: short)
     monkeypatch.setattr(program, "with_placement", lambda bags, values, *topics: values)
     monkeypatch.setattr(program, "axes_fault", lambda *args: None)

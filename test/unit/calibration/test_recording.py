@@ -1,17 +1,23 @@
 """What is read from a bag for calibration, and which recordings are refused with the reason."""
 
+import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.calibration.recording import WHEELS, read_recording
+from hybrid_ins.calibration.filter_pass import Nominal, first_state
+from hybrid_ins.calibration.innovations import POSITION
+from hybrid_ins.calibration.recording import WHEELS, Recording, read_recording
 from hybrid_ins.cli import simulate
 from hybrid_ins.errors import InputError
+from hybrid_ins.replay import replay_bag
 from hybrid_ins.ros.messages.conversions import set_stamp
 from tools.robustness.disturbances import Flight
 from tools.robustness.lasting_faults import by_another_clock
@@ -90,3 +96,113 @@ def test_wheels_are_read_from_either_topic_in_the_order_of_their_stamps(
     assert all(np.isnan(one.velocity_b[1:]).all() for one in found)
     np.testing.assert_allclose(found[0].point_b, [-1.3, -0.5, -0.1])
     assert found[0].covariance_b[0, 0] == pytest.approx(0.04)
+
+
+def circling_late(longitude: float, height: float) -> Recording:
+    """Return a minute that moves in its last third only, about a longitude [rad]."""
+    t, fix_t = np.arange(0.0, 60.0, 0.02), np.arange(0.0, 60.0, 0.2)
+    turn = np.maximum(fix_t - 40.0, 0.0)
+    east, north = 5e-7 + 2e-6 * np.sin(turn), 2e-6 * (1.0 - np.cos(turn))
+    east[::2] -= 1e-6  # the first fixes are on both sides
+    lla = np.column_stack((0.5 + north, longitude + east, np.full(len(fix_t), height)))
+    lla[:, 1] = np.remainder(lla[:, 1] + math.pi, 2.0 * math.pi) - math.pi
+    return Recording(
+        "late",
+        t,
+        np.tile([0.0, 0.0, -9.8, 0.0, 0.0, 0.0], (len(t), 1)),
+        fix_t,
+        np.full(len(fix_t), POSITION),
+        lla,
+        np.tile(np.eye(3), (len(fix_t), 1, 1)),
+    )
+
+
+@pytest.mark.parametrize("height", [100.0, math.nan])
+def test_the_date_line_and_a_missing_height_are_no_motion(height: float) -> None:
+    """At the date line a metre was 40 000 km, and without a height no motion was found."""
+    inland, across = circling_late(1.0, 100.0), circling_late(math.pi, height)
+    std, none = np.full(3, 0.1), np.zeros(3)
+    nominal = Nominal(0.0, none, 1e-4, 1e-8, 1e-3, 1e-5, none, std, none, std)
+
+    there, here = (first_state(one, 0.0, nominal) for one in (inland, across))
+
+    assert np.ptp(across.aid[:, 1]) > 6.0
+    for name in ("position", "velocity", "up_n"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-3)
+    assert across.begin_of_motion(15.0) == pytest.approx(inland.begin_of_motion(15.0))
+    assert inland.begin_of_motion(15.0) > 30.0
+
+
+def with_imu(plain: Path, out: Path, change: Callable[[int, Any], None]) -> Path:
+    """Copy a flight; ``change`` is given the number and the message of each IMU sample."""
+    with BagReader(plain) as bag, BagWriter(out) as copy:
+        for topic in ("/imu/data", "/gnss/fix"):
+            for k, (_, log_ns, message) in enumerate(bag.messages(topic)):
+                if topic == "/imu/data":
+                    change(k, message)
+                copy.write(topic, message, log_ns)
+    return out
+
+
+def test_samples_that_the_node_refuses_are_left_out_and_no_others(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """
+    GIVEN a flight with one stamp far ahead, and readings that say that they are none
+    WHEN it is read, and replayed
+    THEN both leave out the same samples, use what follows, and say why.
+    """
+    plain = tmp_path / "flight.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+
+    def spoil(k: int, imu: Any) -> None:
+        if k == 100:
+            imu.header.stamp.sec += 1000
+        elif k % 3 == 2:
+            imu.linear_acceleration_covariance = np.array([-1.0, *np.zeros(8)])
+
+    path = with_imu(plain, tmp_path / "spoilt.mcap", spoil)
+    values = parameters.defaults()
+
+    read = read_recording(path, values)
+
+    topics: InputTopics = {
+        "imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity",
+    }  # fmt: skip
+    replayed = replay_bag(path, tmp_path / "out.mcap", values, topics)
+    count = len(read_recording(plain, values).t)
+    expected = {"imu: stamp jumps": 1, "imu: no reading": count // 3}
+    assert {k: n for k, n in replayed.estimator.inputs.counts.items() if "imu: " in k} == expected
+    assert read.rows.tolist() == [k for k in range(count) if k != 100 and k % 3 != 2]
+    assert f"1 of {count} samples are left out: header.stamp jumps" in caplog.text
+    assert f"{count // 3} of {count} samples are left out: covariance[0] is -1" in caplog.text
+
+
+def test_recordings_are_dated_by_receipt_where_the_node_is_told_to(tmp_path: Path) -> None:
+    plain = tmp_path / "flight.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+    path = with_imu(plain, tmp_path / "other.mcap", lambda k, imu: set_stamp(imu.header.stamp, 1))
+    values = parameters.check_all({"use_receive_time": True})
+
+    read = read_recording(path, values)
+
+    with BagReader(path) as bag:
+        imu_ns = bag.imu().log_ns
+        fix_ns = np.array([log_ns for _, log_ns, _ in bag.messages("/gnss/fix")])
+    np.testing.assert_allclose(read.t, 1e-9 * (imu_ns - imu_ns[0]))
+    np.testing.assert_allclose(read.aid_t, 1e-9 * (fix_ns - imu_ns[0]))
+    with pytest.raises(InputError):
+        read_recording(path, parameters.defaults())
+
+
+def test_a_receiver_that_states_no_covariance_is_known(tmp_path: Path) -> None:
+    plain, path = tmp_path / "flight.mcap", tmp_path / "unknown.mcap"
+    assert simulate.main([str(plain), "--duration", "12", "--imu-rate", "50"]) == 0
+    flight = Flight.read(plain, 0.0, 1.0)
+    for entry in flight.entries:
+        if entry.topic == "/gnss/fix":
+            entry.message.position_covariance_type = 0
+    flight.write(path)
+
+    assert read_recording(plain, parameters.defaults()).states_std
+    assert not read_recording(path, parameters.defaults()).states_std

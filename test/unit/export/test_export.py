@@ -171,6 +171,26 @@ def test_maps_are_coloured_by_quality_and_stamped(
     assert LocalFrame(DATUM).position(lla) @ SWAP == pytest.approx([200.0, 0.0, 0.0], abs=2e-3)
 
 
+@pytest.mark.parametrize("east", [1.0, -1.0])
+def test_geojson_is_cut_at_the_antimeridian(tmp_path: Path, east: float) -> None:
+    """A line from 180 to -180 degrees is drawn around the Earth; RFC 7946 cuts it."""
+    whole = flight(FAST)
+    at = whole.position_enu * [east, 1.0, 1.0] - [east * 100.5, 0.0, 0.0]
+    crossing = replace(whole, position_enu=at, datum_lla=np.array([0.3, np.pi, 20.0]))
+
+    export(crossing, "run", tmp_path / "run.geojson")
+
+    (feature,) = json.loads((tmp_path / "run.geojson").read_text(encoding="utf-8"))["features"]
+    assert feature["geometry"]["type"] == "MultiLineString"
+    first, second = (np.array(line) for line in feature["geometry"]["coordinates"])
+    assert np.all(east * first[:, 0] > 0.0) and np.all(east * second[:, 0] < 0.0)
+    assert (first[-1, 0], second[0, 0]) == (east * 180.0, -east * 180.0)
+    assert first[-1, 1:] == pytest.approx(second[0, 1:])
+    times = feature["properties"]["coordTimes"]
+    assert [len(times[0]), len(times[1])] == [len(first), len(second)]
+    assert seconds(times[0][-1]) == seconds(times[1][0]) == pytest.approx(1.7e9 + 10.05, abs=2e-3)
+
+
 def test_no_line_is_drawn_over_a_gap_and_unknown_quality_has_its_colour(tmp_path: Path) -> None:
     at = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(9.0, 12.05, 0.1)))
 

@@ -1,11 +1,20 @@
 """One rule admits readings one by one and in stretches."""
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
 
-from hybrid_ins.ros.estimator.imu_admission import end_of_stretch, is_usable, refusal
+from hybrid_ins import parameters
+from hybrid_ins.ros.estimator.estimator import Estimator
+from hybrid_ins.ros.estimator.imu_admission import (
+    admitted_readings,
+    end_of_stretch,
+    is_usable,
+    refusal,
+)
+from hybrid_ins.ros.messages.cdr import ImuFields
 
 MAX_FORCE, MAX_RATE = 100.0, 10.0
 LEVEL, STILL = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)
@@ -50,3 +59,45 @@ def test_a_stretch_ends_at_an_odd_step_and_behind_the_next_event(
     stamps = np.cumsum(steps)
     forces, rates = np.tile(LEVEL, (4, 1)), np.tile(STILL, (4, 1))
     assert end_of_stretch(stamps, forces, rates, 0, 0, 5, until, MAX_FORCE, MAX_RATE) == end
+
+
+def readings(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return stamps, specific force, angular rate and has_reading with faults of every kind."""
+    rng = np.random.default_rng(seed)
+    steps = np.full(600, 10_000_000)
+    for step in (0, -20_000_000, 800_000_000, 5_000_000_000, -3_000_000_000):
+        steps[rng.integers(0, 600, 2)] = step  # for good: the time base is another then
+    stamps = 10**15 + np.cumsum(steps)
+    strays = rng.integers(0, 600, 12)
+    stamps[strays] += rng.integers(-(2 * 10**12), 2 * 10**12, 12)
+    stamps[rng.integers(0, 600, 4)] = 0
+    force = np.array(LEVEL) + 0.1 * rng.standard_normal((600, 3))
+    rate = 0.1 * rng.standard_normal((600, 3))
+    force[rng.integers(0, 600, 4)] = 0.0
+    force[rng.integers(0, 600, 4), 1] = math.nan
+    rate[rng.integers(0, 600, 4), 2] = 1e3
+    return stamps, force, rate, rng.random(600) > 0.1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_recordings_are_admitted_as_the_estimator_admits_messages(seed: int) -> None:
+    """The rows that calibration uses are those that node and replay use, for the same reasons."""
+    stamps, force, rate, has_reading = readings(seed)
+    values = parameters.defaults()
+    estimator = Estimator(values, lambda level, text: None)
+    used = []
+    for k, (t_ns, given) in enumerate(zip(stamps.tolist(), has_reading, strict=True)):
+        before = estimator.inputs.counts.total()
+        vectors = tuple(force[k].tolist()), tuple(rate[k].tolist())
+        estimator.handle_imu(
+            ImuFields(t_ns, *vectors, "imu", specific_force_cov0=0.0 if given else -1.0)
+        )
+        if estimator.inputs.counts.total() == before:
+            used.append(k)
+
+    admitted = admitted_readings(values, stamps, force, rate, has_reading)
+
+    assert admitted.rows.tolist() == used
+    counts = Counter({refused.name: count for count, refused in admitted.refused})
+    assert counts == estimator.inputs.counts
+    assert 300 < len(used) < 560
