@@ -90,6 +90,7 @@ class AidingSensor:
     def restart(self) -> None:
         """Await a first reading, as the filter restarts; what is known of its errors is kept."""
         self._last_ns = self._used_ns = 0
+        self._was_silent = False  # before the reading that comes
         self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
@@ -116,8 +117,9 @@ class AidingSensor:
 
     def admit(self, t_ns: int) -> bool:
         """Note a reading at a stamp [ns]; return whether it is due to be used."""
-        if abs(t_ns - self._last_ns) > SILENCE_NS:  # silence, or another time base
+        if self._last_ns - t_ns > SILENCE_NS:  # another time base
             self.restart()
+        self._was_silent |= t_ns - self._last_ns > SILENCE_NS
         self._last_ns = max(self._last_ns, t_ns)
         if t_ns - self._used_ns < round(0.9 * self.period * 1e9):
             return False
@@ -142,6 +144,8 @@ class AidingSensor:
         outage : bool
             Fixes are missing.
         """
+        if self._was_silent:
+            self._resume(outage)
         corrected = self.corrected(reading)
         z, H, R = corrected.linearise(nav)
         HPH = H @ covariance(nav) @ H.T
@@ -181,6 +185,18 @@ class AidingSensor:
     def can_check(self, HPH: Array, R: Array) -> bool:
         """Return whether the filter knows enough to check a reading."""
         return True
+
+    def _resume(self, outage: bool) -> None:
+        """
+        Go on after silence: fixes show anew whether the sensor agrees.
+
+        In an outage there are none, and one that agreed goes on until the filter contradicts it.
+        """
+        self._was_silent = False
+        if outage and self._agrees:
+            self._nis = max(self._nis, AGREES)
+        else:
+            self._agrees, self._nis, self._checked = None, 0.0, None
 
     def _check(self, nis: float) -> None:
         """Decide whether the sensor is used, by the NIS per component of its readings."""

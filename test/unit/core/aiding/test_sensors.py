@@ -185,6 +185,21 @@ def test_wheels_that_stop_reading_in_an_outage_are_refused_until_a_known_state_a
     assert in_outage(sensor, 94.2, 10.0, 0.4)[-1], "a state that is known as well as then"
 
 
+@pytest.mark.parametrize(("factor", "used"), [(1.0, True), (2.0, False)])
+def test_wheels_that_were_silent_in_an_outage_go_on_unless_the_filter_contradicts(
+    factor: float, used: bool
+) -> None:
+    sensor = VelocitySensor(1.0, 0.01, np.full(3, 0.1))
+    wheels(sensor, 30.0, 1.0, 10.0, 2)
+    assert all(in_outage(sensor, 40.0, 10.0, 0.05))
+
+    after = in_outage(sensor, 48.0, 10.0 / factor, 0.05)
+
+    assert len(after) > 5
+    assert all(after) is used
+    assert after[-1] is used
+
+
 def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -> int:
     """Show headings at 10 Hz to a filter that knows its own to 2°; return how many are used."""
     used = 0
