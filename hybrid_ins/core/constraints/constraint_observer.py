@@ -40,8 +40,9 @@ from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE
 
 Array = NDArray[np.float64]
 
-MIN_SPEED = 2.0  # m/s, from which the velocity across the nose says anything
+MIN_SPEED = 2.0  # m/s, from which the velocity across the nose can prove anything
 FREE_ANGLE = 0.1  # rad: of the velocity against the nose, where a vehicle moves freely
+SIDEWAYS = math.log(0.05)  # of a vehicle that moves freely: the probability of any direction
 SLIP_TIME = 0.3  # s, correlation time of slip and bumps
 SQUAT_STD = 0.005  # rad per m/s², of the body's pitch by acceleration: cars have some 0.003
 STATE_TIME = 10.0  # s, of the errors of the filter's velocity and heading
@@ -75,7 +76,8 @@ class ConstraintSettings:
     std : ndarray, shape (2,)
         Velocity across the nose, to the right and down [m/s]: slip, bumps.
     assumed : bool
-        The vehicle moves along its nose until its motion shows otherwise; else motion must show it.
+        The vehicle moves along its nose until its motion shows otherwise; then, and else, motion
+        must show it.
     """
 
     nose: Nose
@@ -157,17 +159,21 @@ class ConstraintObserver:
         by_scale : ndarray, shape (15, N_SCALE), optional
             Sensitivity of the state's error to the IMU's scale errors, see `ScaleErrorObserver`.
         """
-        z, J, H, speed = self._innovation(nav, rate_b)
+        z, J, H, along = self._innovation(nav, rate_b)
         state = H @ covariance(nav) @ H.T
-        if abs(speed) < MIN_SPEED:
-            return
+        speed = math.sqrt(along**2 + float(z @ z))
         S, slip = state + J @ self._P @ J.T, self._slip
         held, _ = _log_density(z, S + np.diag(self._settings.std**2))
         slipping, nis = _log_density(z, S + slip)
-        free, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
+        sideways, _ = _log_density(z, S + slip + np.eye(2) * speed**2)
+        free = SIDEWAYS + sideways
+        if abs(along) > MIN_SPEED:
+            nearly, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
+            free = float(np.logaddexp(nearly, free))
         share = min(interval / EVIDENCE_TIME, 1.0)
         gains = share * (np.array([held, slipping]) - free)
-        if fused:
+        proves = not fused and abs(along) > MIN_SPEED
+        if not proves:  # a vehicle that slews or crawls sideways still disproves the constraint
             gains = np.minimum(gains, 0.0)
         else:
             fading = math.exp(-interval / MEMORY)
@@ -177,7 +183,7 @@ class ConstraintObserver:
                 self.ratio.observe(z / std, S / np.outer(std, std), share, fading)
         self.evidence = _faded(self.evidence, float(gains[0]), interval / MEMORY)
         self.recent = _faded(self.recent, float(gains[1]), interval / RECENT)
-        if nis < OUTLIER and not fused:
+        if nis < OUTLIER and proves:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
             R = inflated(state, STATE_TIME, interval)
             to_scale = np.zeros((2, N_SCALE)) if by_scale is None else H @ by_scale
@@ -242,7 +248,7 @@ class ConstraintObserver:
         elif self.recent > 0.0:
             shown = self.evidence > SHOWN and self.turned > self._to_turn
             shown = shown and max(self.sigma[:2]) < KNOWN
-            self.holds = self.holds or self._settings.assumed or shown
+            self.holds = self.holds or shown
 
 
 def _log_density(z: Array, S: Array) -> tuple[float, float]:

@@ -253,6 +253,37 @@ def test_constraint_ends_soon_when_it_is_broken_and_comes_back(assumed: bool) ->
     assert observer.holds
 
 
+def straight(observer: ConstraintObserver, velocity_b: list[float], seconds: float) -> None:
+    nav = flat_state(np.array(velocity_b), np.zeros(3), np.zeros(3), std=0.02)
+    nav[BIAS_G] = 0.0
+    for _ in range(int(seconds / INTERVAL)):
+        observer.observe(nav, np.zeros(3), INTERVAL, fused=False)
+
+
+@pytest.mark.parametrize("velocity_b", [[0.0, 1.2, 0.0], [0.5, -1.5, 0.0], [0.0, 6.0, 0.0]])
+def test_a_vehicle_that_slews_or_moves_sideways_is_not_on_wheels(velocity_b: list[float]) -> None:
+    """However fast it is along its nose; and a car that stands or crawls proves nothing."""
+    observer = new_observer(assumed=True)
+    car(observer, 60.0, 1)
+    straight(observer, [0.3, 0.05, 0.0], 60.0)
+    assert observer.holds
+
+    straight(observer, velocity_b, 8.0)
+
+    assert not observer.holds
+
+
+def test_wheels_that_were_assumed_and_disproven_have_to_be_shown() -> None:
+    """A tug that moves ahead for a while after it went sideways has no wheels."""
+    observer = new_observer(assumed=True)
+    car(observer, 6.0, 2, free=3.0)
+    assert not observer.holds
+
+    straight(observer, [5.0, 0.0, 0.0], 60.0)
+
+    assert not observer.holds
+
+
 def test_a_rough_road_does_not_disprove_wheels_and_ice_does() -> None:
     """GIVEN a nominal slip of 0.1 m/s WHEN the axle moves by 0.18, 0.25, then by 1 m/s."""
     observer = new_observer()
