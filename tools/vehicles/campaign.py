@@ -2,8 +2,8 @@
 Many short drives with everything drawn at random: which are silently wrong, which align soon.
 
 Vehicle, receiver, claim, clock offset and drift, IMU rate and noise, and what is known of the
-heading are drawn for each run, on request also where the antenna is, which is given, and the
-defects of real recordings (`defects`); all other parameters are the defaults.
+heading are drawn for each run, on request also where the antenna is, which is given or not, and
+the defects of real recordings (`defects`); all other parameters are the defaults.
 """
 
 from __future__ import annotations
@@ -109,18 +109,25 @@ def with_antenna(vehicle: Vehicle, seed: int) -> Vehicle:
 
 
 def one(
-    seed: int, defective: bool = False, clock_given: bool = False, antenna: bool = False
+    seed: int,
+    defective: bool = False,
+    clock_given: bool = False,
+    antenna: bool = False,
+    unplaced: bool = False,
 ) -> dict[str, Any]:
     """
     Return the row of one run.
 
     It has the defects of real recordings if ``defective``; ``clock_given`` gives its clock offset;
-    with ``antenna`` that is away from the IMU, where the parameters say.
+    with ``antenna`` that is away from the IMU, where the parameters say; with ``unplaced``, too,
+    and nothing says where.
     """
     row, vehicle = draw(seed)
     if antenna:
         vehicle = with_antenna(vehicle, seed)
     recording = record(vehicle, seed)
+    if unplaced:
+        recording = defects.unknown_lever_arm(recording, np.random.default_rng([seed, 34]))
     if defective:
         recording, names = defects.draw(recording, np.random.default_rng([seed, 32]))
         row["defects"] = names
@@ -211,11 +218,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--antenna", action="store_true", help="up to 3 m from the IMU, and where is given"
     )
+    parser.add_argument(
+        "--unplaced", action="store_true", help="some decimetres from the IMU, and nothing says so"
+    )
     parser.add_argument("--results", type=Path, metavar="FILE", help="also write all rows, JSON")
     args = parser.parse_args(argv)
     rows = []
     runs = [
-        (seed, args.defects, args.clock_given, args.antenna)
+        (seed, args.defects, args.clock_given, args.antenna, args.unplaced)
         for seed in range(args.first, args.first + args.runs)
     ]
     for row in progress.track(run_parallel(one, runs, args.jobs), "drives", total=args.runs):

@@ -82,7 +82,8 @@ def _report_lever_arm(estimator: Estimator, found: SmoothedLeverArm) -> None:
         estimator.inputs.log(
             "info",
             f"smoothing: the antenna is away from the IMU ({place}), which neither "
-            "gnss.antenna_position nor imu.position says: the track is that of the antenna",
+            "gnss.antenna_position nor imu.position says: the track and its covariance are those "
+            "of the antenna",
         )
 
 
