@@ -40,7 +40,7 @@ from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
 Array = NDArray[np.float64]
 
-EPOCH_NS = 1_000_000_000_000  # of the recordings' time zero
+TIME_ZERO_NS = 1_000_000_000_000  # of the recordings' time zero
 LONG_STEP = 3.5  # median steps between samples, above which there is a gap
 
 
@@ -63,7 +63,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
     first = first_state(recording, offset, nominal)
     nav = initial_state(first, lever_b, fitted.yaws[k], YAW_STD)
-    t_ns = EPOCH_NS + np.rint(recording.t * 1e9).astype(np.int64)
+    t_ns = TIME_ZERO_NS + np.rint(recording.t * 1e9).astype(np.int64)
     samples = as_samples(t_ns, recording.samples[:, :3], recording.samples[:, 3:])
     start = SmootherStart(
         int(samples["t_ns"][first.sample]),
@@ -72,7 +72,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
         psd,
     )
     times = recording.measured_at(offset, fitted.value(VELOCITY_AGE))
-    stamps = EPOCH_NS + np.rint(times * 1e9).astype(np.int64)
+    stamps = TIME_ZERO_NS + np.rint(times * 1e9).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
     fused = order[np.isfinite(passed.nis[order])]
     scale = math.exp(fitted.value("gnss_scale"))

@@ -16,6 +16,7 @@ import numpy as np
 
 from hybrid_ins import yaml_reader
 from hybrid_ins.bags.flight_bag import EPOCH_NS
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.dataset.csv_table import CsvFormat
 from hybrid_ins.errors import InputError
@@ -29,7 +30,7 @@ _UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "angle": {"rad": 1.0, "deg": np.pi / 180.0, "1e-7deg": 1e-7 * np.pi / 180.0},
-    "acceleration": {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "acceleration": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
     "rate": {"rad/s": 1.0, "deg/s": np.pi / 180.0},
     "number": {"1": 1.0},
 }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import progress
 from hybrid_ins.bags.flight_bag import (
+    EPOCH_NS,
     UNKNOWN_VARIANCE,
     Entry,
     TruthRecord,
@@ -37,7 +38,7 @@ Mask = NDArray[np.bool_]  # (M,)
 KNOWN, UNKNOWN = 3, 0  # NavSatFix.position_covariance_type
 AUTOPILOT = "/autopilot"  # topics of its own estimate
 LATEST = 2.0**31  # s, of a stamp
-EPOCH = 1_672_531_200.0  # s, 2023-01-01: where neither clock is dated
+EPOCH = 1e-9 * EPOCH_NS  # s, 2023-01-01: where neither clock is dated
 
 
 def convert_logs(

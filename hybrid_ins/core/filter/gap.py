@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.health import GRAVITY
 from hybrid_ins.core.imu.samples import as_numbers
 from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, skew
 from hybrid_ins.core.inertial.state import (
     COVARIANCE,
@@ -135,7 +135,7 @@ def _unmeasured(last: Array, reading: Array, dt: float) -> tuple[float, float]:
     """Return the standard deviations of force [m/s²] and rate [rad/s] about a line over a gap."""
     jump, rate = np.abs(reading - last), float(np.linalg.norm(reading[3:]))
     swing = min(dt / SWING_TIME, 1.0) ** 2
-    force = abs(float(np.linalg.norm(reading[:3])) - GRAVITY)
+    force = abs(float(np.linalg.norm(reading[:3])) - STANDARD_GRAVITY)
     return (
         GAP_FORCE + 0.25 * jump[:3].max() + 0.5 * (rate + swing * force),
         GAP_RATE + 0.25 * jump[3:].max() + (0.1 + 0.4 * swing) * rate,

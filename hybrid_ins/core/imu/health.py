@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.imu.samples import readings_of
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.80665  # m/s²
 FORCE, RATE = slice(0, 3), slice(3, 6)
-LEAST_FORCE, MOST_FORCE = 0.4 * GRAVITY, 4.0 * GRAVITY  # of a vehicle's mean over a second
+LEAST_FORCE = 0.4 * STANDARD_GRAVITY  # of a vehicle's mean over a second
+MOST_FORCE = 4.0 * STANDARD_GRAVITY
 FROZEN = 0.5  # share of the window in which nothing changes
 AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 SPIKE = 12.0  # times the median distance of a sample from its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
-MOST_ACCELERATION = 0.15 * GRAVITY  # of a vehicle whose specific force is gravity
+MOST_ACCELERATION = 0.15 * STANDARD_GRAVITY  # of a vehicle whose specific force is gravity
 LARGEST_TURN = 3.0  # rad turned in the window: more is a spin, or degrees
 
 
@@ -201,7 +202,7 @@ def _in_degrees(samples: NDArray[np.void]) -> bool:
     turn = 0.5 * (rate[1:] + rate[:-1]) * dt
     part = max(len(force) // 5, 2)
     weight = np.linalg.norm([f.mean(axis=0) for f in np.array_split(force, 5)], axis=1)
-    if np.abs(weight - GRAVITY).max() > MOST_ACCELERATION:
+    if np.abs(weight - STANDARD_GRAVITY).max() > MOST_ACCELERATION:
         return False
     first, last = force[:part].mean(axis=0), force[-part:].mean(axis=0)
     middle = slice(part // 2, len(turn) - part // 2)

@@ -23,8 +23,8 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.imu.health import GRAVITY
 from hybrid_ins.core.imu_axes.nuisance import CLOCK_OFFSETS, CLOCK_STEP, DRIFT_TIME, STRICT
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec, skew
 from hybrid_ins.core.inertial.strapdown import multiply, rotation
 from hybrid_ins.core.update.measurements import turned
@@ -76,7 +76,7 @@ class Motion:
     def change_n(self) -> Array:
         """Changes of velocity over ground less gravity's, (K, 3) [m/s]."""
         changes = _differences(self.fix_t, self.position_n, self.triples)
-        changes[:, 2] -= GRAVITY * self.seconds
+        changes[:, 2] -= STANDARD_GRAVITY * self.seconds
         return changes
 
 

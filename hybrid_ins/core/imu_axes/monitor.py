@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.health import GRAVITY, LEAST_FORCE
+from hybrid_ins.core.imu.health import LEAST_FORCE
 from hybrid_ins.core.imu_axes.antenna import FarAntenna, far_fit, is_far_away
 from hybrid_ins.core.imu_axes.course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes.faults import (
@@ -33,6 +33,7 @@ from hybrid_ins.core.imu_axes.faults import (
 from hybrid_ins.core.imu_axes.fit import Fit, Motion, fit
 from hybrid_ins.core.imu_axes.motion import WINDOW, MotionWindow, is_long
 from hybrid_ins.core.imu_axes.tolerance import times_by_chance, tolerant_fits
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ BETTER, MUCH_BETTER = 1.5, 4.0  # times less is left over: noise alone, and more
 AS_GOOD = 2.0  # times more is left over than by the best
 PERIOD_NS, LONGEST_PERIOD_NS = 5_000_000_000, 60_000_000_000  # between two checks
 ENOUGH = 4  # checks of one kind of motion, before it is checked once a minute
-MOST_MEAN_FORCE = 1.15 * GRAVITY  # of which the direction is that of gravity
+MOST_MEAN_FORCE = 1.15 * STANDARD_GRAVITY  # of which the direction is that of gravity
 CONFIRMATIONS = 2  # checks in a row that find the same
 
 AS_GIVEN = ((np.eye(3), np.eye(3)),)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY, LocalFrame
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
@@ -39,11 +39,10 @@ DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
 MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2
 YEARS_US = 978_307_200_000_000, 4_102_444_800_000_000  # 2001 to 2100, of telemetry stamps
 STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
-GRAVITY = 9.80665
 IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
     "HIGHRES_IMU": (1.0, 1.0),
-    "RAW_IMU": (1e-3 * GRAVITY, 1e-3),
-    "SCALED_IMU": (1e-3 * GRAVITY, 1e-3),
+    "RAW_IMU": (1e-3 * STANDARD_GRAVITY, 1e-3),
+    "SCALED_IMU": (1e-3 * STANDARD_GRAVITY, 1e-3),
 }
 ESTIMATES = ("XKF1", "NKF1")  # of EKF3 and EKF2
 UNKNOWN = 65_535  # of speed and course in GPS_RAW_INT

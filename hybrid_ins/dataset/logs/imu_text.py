@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.dataset.logs import text
 from hybrid_ins.dataset.logs.series import DAY, WEEK, ImuLog, rising, text_of, utc_from_gps
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array
 
-GRAVITY = 9.80665  # m/s²
-UNITS_OF_GRAVITY = {"m/s²": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY}
+UNITS_OF_GRAVITY = {"m/s²": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
 TOLERANCE = 0.3  # of gravity, for the median of the specific force
 STEADINESS = 0.02  # share of gravity, within which the first of several candidates is taken
 LARGEST_RAD = 4.0  # rad/s, of the median of the faster half of the readings
@@ -172,13 +172,14 @@ def _unsteadiness(force: Array) -> float:
     middle = float(np.median(sizes))
     factor = _gravity(force)
     assert factor is not None
-    return float(np.median(np.abs(sizes - middle))) / middle + abs(middle * factor / GRAVITY - 1.0)
+    spread = float(np.median(np.abs(sizes - middle))) / middle
+    return spread + abs(middle * factor / STANDARD_GRAVITY - 1.0)
 
 
 def _gravity(force: Array) -> float | None:
     middle = float(np.median(np.linalg.norm(force, axis=1)))
     for factor in UNITS_OF_GRAVITY.values():
-        if abs(middle * factor / GRAVITY - 1.0) < TOLERANCE:
+        if abs(middle * factor / STANDARD_GRAVITY - 1.0) < TOLERANCE:
             return factor
     return None
 
