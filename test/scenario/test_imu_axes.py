@@ -34,6 +34,7 @@ ONE = np.eye(3)
 FRD = np.diag([1.0, -1.0, -1.0])
 ON_ITS_SIDE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ABOUT_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+ASKEW = np.array([[0.64, -0.77, 0.0], [0.77, 0.64, 0.0], [0.0, 0.0, 1.0]])  # by 50° about up
 EXCHANGED = ONE[[1, 0, 2]]
 DEGREES = 180.0 / np.pi
 
@@ -116,6 +117,7 @@ def check(
         ),
         (CAR, ABOUT_UP, ABOUT_UP, "moves along its nose, set imu.mount_rpy to [0, 0, -1.571]"),
         (CAR, ABOUT_UP.T, ABOUT_UP.T, "moves along its nose, set imu.mount_rpy to [0, 0, 1.571]"),
+        (CAR, ASKEW, ASKEW, "set imu.mount_rpy to [0, 0, -0.87]|[0, 0, -0.88]|[0, 0, -0.86]"),
     ],
 )
 def test_wrong_axes_and_units_are_named_with_the_remedy(

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 TURN = 0.35  # rad, about an axis or of the course, that is a kind of motion
 LEAST_SPEED = 1.5  # m/s, of a course
 NOSE_SPREAD, NOSE_ANGLE = 0.95, 0.7  # mean resultant length; rad, from the course
+NEAR = 0.2  # rad, from a quarter of a circle: IMUs are mounted square more often than not
 
 
 def courses(motion: Motion) -> tuple[Array, Array]:
@@ -89,6 +90,8 @@ def _mount_along_course(
     mean = np.mean(np.exp(1j * angle))
     if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:
         return None
-    quarter = round(float(np.angle(mean)) / (0.5 * np.pi)) * 0.5 * np.pi
-    c, s = np.cos(quarter), np.sin(quarter)
+    turned = float(np.angle(mean))
+    quarter = round(turned / (0.5 * np.pi)) * 0.5 * np.pi
+    turned = quarter if abs(turned - quarter) < NEAR else round(turned, 2)
+    c, s = np.cos(turned), np.sin(turned)
     return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)
