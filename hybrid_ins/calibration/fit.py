@@ -28,8 +28,10 @@ from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
     COARSE_PSD_G,
     COARSE_SLOW,
+    SLOW_SHARE,
     VELOCITY_AGE,
     VELOCITY_AGES,
+    VELOCITY_SCALE,
     YAWS,
     Likelihood,
     Prior,
@@ -124,7 +126,7 @@ def fit(
     centre = nominal.time_offset
     reach = round(search / COARSE_STEP)
     if not any(np.any(recording.aid_kind == VELOCITY) for recording in recordings):
-        held |= {VELOCITY_AGE}
+        held |= {VELOCITY_AGE, VELOCITY_SCALE}
     grid = np.asarray(centre + COARSE_STEP * np.arange(-reach, reach + 1), np.float64)
     coarse = Likelihood([kept_within(r, centre, search) for r in recordings], nominal, own_offsets)
     coarse.on_pass = on_stage("coarse")
@@ -148,8 +150,8 @@ def fit(
         x[fine.names.index(offset_name(k, fine.names))] = offset
     x[fine.names.index("psd_a")] = math.log(COARSE_PSD_A)
     x[fine.names.index("psd_g")] = math.log(COARSE_PSD_G)
-    if "gnss_slow" not in held:
-        x[fine.names.index("gnss_slow")] = math.log(COARSE_SLOW)
+    if SLOW_SHARE not in held:
+        x[fine.names.index(SLOW_SHARE)] = math.log(COARSE_SLOW)
     fine.choose_yaws(x, math.pi / YAWS)
     if VELOCITY_AGE not in held:
         age = fine.likeliest(x, VELOCITY_AGE, VELOCITY_AGES)
