@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.drift import SIGNIFICANT
-from hybrid_ins.calibration.fit import KEPT, Fit
+from hybrid_ins.calibration.fit import CLOCK_KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.sensor_errors.clock_prior import UNKNOWN_DRIFT, ClockDrift
@@ -64,7 +64,7 @@ def observe_clock(
         if name in fitted.frozen and sigma > NO_OFFSET:
             verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
         elif name in fitted.frozen:
-            verdict, note = "weak", KEPT
+            verdict, note = "weak", CLOCK_KEPT
         elif abs(value - nominal) > search - 0.15:
             verdict, note = "weak", "at the limit of the search: give a larger --search"
             ambiguous = True

@@ -8,7 +8,7 @@ in texts, the parameters' own units in values.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -58,7 +58,6 @@ NOT_IDENTIFIABLE = {  # smallest σ
     "lever_y": 0.4,
     "lever_z": 0.4,
 }
-UNKNOWN = 0.8 * PRIOR_STD  # m: of a lever arm that was not given nothing is known
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
@@ -171,7 +170,6 @@ def calibrate(
         nominal,
         own_offsets=own_offsets,
         search=search,
-        largest_std=NOT_IDENTIFIABLE | ({} if is_given else dict.fromkeys(LEVER, UNKNOWN)),
         identified_std=IDENTIFIED,
         held=frozenset({POSITION_SCALE, VELOCITY_SCALE, SLOW_SHARE} if trust_fixes else ()),
         probable=dict.fromkeys(LEVER, MEASURED if is_given else NOT_GIVEN),
@@ -199,7 +197,8 @@ def calibrate(
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     imu_position = np.array(found.values["imu.position"])
     motion = fitted.recordings, smoothed, offsets
-    for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position):
+    wrong = [(after, offsets), *_with_errors(fitted, nominal)]
+    for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position, wrong):
         found.values.update(changed)
         found.add(*row, *changed)
     add_biases(found, after, nominal, C_new_old)
@@ -216,6 +215,14 @@ def calibrate(
         found.values[SCATTER] = values[SCATTER]
         found.withdraw_verdicts()
     return Calibration(fitted, before, after, found.rows, found.values, found.notes, reasons)
+
+
+def _with_errors(fitted: Fit, nominal: Nominal) -> Iterator[tuple[list[FilterPass], list[float]]]:
+    """Yield passes and clock offsets with each error of what is held."""
+    for error in fitted.errors:
+        moved = replace(fitted, x=fitted.x + error)
+        offsets = [moved.offset(k) for k in range(len(moved.recordings))]
+        yield filter_passes(moved, nominal, moved.x), offsets
 
 
 def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_first: bool) -> Array:
@@ -294,6 +301,7 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         if name in fitted.frozen and sigma > NOT_IDENTIFIABLE[name]:
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
+            note += f": {KEPT if is_given else together}"
         elif name in fitted.frozen and sigma > IDENTIFIED[name]:
             verdict, note = "weak", KEPT if is_given else together
         elif name in fitted.frozen:

@@ -33,7 +33,7 @@ def fitted(*recordings: Recording, factor: float = 1.0, sigma: float = 0.1) -> F
     x = np.array([2.0 * math.log(factor), -4.0])
     return Fit(
         NAMES, x, np.full(2, sigma), (), frozenset({VELOCITY_SCALE}), (), recordings, np.zeros(1),
-        np.zeros((1, 1)), np.zeros(2), True,
+        np.zeros((1, 1)), np.zeros(2), True, np.zeros((0, 2)),
     )  # fmt: skip
 
 

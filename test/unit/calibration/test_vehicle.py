@@ -102,7 +102,7 @@ def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     off = np.degrees(np.arccos(np.clip(nose @ observer.nose.forward, -1.0, 1.0)))
     assert off < 0.3
     (row, values), (axle_row, axle), (slip_row, slip) = findings_of(
-        observer, np.eye(3), [0.5, 0.0, 0.2]
+        observer, np.eye(3), [0.5, 0.0, 0.2], np.zeros(3)
     )
     assert values["vehicle.kind"] == "ground"
     assert values["vehicle.nose"][0] == pytest.approx(-np.arctan2(nose[1], nose[0]), abs=0.005)
