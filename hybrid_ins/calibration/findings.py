@@ -27,6 +27,7 @@ from hybrid_ins.calibration.derived import (
     mean_rotation,
     next_biases,
     rotations_to_truth,
+    travel,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import CONFIRMED, KEPT, Fit, OnStage, filter_passes, fit
@@ -60,6 +61,7 @@ NOT_IDENTIFIABLE = {  # smallest σ
 }
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
+LARGEST_BACKWARD = 0.3  # share of the time: what a vehicle does most is forward
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
@@ -244,11 +246,15 @@ def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_fi
     angles = np.concatenate([courses(one) for one in after])
     if len(angles) < 20:
         return unknown("it needs an attitude (--use-truth), or speed and a known heading")
-    mean = math.atan2(np.mean(np.sin(angles)), np.mean(np.cos(angles)))
-    spread = float(np.sqrt(np.mean(np.angle(np.exp(1j * (angles - mean))) ** 2)))
+    mean, spread, backward = travel(angles)
     if spread > COURSE_SPREAD:
         return unknown(
             f"the direction of travel varies in the vehicle (±{math.degrees(spread):.0f}°)"
+        )
+    if backward > LARGEST_BACKWARD:
+        return unknown(
+            f"the vehicle travels backward for {100.0 * backward:.0f} % of the time, or forward: "
+            "which it is cannot be seen"
         )
     if not nose_first:
         return unknown(

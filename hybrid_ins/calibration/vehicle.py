@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration import wheels
-from hybrid_ins.calibration.derived import courses
+from hybrid_ins.calibration.derived import courses, travel
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.constraints.constraint_observer import (
+    SHOWN,
+    ConstraintObserver,
+    ConstraintSettings,
+)
 from hybrid_ins.core.constraints.nonholonomic import Nose
 from hybrid_ins.ros.messages.conversions import FLIP
 
@@ -50,9 +54,8 @@ def observe_nose(
     angles = np.concatenate([courses(one) for one in after])
     if len(angles) < SHORTEST:
         return None
-    yaw = math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))
     settings = ConstraintSettings(
-        Nose(yaw, 0.0, np.zeros(3)),
+        Nose(travel(angles).angle, 0.0, np.zeros(3)),
         NOSE_STD,
         POINT_STD,
         np.full(2, SLIP_STD),
@@ -94,7 +97,8 @@ def vehicle_findings(
     nose = observe_nose(recordings, after, offsets)
     if nose is not None and nose.holds:
         moved = _moved_by(recordings, wrong)
-        rows += findings_of(nose, C_new_old, imu_position.tolist(), moved)
+        slip_std = np.array(values["vehicle.slip_std"])
+        rows += findings_of(nose, C_new_old, imu_position.tolist(), moved, slip_std)
     sensor = wheels.observe_wheels(recordings, after, offsets, C_new_old, values)
     if sensor is not None:
         rows += wheels.findings_of(sensor, values, imu_position - values["imu.position"])
@@ -123,9 +127,13 @@ def findings_of(
     C_new_old: Array,
     imu_position: Sequence[float],
     moved: Array,
+    nominal: Array,
 ) -> list[wheels.Row]:
     """
     Return what was found of a vehicle that moves along its nose.
+
+    A boat that hardly drifts does so, too: the kind is ground where the motion across the nose is
+    no more than the constraint allows for. Otherwise another drive has to show it by itself.
 
     Parameters
     ----------
@@ -136,6 +144,8 @@ def findings_of(
         Position of the IMU in the base frame (forward, left, up) [m].
     moved : ndarray, shape (3,)
         How far parameters that are held, maybe wrongly, move the nose [rad] and the axle [m].
+    nominal : ndarray, shape (2,)
+        Velocity across the nose, left and up [m/s], with which the constraint is used.
 
     Returns
     -------
@@ -149,6 +159,10 @@ def findings_of(
     slip_std = np.sqrt(np.diag(observer.slip.covariance))
     yaw_std, pitch_std, along_std = np.hypot(observer.sigma[:3], moved).tolist()
     sigma = max(yaw_std, pitch_std)
+    rolls = observer.evidence > SHOWN and bool(np.all(slip_std <= nominal))
+    kind, note = {}, "slips more than vehicle.slip_std: vehicle.kind as given"
+    if rolls:
+        kind, note = {"vehicle.kind": "ground"}, "as on wheels: kind ground"
     return [
         (
             (
@@ -156,10 +170,10 @@ def findings_of(
                 f"yaw {yaw:+.2f}°, pitch {pitch:+.2f}°",
                 f"{math.degrees(sigma):.2f}°",
                 "identified" if sigma < NOSE_IDENTIFIED else "weak",
-                "the vehicle moves along it: kind ground",
+                f"the vehicle moves along it, {note}",
             ),
             {
-                "vehicle.kind": "ground",
+                **kind,
                 "vehicle.nose": [round(math.radians(angle), 4) for angle in (yaw, pitch)],
                 "vehicle.nose_std": float(f"{sigma:.2g}"),
             },
@@ -183,7 +197,7 @@ def findings_of(
                 f"{slip_std[0]:.3f}, {slip_std[1]:.3f} m/s",
                 f"×/÷ {math.exp(float(np.max(observer.slip.spread))):.1f}",
                 "identified" if np.max(observer.slip.spread) < SLIP_IDENTIFIED else "weak",
-                "σ of the constraint on these roads: vehicle.slip_std should be no less",
+                "velocity across the nose on these roads",
             ),
             {},
         ),
