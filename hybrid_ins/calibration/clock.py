@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.drift import SIGNIFICANT
-from hybrid_ins.calibration.fit import KEPT, Fit
+from hybrid_ins.calibration.fit import CLOCK_KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.sensor_errors.clock_prior import UNKNOWN_DRIFT, ClockDrift
@@ -33,8 +33,9 @@ def observe_clock(
     """
     Return rows for the user, the parameters that follow, and a comment on the offset.
 
-    Where the clock drifts, the offset is that of the first fix. It need not be the same in another
-    recording, and has no σ that a filter could trust: it searches for it.
+    The offset that is written is the one that antenna, nose and noise were fitted with. Where it is
+    weak, or the clock drifts, it has no σ that a filter could trust: that searches from there. With
+    a drift it is the offset of the first fix, and need not be the same in another recording.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def observe_clock(
         "gnss.time_offset.drift": round(1e6 * drift.mean, 1),
         "gnss.time_offset.drift_std": round(1e6 * drift.std, 1),
     }
-    count, ambiguous = len(fitted.recordings), False
+    count = len(fitted.recordings)
     for k in range(count) if own else [0]:
         name = offset_name(k, fitted.names)
         value, sigma = fitted.value(name), fitted.sigma(name)
@@ -64,13 +65,11 @@ def observe_clock(
         if name in fitted.frozen and sigma > NO_OFFSET:
             verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
         elif name in fitted.frozen:
-            verdict, note = "weak", KEPT
+            verdict, note = "weak", CLOCK_KEPT
         elif abs(value - nominal) > search - 0.15:
             verdict, note = "weak", "at the limit of the search: give a larger --search"
-            ambiguous = True
         elif second is not None:
             verdict, note = "weak", f"{second:+.1f} s is nearly as likely"
-            ambiguous = True
         elif sigma <= IDENTIFIED_OFFSET:
             verdict, note = "identified", ""
         else:
@@ -86,8 +85,6 @@ def observe_clock(
     known = not any(name.startswith("offset") for name in fitted.frozen)
     offsets = [fitted.offset(k) + known * drift.mean * first[k] for k in range(count)]
     text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
-    if ambiguous:
-        return rows, found, f"{text}; as given"
     if not drift.mean and all(row[3] == "identified" for row in rows):
         found["gnss.time_offset.std"] = _std(fitted, offsets)
     if known and VELOCITY_AGE not in fitted.frozen:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,25 @@ def courses(after: FilterPass) -> Array:
     velocity_b = velocity_b[np.hypot(velocity_b[:, 0], velocity_b[:, 1]) > 1.0]
     angles: Array = np.arctan2(velocity_b[:, 1], velocity_b[:, 0])
     return angles
+
+
+class Travel(NamedTuple):
+    """The direction in which a vehicle travels, forward or backward, about the down axis of b."""
+
+    angle: float  # rad, of what it does most of the time
+    spread: float  # rad, root of the mean square
+    backward: float  # share of the time
+
+
+def travel(angles: Array) -> Travel:
+    """Return the axis of directions of travel (K,) [rad], K > 0: those of a reverse are turned."""
+    angle = 0.5 * float(np.angle(np.mean(np.exp(2j * angles))))
+    away = np.angle(np.exp(1j * (angles - angle)))
+    backward = float(np.mean(np.abs(away) > 0.5 * np.pi))
+    spread = math.sqrt(float(np.mean(np.minimum(np.abs(away), np.pi - np.abs(away)) ** 2)))
+    if backward > 0.5:
+        return Travel(math.remainder(angle + math.pi, 2.0 * math.pi), spread, 1.0 - backward)
+    return Travel(angle, spread, backward)
 
 
 def next_biases(after: Sequence[FilterPass]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -196,13 +196,26 @@ def slow_variance(claimed: Array, share: float) -> Array:
     return np.where(np.isfinite(variance), share * variance, 0.0)
 
 
+def scaled_covariances(recording: Recording, position_scale: float, velocity_scale: float) -> Array:
+    """
+    Return the covariances (M, 3, 3) that measurements claim, times a factor by their kind.
+
+    A receiver may claim the whole error of its positions, slow ones included, and of its velocities
+    their scatter: what is known of the one says nothing about the other.
+    """
+    is_position = recording.aid_kind == POSITION
+    factor = np.where(is_position, position_scale, velocity_scale)
+    return np.asarray(recording.aid_R * factor[:, None, None])
+
+
 def run_filter(
     recording: Recording,
     first: FirstState,
     lever_b: Array,
     psd: Array,
     noise: Array,
-    gnss_scale: float,
+    position_scale: float,
+    velocity_scale: float,
     gnss_slow: float,
     yaw: float,
     yaw_std: float,
@@ -223,8 +236,8 @@ def run_filter(
         Diagonal of Qc.
     noise : ndarray, shape (N, 2)
         Factors on those of accelerometer and gyroscope, at each sample.
-    gnss_scale : float
-        Factor on the covariances of the measurements.
+    position_scale, velocity_scale : float
+        Factors on the covariances of the measurements.
     gnss_slow : float
         Variance of the slow error of positions, as a share of that they claim.
     yaw, yaw_std : float
@@ -239,7 +252,6 @@ def run_filter(
     nav[SENSITIVITY] = initial_sensitivity(first.velocity, np.zeros(3))
     times = recording.measured_at(first.offset, velocity_age)
     order = np.argsort(times, kind="stable")
-    claimed = recording.aid_R[order]
     M = len(times)
     kept = M if keep_states else 0
     result = FilterPass(
@@ -257,8 +269,8 @@ def run_filter(
         times[order],
         recording.aid_kind[order],
         recording.aid[order],
-        claimed * gnss_scale,
-        slow_variance(claimed, gnss_slow),
+        scaled_covariances(recording, position_scale, velocity_scale)[order],
+        slow_variance(recording.aid_R, gnss_slow)[order],
         lever_b,
         INTERVAL,
         TAIL,

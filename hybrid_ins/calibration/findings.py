@@ -8,7 +8,7 @@ in texts, the parameters' own units in values.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,10 +27,12 @@ from hybrid_ins.calibration.derived import (
     mean_rotation,
     next_biases,
     rotations_to_truth,
+    travel,
 )
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
 from hybrid_ins.calibration.fit import CONFIRMED, KEPT, Fit, OnStage, filter_passes, fit
-from hybrid_ins.calibration.likelihood import LEVER
+from hybrid_ins.calibration.fix_scatter import SCATTER, scatter_findings
+from hybrid_ins.calibration.likelihood import LEVER, POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
 from hybrid_ins.calibration.loudness import ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.misfit import misfits
 from hybrid_ins.calibration.noise import noise_findings
@@ -38,7 +40,6 @@ from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
 from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
-from hybrid_ins.core.noise.position_scatter import SLOW_TIME
 from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.conversions import FLIP
@@ -51,7 +52,6 @@ IDENTIFIED = {  # largest σ
     "lever_y": 0.05,
     "lever_z": 0.05,
 }
-SLOW_IDENTIFIED = 1.5  # largest σ of the logarithm of the variance of the fixes' slow error
 IDENTIFIED_MOUNT = math.radians(1.0)  # largest σ
 NOT_IDENTIFIABLE = {  # smallest σ
     "offset": NO_OFFSET,
@@ -59,14 +59,12 @@ NOT_IDENTIFIABLE = {  # smallest σ
     "lever_y": 0.4,
     "lever_z": 0.4,
 }
-UNKNOWN = 0.8 * PRIOR_STD  # m: of a lever arm that was not given nothing is known
 MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; not given: at the IMU
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
+LARGEST_BACKWARD = 0.3  # share of the time: what a vehicle does most is forward
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
 AXES = ("forward", "left", "up")
 MISFIT = "does not fit"
-SCATTER, SMALLEST_SCATTER, LARGEST_SCATTER = "gnss.position_scatter", 0.2, 10.0
-DEFAULT_STD = "gnss.position_std_default"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +172,8 @@ def calibrate(
         nominal,
         own_offsets=own_offsets,
         search=search,
-        largest_std=NOT_IDENTIFIABLE | ({} if is_given else dict.fromkeys(LEVER, UNKNOWN)),
         identified_std=IDENTIFIED,
-        held=frozenset({"gnss_scale", "gnss_slow"} if trust_fixes else ()),
+        held=frozenset({POSITION_SCALE, VELOCITY_SCALE, SLOW_SHARE} if trust_fixes else ()),
         probable=dict.fromkeys(LEVER, MEASURED if is_given else NOT_GIVEN),
         on_stage=on_stage,
     )
@@ -202,7 +199,8 @@ def calibrate(
     add_lever_arm(found, fitted, C_new_old, antenna_is_base)
     imu_position = np.array(found.values["imu.position"])
     motion = fitted.recordings, smoothed, offsets
-    for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position):
+    wrong = [(after, offsets), *_with_errors(fitted, nominal)]
+    for row, changed in vehicle_findings(*motion, C_new_old, values, imu_position, wrong):
         found.values.update(changed)
         found.add(*row, *changed)
     add_biases(found, after, nominal, C_new_old)
@@ -210,13 +208,23 @@ def calibrate(
     for row, changed in noise_findings(fitted, period, levels, values):
         found.values.update(changed)
         found.add(*row, *changed)
-    add_fix_scatter(found, fitted)
+    for row, changed in scatter_findings(fitted, values[SCATTER]):
+        found.values.update(changed)
+        found.add(*row, *changed)
     reasons = misfits(fitted, after, nominal, levels, period)
     if reasons:
         found.values["gnss.time_offset.std"] = 0.0
         found.values[SCATTER] = values[SCATTER]
         found.withdraw_verdicts()
     return Calibration(fitted, before, after, found.rows, found.values, found.notes, reasons)
+
+
+def _with_errors(fitted: Fit, nominal: Nominal) -> Iterator[tuple[list[FilterPass], list[float]]]:
+    """Yield passes and clock offsets with each error of what is held."""
+    for error in fitted.errors:
+        moved = replace(fitted, x=fitted.x + error)
+        offsets = [moved.offset(k) for k in range(len(moved.recordings))]
+        yield filter_passes(moved, nominal, moved.x), offsets
 
 
 def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_first: bool) -> Array:
@@ -238,11 +246,15 @@ def add_mount(found: Findings, fitted: Fit, after: Sequence[FilterPass], nose_fi
     angles = np.concatenate([courses(one) for one in after])
     if len(angles) < 20:
         return unknown("it needs an attitude (--use-truth), or speed and a known heading")
-    mean = math.atan2(np.mean(np.sin(angles)), np.mean(np.cos(angles)))
-    spread = float(np.sqrt(np.mean(np.angle(np.exp(1j * (angles - mean))) ** 2)))
+    mean, spread, backward = travel(angles)
     if spread > COURSE_SPREAD:
         return unknown(
             f"the direction of travel varies in the vehicle (±{math.degrees(spread):.0f}°)"
+        )
+    if backward > LARGEST_BACKWARD:
+        return unknown(
+            f"the vehicle travels backward for {100.0 * backward:.0f} % of the time, or forward: "
+            "which it is cannot be seen"
         )
     if not nose_first:
         return unknown(
@@ -295,6 +307,7 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
         if name in fitted.frozen and sigma > NOT_IDENTIFIABLE[name]:
             verdict = "not identifiable"
             note = "roll and pitch hardly change" if axis == "z" else "too few turns"
+            note += f": {KEPT if is_given else together}"
         elif name in fitted.frozen and sigma > IDENTIFIED[name]:
             verdict, note = "weak", KEPT if is_given else together
         elif name in fitted.frozen:
@@ -338,42 +351,3 @@ def add_biases(
             found.values[f"{name}_std"] = [
                 float(f"{s:.2g}") for s in np.sqrt((FLIP @ C_new_old) ** 2 @ std**2)
             ]
-
-
-def add_fix_scatter(found: Findings, fitted: Fit) -> None:
-    """Add the scatter of the fixes relative to the standard deviation they were given."""
-    if "gnss_scale" in fitted.frozen:
-        return
-    scale, sigma = fitted.value("gnss_scale"), fitted.sigma("gnss_scale")
-    factor = math.exp(0.5 * scale)
-    differs = abs(scale) >= max(3.0 * sigma, 0.4)
-    is_stated = {recording.states_std for recording in fitted.recordings}
-    reference = "stated σ" if is_stated == {True} else "default σ"
-    if is_stated == {True, False}:
-        reference, note = "σ", "the receiver states its σ in some recordings only"
-    elif is_stated == {False}:
-        note = f"the receiver states no σ: {DEFAULT_STD} is used, set it to the receiver's"
-    else:
-        note = f"the receiver's σ is too {'small' if scale > 0 else 'large'}" if differs else ""
-    is_small = scale + 3.0 * sigma < 2.0 * math.log(SMALLEST_SCATTER)  # however small it is
-    is_known = (sigma < 0.3 or is_small) and len(is_stated) == 1
-    if differs and is_known:
-        found.values[SCATTER] = min(max(round(factor, 2), SMALLEST_SCATTER), LARGEST_SCATTER)
-    text = f"{factor:.3g} × {reference}"
-    verdict = "identified" if is_known else "weak"
-    found.add("fixes' scatter", text, f"{0.5 * sigma * factor:.1g}", verdict, note, SCATTER)
-    _add_slow_error(found, fitted, reference)
-
-
-def _add_slow_error(found: Findings, fitted: Fit, reference: str) -> None:
-    """Add the slow error of the fixes relative to the standard deviation they were given."""
-    value, sigma = fitted.value("gnss_slow"), fitted.sigma("gnss_slow")
-    verdict = "identified" if sigma < SLOW_IDENTIFIED else "not identifiable"
-    note = f"changes within {SLOW_TIME:g} s; the filter finds it while running"
-    found.add(
-        "fixes' slow error",
-        f"{math.exp(0.5 * value):.2f} × {reference}",
-        f"×/÷ {math.exp(min(0.5 * sigma, 9.0)):.1f}",
-        verdict,
-        note if verdict == "identified" else "smaller than the other errors",
-    )

@@ -7,6 +7,8 @@ References
        (uncertainty from the scores where the model is not exact).
 .. [2] E. Berndt, B. Hall, R. Hall, J. Hausman, "Estimation and inference in nonlinear structural
        models", Annals of Economic and Social Measurement 3, 1974.
+.. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966 (parameters that are considered).
 """
 
 from __future__ import annotations
@@ -28,8 +30,10 @@ from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
     COARSE_PSD_G,
     COARSE_SLOW,
+    SLOW_SHARE,
     VELOCITY_AGE,
     VELOCITY_AGES,
+    VELOCITY_SCALE,
     YAWS,
     Likelihood,
     Prior,
@@ -42,12 +46,13 @@ Array = NDArray[np.float64]
 OnStage = Callable[[str], Callable[[], None]]  # given a stage's name, returns what counts passes
 
 COARSE_STEP = 0.1  # s
-OFFSET_STEP = 0.02  # s, of a finite difference
 BLOCK = 3.0  # s, over which scores are assumed to be dependent
 DIFFERENT = 5.0  # standard deviations: σ is of a model that is only nearly right, and a weak
 # antenna's height was 3.9 σ off
+CLOCK_DIFFERENT = 3.0  # likewise, of clock offsets: with a wrong one all else is wrong, too
 CONFIRMED = "as given: the motion agrees with it"
 KEPT = f"as given: less than {DIFFERENT:g} σ from what fits best"
+CLOCK_KEPT = f"as given: less than {CLOCK_DIFFERENT:g} σ from what fits best"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +61,7 @@ class Fit:
 
     names: tuple[str, ...]
     x: Array  # (n,)
-    std: Array  # (n,) posterior
+    std: Array  # (n,) posterior; of what is held: root of the mean square of its error
     prior: tuple[Prior, ...]
     frozen: frozenset[str]  # held at the mean of the prior: not identifiable
     yaws: tuple[float, ...]  # rad from north, of each recording at its start
@@ -65,6 +70,7 @@ class Fit:
     profile: Array  # (recordings, G) log-likelihood
     nominal_x: Array  # (n,) the nominal parameters
     converged: bool
+    errors: Array  # (K, n) that go together, from each parameter that is held
     drift: Drift = Drift(0.0, math.inf)  # noqa: RUF009  of the clock, removed from the recordings
 
     def value(self, name: str) -> float:
@@ -86,7 +92,6 @@ def fit(
     *,
     own_offsets: bool,
     search: float,
-    largest_std: Mapping[str, float],
     identified_std: Mapping[str, float],
     held: frozenset[str] = frozenset(),
     probable: Mapping[str, float] = MappingProxyType({}),
@@ -103,12 +108,11 @@ def fit(
         A clock offset for each recording.
     search : float
         Offsets within this of the nominal one are searched [s].
-    largest_std : mapping
-        Standard deviation from which a parameter is held at its nominal value, by name.
     identified_std : mapping
         Standard deviation up to which a parameter is identified, by name. Above it, a parameter
-        that differs from its nominal value by less than ``DIFFERENT`` standard deviations is
-        held there, too: the others are then those that go with the value that is kept.
+        that differs from its nominal value by less than ``DIFFERENT`` standard deviations, a clock
+        offset by less than ``CLOCK_DIFFERENT``, is held there: the others are then those that go
+        with the value that is kept.
     held : frozenset of str
         Parameters that are not estimated.
     probable : mapping
@@ -124,7 +128,7 @@ def fit(
     centre = nominal.time_offset
     reach = round(search / COARSE_STEP)
     if not any(np.any(recording.aid_kind == VELOCITY) for recording in recordings):
-        held |= {VELOCITY_AGE}
+        held |= {VELOCITY_AGE, VELOCITY_SCALE}
     grid = np.asarray(centre + COARSE_STEP * np.arange(-reach, reach + 1), np.float64)
     coarse = Likelihood([kept_within(r, centre, search) for r in recordings], nominal, own_offsets)
     coarse.on_pass = on_stage("coarse")
@@ -148,8 +152,8 @@ def fit(
         x[fine.names.index(offset_name(k, fine.names))] = offset
     x[fine.names.index("psd_a")] = math.log(COARSE_PSD_A)
     x[fine.names.index("psd_g")] = math.log(COARSE_PSD_G)
-    if "gnss_slow" not in held:
-        x[fine.names.index("gnss_slow")] = math.log(COARSE_SLOW)
+    if SLOW_SHARE not in held:
+        x[fine.names.index(SLOW_SHARE)] = math.log(COARSE_SLOW)
     fine.choose_yaws(x, math.pi / YAWS)
     if VELOCITY_AGE not in held:
         age = fine.likeliest(x, VELOCITY_AGE, VELOCITY_AGES)
@@ -159,30 +163,37 @@ def fit(
     fine.choose_yaws(x, 0.1)
     fine.frozen = held
     x, converged = settle_offsets(fine, *climb(fine, x))
-    std = uncertainty(fine, x)
-    limits, known = _by_name(fine.names, largest_std), _by_name(fine.names, identified_std)
+    std = own = uncertainty(fine, x)
+    known = _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
+    is_clock = np.array([name.startswith("offset") for name in fine.names])
+    different = np.where(is_clock, CLOCK_DIFFERENT, DIFFERENT)
     apart = np.array([probable.get(name, 0.0) for name in fine.names])
+    decided = np.zeros(len(x), bool)
     while True:  # holding one parameter may reveal another as weak
-        weak = (std > known) & (np.abs(x - nominal_x) < DIFFERENT * std)
+        weak = (std > known) & (np.abs(x - nominal_x) < different * std)
         weak |= np.abs(x - nominal_x) < apart * std
-        hold = keep | (std > limits) | weak
-        if np.all(hold == keep):
+        weak &= ~decided
+        decided = is_clock  # with all else free: what is held next draws the clock to it
+        if np.all(keep | weak == keep):
             break
-        keep = hold
+        std = np.where(weak & ~keep, np.hypot(std, x - nominal_x), std)
+        keep |= weak
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
         x, converged = maximise(fine, np.where(keep, nominal_x, x))
-        std = np.where(keep, std, _considered(fine, x, uncertainty(fine, x), std))
+        own = np.where(keep, std, uncertainty(fine, x))
+        std = _considered(fine, own, _errors_of_held(fine, x, own, "offset"))
     drift = Drift(0.0, math.inf)
     if all(std[i] <= known[i] for i in fine.offsets):
         x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
     if drift.value:
         converged = refitted
-        std = np.where(keep, std, _considered(fine, x, uncertainty(fine, x), std))
+        own = np.where(keep, std, uncertainty(fine, x))
+    errors = _errors_of_held(fine, x, own, "offset", "lever")
     return Fit(
         fine.names,
         x,
-        std,
+        _considered(fine, own, errors),
         fine.prior,
         fine.frozen,
         tuple(fine.yaws),
@@ -191,6 +202,7 @@ def fit(
         profile,
         nominal_x,
         converged,
+        errors,
         drift,
     )
 
@@ -234,21 +246,34 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     return np.minimum(std, prior)
 
 
-def _considered(likelihood: Likelihood, x: Array, std: Array, given: Array) -> Array:
+def _errors_of_held(likelihood: Likelihood, x: Array, std: Array, *held: str) -> Array:
     """
-    Return standard deviations (n,) that hold what clock offsets do that are held, maybe wrongly.
+    Return errors (K, n) of the parameters, one row for each that is held, maybe wrongly.
 
-    ``given`` (n,) has the standard deviations of these; the parameters of the largest posterior
-    move with them.
+    These are the frozen ones whose names begin with one of ``held``; ``std`` (n,) has how wrong
+    they may be. The parameters of the largest posterior move with what is held by the information
+    on both, [3]_.
     """
-    for i in set(likelihood.offsets) - set(likelihood.free()):
-        moved = x.copy()
-        moved[i] += OFFSET_STEP
-        moved, _ = maximise(likelihood, moved)
-        slope = (moved - x) / OFFSET_STEP
-        slope[i] = 0.0
-        std = np.hypot(std, slope * given[i])
-    return np.minimum(std, [p.std for p in likelihood.prior])
+    free, frozen = likelihood.free(), likelihood.frozen
+    wrong = [k for k, n in enumerate(likelihood.names) if n in frozen and n.startswith(held)]
+    errors = np.zeros((len(wrong), len(x)))
+    if wrong:
+        likelihood.frozen = frozen - {likelihood.names[k] for k in wrong}
+        rows = np.vstack(likelihood.scores(x)[1])
+        likelihood.frozen = frozen
+        precision = np.array([p.std for p in likelihood.prior]) ** -2.0
+        information = rows.T @ rows + np.diag(precision)
+        moved = np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, wrong)])
+        errors[:, free] = -moved.T * std[wrong, None]
+        errors[range(len(wrong)), wrong] = std[wrong]
+    return errors
+
+
+def _considered(likelihood: Likelihood, std: Array, errors: Array) -> Array:
+    """Return standard deviations (n,) of what is free with the errors (K, n) of what is held."""
+    total, free = std.copy(), likelihood.free()
+    total[free] = np.hypot(std[free], np.linalg.norm(errors[:, free], axis=0))
+    return np.minimum(total, [p.std for p in likelihood.prior])
 
 
 def _std_by_motion(likelihood: Likelihood, x: Array, offset: str) -> float:

@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 
 LEVER = ("lever_x", "lever_y", "lever_z")
 GIVEN_STD = 1.0  # m, of each component of a lever arm that was given
+SLOW_SHARE = "gnss_slow"  # logarithm of the slow error's share of the claimed variance of positions
+POSITION_SCALE, VELOCITY_SCALE = "position_scale", "velocity_scale"  # logarithms, of covariances
 VELOCITY_AGE = "velocity_age"  # s, how much younger velocities are than positions with their stamp
 VELOCITY_AGES = np.linspace(-0.4, 0.2, 13)
 FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
@@ -111,8 +113,8 @@ class Likelihood:
             Prior("walk_a", math.log(nominal.walk_a), 0.7 * LN10, 0.2),
             Prior("walk_g", math.log(nominal.walk_g), 0.7 * LN10, 0.2),
             *(Prior(name, 0.0, 1.0, 0.05) for name in FOLLOW),
-            Prior("gnss_scale", 0.0, 1.0, 0.05),
-            Prior("gnss_slow", math.log(LITTLE_SLOW), 2.0 * LN10, 0.1),
+            *(Prior(name, 0.0, 1.0, 0.05) for name in (POSITION_SCALE, VELOCITY_SCALE)),
+            Prior(SLOW_SHARE, math.log(LITTLE_SLOW), 2.0 * LN10, 0.1),
             Prior(VELOCITY_AGE, 0.0, VELOCITY_AGE_STD, 0.001),
         )
         self.names = tuple(p.name for p in self.prior)
@@ -172,8 +174,9 @@ class Likelihood:
             lever,
             psd,
             self._noise(k, *(self.value(x, name) for name in FOLLOW)),
-            math.exp(self.value(x, "gnss_scale")),
-            math.exp(self.value(x, "gnss_slow")),
+            math.exp(self.value(x, POSITION_SCALE)),
+            math.exp(self.value(x, VELOCITY_SCALE)),
+            math.exp(self.value(x, SLOW_SHARE)),
             yaw,
             YAW_STD,
             self.value(x, VELOCITY_AGE),
@@ -207,7 +210,7 @@ class Likelihood:
         def run(start: tuple[FirstState, float]) -> FilterPass:
             first, yaw = start
             return run_filter(
-                recording, first, nominal.lever_b, psd, noise, 1.0, 0.0, yaw, COARSE_YAW_STD
+                recording, first, nominal.lever_b, psd, noise, 1.0, 1.0, 0.0, yaw, COARSE_YAW_STD
             )
 
         starts = product((first_state(recording, o, nominal) for o in grid), yaws)

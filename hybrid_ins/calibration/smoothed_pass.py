@@ -26,11 +26,19 @@ from hybrid_ins.calibration.filter_pass import (
     Nominal,
     first_state,
     initial_state,
+    scaled_covariances,
     slow_variance,
 )
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
-from hybrid_ins.calibration.likelihood import FOLLOW, VELOCITY_AGE, YAW_STD
+from hybrid_ins.calibration.likelihood import (
+    FOLLOW,
+    POSITION_SCALE,
+    SLOW_SHARE,
+    VELOCITY_AGE,
+    VELOCITY_SCALE,
+    YAW_STD,
+)
 from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
@@ -75,8 +83,9 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     stamps = TIME_ZERO_NS + np.rint(times * 1e9).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
     fused = order[np.isfinite(passed.nis[order])]
-    scale = math.exp(fitted.value("gnss_scale"))
-    slow = slow_variance(recording.aid_R, math.exp(fitted.value("gnss_slow")))
+    scale = math.exp(fitted.value(POSITION_SCALE))
+    R = scaled_covariances(recording, scale, math.exp(fitted.value(VELOCITY_SCALE)))
+    slow = slow_variance(recording.aid_R, math.exp(fitted.value(SLOW_SHARE)))
     last_ns = start.t_ns
     noise = recording.noise(*map(fitted.value, FOLLOW))
     sample = np.searchsorted(recording.t[:-1], times)
@@ -84,9 +93,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     for row in fused:
         there = psd * np.repeat([*noise[sample[row]], 1.0, 1.0], 3)
         make = PositionFix if recording.aid_kind[row] == POSITION else VelocityFix
-        measurement = make(
-            int(stamps[row]), recording.aid[row], recording.aid_R[row] * scale, lever_b
-        )
+        measurement = make(int(stamps[row]), recording.aid[row], R[row], lever_b)
         size = float(np.isfinite(recording.aid[row]).sum())
         outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
         split = None

@@ -10,14 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration import wheels
-from hybrid_ins.calibration.derived import courses
+from hybrid_ins.calibration.derived import courses, travel
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver, ConstraintSettings
+from hybrid_ins.core.constraints.constraint_observer import (
+    SHOWN,
+    ConstraintObserver,
+    ConstraintSettings,
+)
 from hybrid_ins.core.constraints.nonholonomic import Nose
 from hybrid_ins.ros.messages.conversions import FLIP
 
 Array = NDArray[np.float64]
+Motion = tuple[Sequence[FilterPass], Sequence[float]]  # over each recording, and its clock offset
 
 INTERVAL = 0.5  # s, at least, between two observations
 RATE_TIME = 0.03  # s, before and after an observation, of samples whose mean is the angular rate
@@ -49,9 +54,12 @@ def observe_nose(
     angles = np.concatenate([courses(one) for one in after])
     if len(angles) < SHORTEST:
         return None
-    yaw = math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))
     settings = ConstraintSettings(
-        Nose(yaw, 0.0, np.zeros(3)), NOSE_STD, POINT_STD, np.full(2, SLIP_STD), False
+        Nose(travel(angles).angle, 0.0, np.zeros(3)),
+        NOSE_STD,
+        POINT_STD,
+        np.full(2, SLIP_STD),
+        False,
     )
     observer = ConstraintObserver(settings)
     for recording, one, offset in zip(recordings, after, offsets, strict=True):
@@ -75,29 +83,57 @@ def vehicle_findings(
     C_new_old: Array,
     values: Mapping[str, Any],
     imu_position: Array,
+    wrong: Sequence[Motion] = (),
 ) -> list[wheels.Row]:
     """
     Return what the motion shows of the vehicle: its nose and axle, its wheels.
 
     Parameters as in `observe_nose` and `wheels.observe_wheels`; ``imu_position`` (3,) is that which
-    was found [m, FLU]. Each row holds label, value, uncertainty, verdict and note, and the
-    parameters that follow from it, by name.
+    was found [m, FLU], and ``wrong`` are the passes and offsets with each error of parameters that
+    are held: nose and axle move with it. Each row holds label, value, uncertainty, verdict and
+    note, and the parameters that follow from it, by name.
     """
     rows: list[wheels.Row] = []
     nose = observe_nose(recordings, after, offsets)
     if nose is not None and nose.holds:
-        rows += findings_of(nose, C_new_old, imu_position.tolist())
+        moved = _moved_by(recordings, wrong)
+        slip_std = np.array(values["vehicle.slip_std"])
+        rows += findings_of(nose, C_new_old, imu_position.tolist(), moved, slip_std)
     sensor = wheels.observe_wheels(recordings, after, offsets, C_new_old, values)
     if sensor is not None:
         rows += wheels.findings_of(sensor, values, imu_position - values["imu.position"])
     return rows
 
 
+def _moved_by(recordings: Sequence[Recording], motions: Sequence[Motion]) -> Array:
+    """
+    Return how far errors move the nose's yaw and pitch [rad] and the axle along it [m], (3,).
+
+    The first of ``motions`` is that without error.
+    """
+    places = []
+    for passes, offsets in motions:
+        found = observe_nose(recordings, passes, offsets)
+        if found is not None:
+            nose = found.nose
+            places.append([nose.yaw, nose.pitch, float(nose.forward @ nose.point_b)])
+    if not places:
+        return np.zeros(3)
+    return np.asarray(np.linalg.norm(np.array(places[1:]).reshape(-1, 3) - places[0], axis=0))
+
+
 def findings_of(
-    observer: ConstraintObserver, C_new_old: Array, imu_position: Sequence[float]
+    observer: ConstraintObserver,
+    C_new_old: Array,
+    imu_position: Sequence[float],
+    moved: Array,
+    nominal: Array,
 ) -> list[wheels.Row]:
     """
     Return what was found of a vehicle that moves along its nose.
+
+    A boat that hardly drifts does so, too: the kind is ground where the motion across the nose is
+    no more than the constraint allows for. Otherwise another drive has to show it by itself.
 
     Parameters
     ----------
@@ -106,6 +142,10 @@ def findings_of(
         From b of the samples to that of the parameters.
     imu_position : sequence of float
         Position of the IMU in the base frame (forward, left, up) [m].
+    moved : ndarray, shape (3,)
+        How far parameters that are held, maybe wrongly, move the nose [rad] and the axle [m].
+    nominal : ndarray, shape (2,)
+        Velocity across the nose, left and up [m/s], with which the constraint is used.
 
     Returns
     -------
@@ -117,7 +157,12 @@ def findings_of(
     pitch = -math.degrees(math.atan2(forward[2], math.hypot(forward[0], forward[1])))
     axle = np.add(imu_position, FLIP @ C_new_old @ observer.nose.point_b)
     slip_std = np.sqrt(np.diag(observer.slip.covariance))
-    sigma, along_std = float(max(observer.sigma[:2])), float(observer.sigma[2])
+    yaw_std, pitch_std, along_std = np.hypot(observer.sigma[:3], moved).tolist()
+    sigma = max(yaw_std, pitch_std)
+    rolls = observer.evidence > SHOWN and bool(np.all(slip_std <= nominal))
+    kind, note = {}, "slips more than vehicle.slip_std: vehicle.kind as given"
+    if rolls:
+        kind, note = {"vehicle.kind": "ground"}, "as on wheels: kind ground"
     return [
         (
             (
@@ -125,10 +170,10 @@ def findings_of(
                 f"yaw {yaw:+.2f}°, pitch {pitch:+.2f}°",
                 f"{math.degrees(sigma):.2f}°",
                 "identified" if sigma < NOSE_IDENTIFIED else "weak",
-                "the vehicle moves along it: kind ground",
+                f"the vehicle moves along it, {note}",
             ),
             {
-                "vehicle.kind": "ground",
+                **kind,
                 "vehicle.nose": [round(math.radians(angle), 4) for angle in (yaw, pitch)],
                 "vehicle.nose_std": float(f"{sigma:.2g}"),
             },
@@ -152,7 +197,7 @@ def findings_of(
                 f"{slip_std[0]:.3f}, {slip_std[1]:.3f} m/s",
                 f"×/÷ {math.exp(float(np.max(observer.slip.spread))):.1f}",
                 "identified" if np.max(observer.slip.spread) < SLIP_IDENTIFIED else "weak",
-                "σ of the constraint on these roads: vehicle.slip_std should be no less",
+                "velocity across the nose on these roads",
             ),
             {},
         ),

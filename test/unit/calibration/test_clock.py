@@ -124,6 +124,19 @@ def observed(fitted: Fit, **given: float) -> dict[str, float]:
     return {name.rpartition(".")[2]: value for name, value in written.items()}
 
 
+def test_an_ambiguous_clock_is_written_as_all_else_was_fitted_with_it(found_fit: Fit) -> None:
+    profile = np.where(np.abs(found_fit.grid - 0.4) < 0.05, 0.0, -2.0)[None]
+    ambiguous = replace(found_fit, grid=found_fit.grid + 0.4, profile=profile)
+    given = parameters.defaults()
+
+    [row, *_], written, comment = observe_clock(ambiguous, own=False, values=given, search=0.5)
+
+    assert "nearly as likely" in row[4]
+    assert written["gnss.time_offset.value"] == pytest.approx(float(row[1].split()[0]), abs=1e-4)
+    assert written["gnss.time_offset.std"] == 0.0  # the filter searches from there
+    assert comment == f"weak: clock offset {row[1]} ± {row[2]}"
+
+
 def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -> None:
     drifting = replace(found_fit, drift=Drift(1e-3, 4e-5))
     since = float(np.mean(found_fit.recordings[0].aid_t) - found_fit.recordings[0].aid_t[0])

@@ -29,7 +29,7 @@ FITTED = Fit(
         Prior("psd_a", 0.0, 4.0, 0.1),
         Prior("psd_g", 0.0, 4.0, 0.1),
     ),
-    frozenset(), (), (), np.zeros(1), np.zeros((1, 1)), np.zeros(5), True,
+    frozenset(), (), (), np.zeros(1), np.zeros((1, 1)), np.zeros(5), True, np.zeros((0, 5)),
 )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ def found(*misfits: str) -> Calibration:
     one = FilterPass(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.ones(5), np.empty((0, 1)))
     fitted = Fit(
         ("offset",), np.array([0.1]), np.array([0.01]), (), frozenset(), (), (read,), np.zeros(1),
-        np.zeros((1, 1)), np.array([0.0]), True,
+        np.zeros((1, 1)), np.array([0.0]), True, np.zeros((0, 1)),
     )  # fmt: skip
     values = {**defaults(), "gnss.time_offset.value": 0.1}
     notes = {"gnss.time_offset.value": "identified: clock offset ± 0.01 s"}

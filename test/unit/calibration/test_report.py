@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybrid_ins import parameters
 from hybrid_ins.calibration.filter_pass import FilterPass
-from hybrid_ins.calibration.findings import SCATTER, Calibration, Findings, add_fix_scatter
+from hybrid_ins.calibration.findings import Calibration
 from hybrid_ins.calibration.fit import Fit
+from hybrid_ins.calibration.fix_scatter import SCATTER, scatter_findings
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
+from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.report import innovation_line
 
-NAMES = ("gnss_scale", "gnss_slow")
+NAMES = POSITION_SCALE, SLOW_SHARE
 
 
 def recording(kinds: list[int], states_std: bool = True) -> Recording:
@@ -31,8 +32,8 @@ def fitted(*recordings: Recording, factor: float = 1.0, sigma: float = 0.1) -> F
     """Return a fit whose fixes scatter by a factor on their standard deviation."""
     x = np.array([2.0 * math.log(factor), -4.0])
     return Fit(
-        NAMES, x, np.full(2, sigma), (), frozenset(), (), recordings, np.zeros(1),
-        np.zeros((1, 1)), np.zeros(2), True,
+        NAMES, x, np.full(2, sigma), (), frozenset({VELOCITY_SCALE}), (), recordings, np.zeros(1),
+        np.zeros((1, 1)), np.zeros(2), True, np.zeros((0, 2)),
     )  # fmt: skip
 
 
@@ -72,13 +73,12 @@ def test_the_median_that_is_expected_is_that_of_the_components_that_were_measure
 def test_what_the_receiver_did_not_state_is_not_its_fault(
     states: list[bool], reference: str, words: str, verdict: str
 ) -> None:
-    found = Findings(parameters.defaults())
+    fit = fitted(*(recording([POSITION], one) for one in states), factor=0.4)
 
-    add_fix_scatter(found, fitted(*(recording([POSITION], one) for one in states), factor=0.4))
+    (scatter, written), (slow, _) = scatter_findings(fit, given=1.0)
 
-    scatter, slow = found.rows
-    assert scatter.value == f"0.4 × {reference}"
-    assert slow.value.endswith(f"× {reference}")
-    assert words in scatter.note
-    assert scatter.verdict == verdict
-    assert found.values[SCATTER] == (0.4 if verdict == "identified" else 1.0)
+    assert scatter[1] == f"0.4 × {reference}"
+    assert slow[1].endswith(f"× {reference}")
+    assert words in scatter[4]
+    assert scatter[3] == verdict
+    assert written[SCATTER] == (0.4 if verdict == "identified" else 1.0)

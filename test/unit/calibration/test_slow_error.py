@@ -10,6 +10,8 @@ from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
 from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.fix_scatter import scatter_findings
+from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import Receiver, record
 
@@ -35,7 +37,7 @@ def test_white_and_slow_part_are_found(found: Calibration) -> None:
     fitted = found.fitted
 
     assert found.misfits == []  # the noise of the IMU was 1000 times what its readings show
-    for name, expected in (("gnss_scale", WHITE / CLAIMED), ("gnss_slow", SLOW / CLAIMED)):
+    for name, expected in ((POSITION_SCALE, WHITE / CLAIMED), (SLOW_SHARE, SLOW / CLAIMED)):
         value, sigma = 0.5 * fitted.value(name), 0.5 * fitted.sigma(name)
         assert sigma < 0.1
         assert abs(value - math.log(expected)) < 3.0 * sigma
@@ -45,6 +47,34 @@ def test_white_and_slow_part_are_found(found: Calibration) -> None:
 def test_fixes_without_slow_error_show_none() -> None:
     found = calibrated(replace(RECEIVER, slow_std=(0.0,) * 3))
 
-    assert math.exp(0.5 * found.fitted.value("gnss_slow")) * CLAIMED < 0.2 * SLOW
+    assert math.exp(0.5 * found.fitted.value(SLOW_SHARE)) * CLAIMED < 0.2 * SLOW
     assert verdicts(found)["fixes' slow error"] == "not identifiable"
-    assert math.exp(0.5 * found.fitted.value("gnss_scale")) == pytest.approx(0.04, rel=0.1)
+    assert math.exp(0.5 * found.fitted.value(POSITION_SCALE)) == pytest.approx(0.04, rel=0.1)
+
+
+def test_velocities_have_a_scale_of_their_own() -> None:
+    """
+    GIVEN positions that claim 25 times their scatter, and velocities that claim theirs
+    THEN these count for what they claim: as 2 mm/s they were explained by 300 times the noise that
+    the accelerometers' readings show.
+    """
+    found = calibrated(replace(RECEIVER, velocity_std=0.05))
+
+    [velocities] = [row for row in found.findings if row.label == "velocities' scatter"]
+    assert abs(found.fitted.value(VELOCITY_SCALE)) < 0.2
+    assert (velocities.verdict, velocities.note) == ("identified", "")
+    read = found.values["noise.background_accelerometer"]
+    assert found.values["noise.q_accelerometer"] < 3.0 * max(read)
+
+
+def test_a_receiver_is_not_told_to_claim_less_than_its_slow_error(found: Calibration) -> None:
+    slower = replace(found.fitted, x=found.fitted.x.copy())
+    slower.x[slower.names.index(SLOW_SHARE)] = 2.0 * math.log(3.5)
+    none = replace(slower, x=found.fitted.x.copy())
+    none.x[none.names.index(SLOW_SHARE)] = 2.0 * math.log(0.1)
+
+    (row, written), _ = scatter_findings(slower, 1.0)
+    (row_of_none, _), _ = scatter_findings(none, 1.0)
+
+    assert "do not lower it" in row[4] and written == {"gnss.position_scatter": 0.2}
+    assert row_of_none[4] == "the receiver's σ is too large"

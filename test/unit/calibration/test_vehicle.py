@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hybrid_ins import parameters
+from hybrid_ins.calibration.derived import travel
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.vehicle import findings_of, observe_nose, vehicle_findings
+from hybrid_ins.calibration.wheels import Row
 from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver
 from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_from_matrix,
@@ -25,6 +29,8 @@ from tools.vehicles.outages import every_vehicle
 
 MOUNT = (0.0, 0.05, -0.08)  # rad, pitch and yaw of the IMU's axes in the car's
 AXLE_B, SCALE = (-1.2, -0.1, 0.3), 1.01  # m; of wheels
+Array = NDArray[np.float64]
+ZERO = np.zeros(3)
 HEADING_STD = 0.004  # rad, errors that last for 20 s
 
 
@@ -84,6 +90,10 @@ def drive(name: str, seed: int, faster: float = 1.0) -> tuple[Recording, FilterP
     )
 
 
+def findings(observer: ConstraintObserver, slip_std: float, moved: Array = ZERO) -> list[Row]:
+    return findings_of(observer, np.eye(3), [0.5, 0.0, 0.2], moved, np.full(2, slip_std))
+
+
 @pytest.mark.parametrize("seed", [2, 4])
 def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     """
@@ -101,9 +111,7 @@ def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     nose = matrix_from_quat(quat_from_rpy(*MOUNT)).T @ np.array([1.0, 0.0, 0.0])
     off = np.degrees(np.arccos(np.clip(nose @ observer.nose.forward, -1.0, 1.0)))
     assert off < 0.3
-    (row, values), (axle_row, axle), (slip_row, slip) = findings_of(
-        observer, np.eye(3), [0.5, 0.0, 0.2]
-    )
+    (row, values), (axle_row, axle), (slip_row, slip) = findings(observer, 0.1)
     assert values["vehicle.kind"] == "ground"
     assert values["vehicle.nose"][0] == pytest.approx(-np.arctan2(nose[1], nose[0]), abs=0.005)
     assert values["vehicle.nose"][1] == pytest.approx(-np.arcsin(nose[2]), abs=0.005)
@@ -114,6 +122,26 @@ def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     assert 0.01 < left < 0.15  # true: 0.04, 0.06 m/s
     assert 0.02 < up < 0.15
     assert not slip
+    # AND who slips more than the constraint allows for has to show it again in another drive
+    (row, values), *_ = findings(observer, 0.5 * left)
+    assert "vehicle.kind" not in values
+    assert row[4].endswith("slips more than vehicle.slip_std: vehicle.kind as given")
+    # AND nose and axle are known no better than what they were found with
+    (_, values), (_, axle), _ = findings(observer, 0.1, np.array([0.02, 0.03, 0.4]))
+    assert values["vehicle.nose_std"] == pytest.approx(0.03, rel=0.1)
+    assert axle["vehicle.axle_position_std"] == pytest.approx(0.4, rel=0.1)
+
+
+def test_a_reverse_is_no_other_direction_of_travel() -> None:
+    angles = 0.3 + np.random.default_rng(1).normal(0.0, 0.05, 1000)
+    angles[::5] += np.pi
+
+    angle, spread, backward = travel(np.angle(np.exp(1j * angles)))
+
+    assert angle == pytest.approx(0.3, abs=0.01)
+    assert spread == pytest.approx(0.05, rel=0.1)
+    assert backward == pytest.approx(0.2)
+    assert travel(angles + 3.0).angle == pytest.approx(3.3 - 2.0 * np.pi, abs=0.01)
 
 
 def test_a_car_on_ice_has_no_nose() -> None:
