@@ -160,7 +160,7 @@ def findings_of(
     yaw_std, pitch_std, along_std = np.hypot(observer.sigma[:3], moved).tolist()
     sigma = max(yaw_std, pitch_std)
     rolls = observer.evidence > SHOWN and bool(np.all(slip_std <= nominal))
-    kind, note = {}, "slips more than vehicle.slip_std: vehicle.kind as given"
+    kind, note = {}, "not surely on wheels: vehicle.kind as given"
     if rolls:
         kind, note = {"vehicle.kind": "ground"}, "as on wheels: kind ground"
     return [
