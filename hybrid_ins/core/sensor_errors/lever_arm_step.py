@@ -33,7 +33,6 @@ from hybrid_ins.core.sensor_errors.clock_offset import (
     NIS_MEMORY,
     P_DRIFT,
     RANDOM_WALK,
-    share_of_motion,
 )
 from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
 from hybrid_ins.core.update.kalman import covariances_at_full_weight
@@ -105,7 +104,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
     informs, is_fix : bool
         The innovation is regressed; it depends on the antenna.
     clock : ndarray, shape (N_CLOCK,)
-        `ClockOffsetObserver.values`: drift and share of motion are from there.
+        `ClockOffsetObserver.values`: the drift is from there.
     """
     values[OFFSET] += since * clock[DRIFT]
     values[P_OFFSET] += since * (RANDOM_WALK**2 + DRIFT_TIME * clock[P_DRIFT])
@@ -127,10 +126,9 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
                 of_error[a, j] += H[a, i] * s[i, j]
     if is_fix:
         to_clock, _ = sensitivities(before, H)
-        share = share_of_motion(clock)  # as the clock's own regression counts it
         of_itself = dependence_on_arm(before, H)
         for a in range(m):
-            h[a, 0], h[a, 1] = share * to_clock[a, 0], share * to_clock[a, 1]
+            h[a, 0], h[a, 1] = to_clock[a, 0], to_clock[a, 1]
             for j in range(3):
                 of_error[a, j] += of_itself[a, j]
     if informs:
