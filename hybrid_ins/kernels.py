@@ -30,10 +30,10 @@ from hybrid_ins.core.noise import position_scatter
 from hybrid_ins.core.sensor_errors import (
     clock_offset,
     clock_sensitivity,
-    lever_arm_step,
     scale_errors,
     scale_sensitivity,
 )
+from hybrid_ins.core.sensor_errors import lever_arm as lever_arm_observer
 from hybrid_ins.core.update import iterated_update, kalman, linalg, measurements
 from hybrid_ins.noise_regressor import window
 from hybrid_ins.ros.estimator import imu_admission
@@ -216,9 +216,8 @@ def _compile_output() -> None:
     clock_sensitivity.correct_sensitivities(nav, H, gain, h, np.zeros(N_ERROR), True)
     clock_sensitivity.noise_information(nav, H, gain, turn, True)
     clock_offset.observe(clock, 0.0, zero, h, turn, 0.0, True)
-    lever_arm_step.observe_lever_arm(
-        np.ones(lever_arm_step.N_VALUES),
-        0.1,
+    lever_arm_observer.observe_lever_arm(
+        np.ones(lever_arm_observer.N_VALUES),
         0.1,
         nav,
         nav,
@@ -229,9 +228,8 @@ def _compile_output() -> None:
         1.0,
         True,
         True,
-        clock,
     )
-    lever_arm_step.dependence_on_arm(nav, H)
+    lever_arm_observer.dependence_on_lever_arm(nav, H)
     n = scale_errors.N_PARAMETERS
     scale_errors.observe_scale_errors(
         np.zeros(n), np.eye(n), 1.0, nav[COVARIANCE], zero, H, np.zeros((3, n)), turn, 1.0

@@ -110,7 +110,9 @@ class MeasurementUpdate:
     Parameters
     ----------
     noise : FilterNoise
+        Qc, and the factor on the covariance of fixes.
     gate : Gate
+        Decides which measurements are fused.
     clock : ClockOffsetObserver
         Clock offset of fixes, estimated beside the state.
     scatter : PositionScatter
@@ -310,7 +312,7 @@ class MeasurementUpdate:
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:
                 self.noise.follow(correction)
-            self.lever_arm.update(correction, nav, False, self.clock)
+            self.lever_arm.update(correction, nav, is_fix=False)
             self.scale_errors.update(correction, is_fix=False, beside=by_scale)
             return verdict, False, found
         if verdict.accepted:
@@ -331,7 +333,7 @@ class MeasurementUpdate:
         """Let noise and sensors' errors learn from it; the former may move the state."""
         without_scale = self.scale_errors.explain(correction)
         if self.noise.uses_corrections:
-            self.lever_arm.update(correction, nav, True, self.clock)
+            self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction, without_scale)
         if moved is not None:
@@ -350,10 +352,8 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
     elif isinstance(change, ClockFound):
         own.clock.set_estimate(change.residual, change.sigma)
         own.clock.prior = change.prior
-        own.lever_arm.set_clock(change.residual, change.sigma**2, nav[VELOCITY])
     elif isinstance(change, ClockInflation):
         own.clock.inflate(change.std)
-        own.lever_arm.inflate_clock(change.std)
     elif isinstance(change, ClockShift):
         inject(nav, own.clock.shift(change.by, nav))
         own.lever_arm.shift_clock(change.by)

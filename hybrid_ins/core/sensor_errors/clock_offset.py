@@ -16,9 +16,6 @@ one; see `clock_sensitivity.noise_information`.
 The regression has three parameters, tau, its drift, and delta. Without information their variances
 grow no larger than those of a clock of which nothing is known.
 
-An antenna that nobody has placed is like a clock offset while the speed is the same. There tau and
-its variance are those of the regression that has the lever arm among its parameters (`lever_arm`).
-
 What is not known of tau is *considered*, [2]_: its variance V adds V h h' to the covariance of an
 innovation that a fix is judged by, and V s s' to the covariance of the state that is reported.
 While tau is estimated, the mean square of delta is part of R of velocities.
@@ -68,8 +65,7 @@ P_RESIDUAL, P_DRIFT, P_AGE = 3, 7, 11  # its diagonal
 NIS_SCALE = 12
 INFORMATION, OF_NOISE = 13, 14  # of late, and the part of it that is noise of the IMU
 DRIFT_VARIANCE = 15  # of the prior: walks lead no further from it
-BY_LEVER_ARM, OF_LEVER_ARM = 16, 17  # `consider_lever_arm`: added to the offset, its variance
-N_CLOCK = 18
+N_CLOCK = 16
 
 
 class ClockOffsetObserver:
@@ -122,7 +118,7 @@ class ClockOffsetObserver:
     @property
     def residual(self) -> float:
         """Offset still to be added to the stamps of fixes, by the innovations alone [s]."""
-        return self.values.item(RESIDUAL) + self.values.item(BY_LEVER_ARM)
+        return self.values.item(RESIDUAL)
 
     @property
     def drift(self) -> float:
@@ -137,8 +133,7 @@ class ClockOffsetObserver:
     @property
     def sigma(self) -> float:
         """Standard deviation of `residual` [s]."""
-        variance = self.values.item(P_RESIDUAL) + self.values.item(OF_LEVER_ARM)
-        return math.sqrt(variance * variance_factor(self.values))
+        return math.sqrt(self.values.item(P_RESIDUAL) * variance_factor(self.values))
 
     @property
     def velocity_age(self) -> tuple[float, float]:
@@ -211,17 +206,10 @@ class ClockOffsetObserver:
         """Replace estimate and standard deviation [s] by those of a mixture of filters."""
         values = self.values
         values[RESIDUAL], values[DRIFT] = residual, self._drift.mean
-        values[BY_LEVER_ARM] = values[OF_LEVER_ARM] = 0.0
         P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
         P[:AGE], P[:, :AGE] = 0.0, 0.0
         values[P_RESIDUAL] = max(sigma**2 / variance_factor(values), MIN_STD**2)
         values[P_DRIFT] = self._drift.std**2
-
-    def consider_lever_arm(self, residual: float, variance: float) -> None:
-        """Take offset [s] and variance [s²] from a regression with the lever arm beside them."""
-        values = self.values
-        values[BY_LEVER_ARM] = residual - values[RESIDUAL]
-        values[OF_LEVER_ARM] = max(variance - values[P_RESIDUAL], 0.0)
 
     def inflate(self, std: float) -> None:
         """Allow for a change of the clock by ``std`` [s]."""
@@ -236,13 +224,8 @@ class ClockOffsetObserver:
         self.values[RESIDUAL] -= by
         if self.prior is not None:
             self.prior = self.prior._replace(mean=self.prior.mean - by)
-        self.values[P_RESIDUAL] += variance_of_shift(by)
+        self.values[P_RESIDUAL] += (by * min(abs(by) / MOTION_TIME, 1.0)) ** 2
         return np.asarray(by * nav[SENSITIVITY])
-
-
-def variance_of_shift(by: float) -> float:
-    """Return the variance [s²] that a change of the offset by so much [s] adds to it."""
-    return (by * min(abs(by) / MOTION_TIME, 1.0)) ** 2
 
 
 @register_jitable

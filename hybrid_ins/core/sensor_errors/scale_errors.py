@@ -64,7 +64,7 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.sensor_errors.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
 from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
-from hybrid_ins.core.sensor_errors.lever_arm_step import AGE_STD, HEADING_STD, dependence_on_arm
+from hybrid_ins.core.sensor_errors.lever_arm import AGE_STD, HEADING_STD, dependence_on_lever_arm
 from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE, follow_samples
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight, inject
@@ -298,7 +298,7 @@ class ScaleErrorObserver(ShallowCopy):
             _, H, _, G = correction.linear
         h = H @ self._U + beside
         if is_fix:
-            direct = dependence_on_arm(correction.nav, correction.H)
+            direct = dependence_on_lever_arm(correction.nav, correction.H)
             h[:, :N_LEVER] += direct
             if correction.fused:
                 self._learn(correction, direct)
