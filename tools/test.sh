@@ -5,7 +5,6 @@
 #   tools/test.sh all              also the slow tests, the research results and the training
 #   tools/test.sh -k alignment     some of the tests: options go to pytest
 #   tools/test.sh -n 0 --pdb       in one process, as a debugger needs it
-#   tools/test.sh --cov            with the coverage by line and branch
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -20,7 +19,6 @@ if [ "${1:-}" = all ]; then
     chosen=()
     patience=(-o timeout=900)
 fi
-[[ " $*" != *" --cov"* ]] || extras+=(coverage)
 bash tools/setup.sh "${extras[@]}"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE # see tools/setup.sh
 export PATH=$PWD/.venv/bin:$PATH
