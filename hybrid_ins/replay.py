@@ -187,7 +187,6 @@ class _Replay:
         fix_topic = bag.require(fix_topic, FIX, "--fix-topic")
         kernels.prepare(partial(log, "info"), (kernels.SMOOTHING,) if record is not None else ())
         self._estimator = estimator = Estimator(values, log, record)
-        self._stamps_ns = imu.times_ns(values)
         rows = slice(None) if imu.has_reading.all() else imu.has_reading
         estimator.noise.preload(
             self._stamps_ns[rows], imu.specific_force[rows], imu.angular_rate[rows]
@@ -217,6 +216,10 @@ class _Replay:
         if bag.topics.get("/tf_static") == TRANSFORMS:
             handle = estimator.handle_static_transforms
             self._handlers["/tf_static"] = lambda message, _: handle(message)
+
+    @property
+    def _stamps_ns(self) -> NDArray[np.int64]:
+        return self._imu.times_ns(self._values)
 
     def filter(self) -> Estimator:
         """Handle every message in the order of the recording."""

@@ -13,10 +13,9 @@ import pickle
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NoReturn
 
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, ImuTable
 from hybrid_ins.bags.writer import BagWriter
 
 Message = tuple[str, int, bytes]
@@ -95,14 +94,14 @@ class ForkingReader(BagReader):
     ) -> None:
         super().__init__(path)
         self._from_ns, self._others, self._on_result = from_ns, others, on_result
-        self._table = SimpleNamespace()
+        self._table: ImuTable | None = None
         self.index: int | None = None
         self._pipe = -1
 
-    def imu(self, *arguments: Any, **options: Any) -> Any:
+    def imu(self, *arguments: Any, **options: Any) -> ImuTable:
         """See `BagReader.imu`; the table changes in a child."""
         self._imu_topic = arguments
-        self._table = SimpleNamespace(**vars(super().imu(*arguments, **options)))
+        self._table = super().imu(*arguments, **options)
         return self._table
 
     def raw(self, *topics: str) -> Iterator[Message]:
@@ -112,6 +111,7 @@ class ForkingReader(BagReader):
                 break
             yield message
         with BagReader(self._fork()) as other:
+            # Frozen to its users: it becomes another one in a child alone.
             vars(self._table).update(vars(other.imu(*self._imu_topic)))
             yield from (message for message in other.raw(*topics) if message[1] >= self._from_ns)
 
