@@ -23,7 +23,6 @@ takes its datum from the first fix.
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from operator import itemgetter
@@ -34,7 +33,6 @@ import numpy as np
 from hybrid_ins import progress
 from hybrid_ins.bags.messages import FIX, IMU, ODOMETRY, VELOCITY, Message, new_message
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.core.inertial.earth import wrapped
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import (
@@ -44,6 +42,7 @@ from hybrid_ins.ros.messages.conversions import (
     SWAP,
     datum_fix,
     quat_nb_from_enu,
+    set_place,
     set_stamp,
 )
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
@@ -251,12 +250,6 @@ def odometry_entries(truth: TruthRecord, topic: str, log_offset_ns: int = 0) -> 
 def set_vector(target: Message, vector: Array) -> None:
     """Fill a Vector3 or Point message."""
     target.x, target.y, target.z = vector.tolist()
-
-
-def set_place(fix: Message, lla: Array) -> None:
-    """Fill a NavSatFix message's place, whose longitude is within 180 degrees: [rad, rad, m]."""
-    fix.latitude, fix.longitude = math.degrees(lla[0]), math.degrees(wrapped(lla[1]))
-    fix.altitude = float(lla[2])
 
 
 def set_quaternion(target: Message, quat_xyzw: Array) -> None:

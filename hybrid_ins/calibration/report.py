@@ -60,14 +60,10 @@ def _innovations(passes: Sequence[FilterPass]) -> tuple[Array, Array]:
 def _expected_median(sizes: NDArray[np.int64]) -> float:
     """Return the median of the NIS of consistent innovations with so many components (M,)."""
     numbers, counts = np.unique(sizes[sizes > 0], return_counts=True)
-    low, high = (chi_square.quantile(0.5, int(m)) for m in (numbers[0], numbers[-1]))
-    while low < (middle := 0.5 * (low + high)) < high:
-        above = [chi_square.survival(middle, int(m)) for m in numbers]
-        if np.average(above, weights=counts) > 0.5:
-            low = middle
-        else:
-            high = middle
-    return middle
+    shares = counts / counts.sum()
+    return chi_square.quantile_of_mixture(
+        0.5, dict(zip(numbers.tolist(), shares.tolist(), strict=True))
+    )
 
 
 def parameter_file(calibration: Calibration) -> str:

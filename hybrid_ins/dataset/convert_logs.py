@@ -18,7 +18,6 @@ from hybrid_ins.bags.flight_bag import (
     Entry,
     TruthRecord,
     odometry_entries,
-    set_place,
     set_vector,
     stamp,
     stamps,
@@ -30,7 +29,7 @@ from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
 from hybrid_ins.dataset.logs.plausibility import check_clocks, check_imu, check_velocity
 from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.messages.conversions import SWAP, datum_fix
+from hybrid_ins.ros.messages.conversions import SWAP, datum_fix, set_place
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
 Mask = NDArray[np.bool_]  # (M,)
@@ -141,7 +140,7 @@ def _imu_entries(imu: ImuLog) -> Iterator[Entry]:
 def _fix_entries(gnss: GnssLog) -> Iterator[Entry]:
     message = new_message(FIX)
     message.status.service = 1  # SERVICE_GPS
-    covariance_enu, is_known = _covariance_enu(gnss.covariance_n)
+    covariance_enu, is_known = _covariance_enu(gnss.covariance_n), _is_known(gnss.covariance_n)
     for row, stamp_ns in enumerate(stamps(gnss.t, 0.0).tolist()):
         stamp(message, stamp_ns, "gnss_link")
         message.status.status = int(gnss.status[row])
@@ -173,7 +172,7 @@ def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:
         return
     message = new_message(VELOCITY)
     velocity_enu = gnss.velocity_n[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
-    covariance_enu, _ = _covariance_enu(gnss.velocity_covariance_n)
+    covariance_enu = _covariance_enu(gnss.velocity_covariance_n)
     stamp_ns = stamps(gnss.t, 0.0).tolist()
     for row in np.flatnonzero(_is_used(gnss.velocity_n, gnss.velocity_covariance_n)):
         stamp(message, stamp_ns[row], "gnss_link")
@@ -184,9 +183,9 @@ def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:
         yield stamp_ns[row], 2, "/gnss/velocity", message
 
 
-def _covariance_enu(covariance_n: Array) -> tuple[Array, Mask]:
+def _covariance_enu(covariance_n: Array) -> Array:
     """
-    Return covariances for messages, and which of them are known.
+    Return covariances for messages.
 
     Parameters
     ----------
@@ -195,7 +194,7 @@ def _covariance_enu(covariance_n: Array) -> tuple[Array, Mask]:
 
     Returns
     -------
-    ndarray, shape (M, 3, 3), ndarray, shape (M,)
+    ndarray, shape (M, 3, 3)
         ENU, the vertical with ``UNKNOWN_VARIANCE`` where only that is unknown; zero where a
         horizontal axis is.
     """
@@ -203,21 +202,25 @@ def _covariance_enu(covariance_n: Array) -> tuple[Array, Mask]:
     unknown = ~np.isfinite(P[:, 2]).all(axis=1)
     P[unknown, 2, :] = P[unknown, :, 2] = 0.0
     P[unknown, 2, 2] = UNKNOWN_VARIANCE
-    is_known = np.isfinite(P).all(axis=(1, 2))
-    P[~is_known] = 0.0
-    return SWAP @ P @ SWAP, is_known
+    P[~_is_known(covariance_n)] = 0.0
+    return np.asarray(SWAP @ P @ SWAP)
+
+
+def _is_known(covariance_n: Array) -> Mask:
+    """Return which covariances (M, 3, 3) say what is needed: their horizontal part."""
+    return np.asarray(np.isfinite(covariance_n[:, :2, :2]).all(axis=(1, 2)))
 
 
 def _is_used(velocity_n: Array, covariance_n: Array) -> Mask:
     """Return which velocities (M, 3) are known horizontally, with their covariance (M, 3, 3)."""
-    return np.isfinite(velocity_n[:, :2]).all(axis=1) & _covariance_enu(covariance_n)[1]
+    return np.isfinite(velocity_n[:, :2]).all(axis=1) & _is_known(covariance_n)
 
 
 def _left_out(gnss: GnssLog) -> str:
     """Return a remark on what the receiver gave and no message holds; empty for nothing."""
     text = ""
     some = np.isfinite(np.diagonal(gnss.covariance_n, axis1=1, axis2=2)).any(axis=1)
-    count = np.count_nonzero(some & ~_covariance_enu(gnss.covariance_n)[1])
+    count = np.count_nonzero(some & ~_is_known(gnss.covariance_n))
     if count:
         text += f"; {count} of {len(gnss.t)} fixes lack the standard deviation of a horizontal axis"
     if gnss.velocity_n is None:

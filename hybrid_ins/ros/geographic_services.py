@@ -23,7 +23,7 @@ except ImportError:
 
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages.conversions import MapFrame, place_of
+from hybrid_ins.ros.messages.conversions import MapFrame, place_of, set_place
 
 Array = NDArray[np.float64]
 Message = Any
@@ -102,9 +102,7 @@ class GeographicServices:
     def _to_ll(self, request: Message, response: Message) -> None:
         point = request.map_point
         lla = self._map.lla(np.array([point.x, point.y, point.z]))
-        found = response.ll_point
-        found.latitude, found.longitude = np.degrees(lla[:2]).tolist()
-        found.altitude = float(lla[2])
+        set_place(response.ll_point, lla)
 
     def _point(self, geographic: Message) -> Point:
         """Return a geographic_msgs/GeoPoint in the map; NaN for what is no point on Earth."""

@@ -91,6 +91,10 @@ class AidingSensor:
         """Await a first reading, as the filter restarts; what is known of its errors is kept."""
         self._last_ns = self._used_ns = 0
         self._was_silent = False  # before the reading that comes
+        self._begin_checks()
+
+    def _begin_checks(self) -> None:
+        """Know nothing of whether it agrees."""
         self._agrees: bool | None = None
         self._nis = 0.0
         self._checked: float | None = None  # s, since the first reading that was checked
@@ -196,7 +200,7 @@ class AidingSensor:
         if outage and self._agrees:
             self._nis = max(self._nis, AGREES)
         else:
-            self._agrees, self._nis, self._checked = None, 0.0, None
+            self._begin_checks()
 
     def _check(self, nis: float) -> None:
         """Decide whether the sensor is used, by the NIS per component of its readings."""

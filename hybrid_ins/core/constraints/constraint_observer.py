@@ -166,13 +166,13 @@ class ConstraintObserver:
         held, _ = _log_density(z, S + np.diag(self._settings.std**2))
         slipping, nis = _log_density(z, S + slip)
         sideways, _ = _log_density(z, S + slip + np.eye(2) * speed**2)
-        free = SIDEWAYS + sideways
-        if abs(along) > MIN_SPEED:
+        free, is_fast = SIDEWAYS + sideways, abs(along) > MIN_SPEED
+        if is_fast:
             nearly, _ = _log_density(z, S + np.eye(2) * (FREE_ANGLE * speed) ** 2)
             free = float(np.logaddexp(nearly, free))
         share = min(interval / EVIDENCE_TIME, 1.0)
         gains = share * (np.array([held, slipping]) - free)
-        proves = not fused and abs(along) > MIN_SPEED
+        proves = is_fast and not fused
         if not proves:  # a vehicle that slews or crawls sideways still disproves the constraint
             gains = np.minimum(gains, 0.0)
         else:

@@ -4,13 +4,13 @@ Whether fixes come, and whether they alone have determined the state for a while
 
 from __future__ import annotations
 
+from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.noise.multiple_model import MAX_INTERVAL
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import GNSS
 
 OUTAGE_NS = round(MAX_INTERVAL * 1e9)  # without a fix, from which on there is an outage
 SETTLED_NS = 5_000_000_000  # of fixes after an outage, until its end no longer shows
-NEVER_NS = 2**63 - 1
 
 
 class FixWatch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 
 def survival(x: float, dof: int) -> float:
@@ -24,14 +25,23 @@ def survival(x: float, dof: int) -> float:
 
 def quantile(probability: float, dof: int) -> float:
     """Return what a chi-square variable stays below with ``probability`` < 1."""
+    return quantile_of_mixture(probability, {dof: 1.0})
+
+
+def quantile_of_mixture(probability: float, shares: Mapping[int, float]) -> float:
+    """Return the same of one whose ``dof`` is drawn: shares of each, in all 1."""
+
+    def above(x: float) -> float:
+        return sum(share * survival(x, dof) for dof, share in shares.items())
+
     low, high = 0.0, 1.0
-    while survival(high, dof) > 1.0 - probability:
+    while above(high) > 1.0 - probability:
         low, high = high, 2.0 * high
     while True:
         middle = 0.5 * (low + high)
         if not low < middle < high:
             return middle
-        if survival(middle, dof) > 1.0 - probability:
+        if above(middle) > 1.0 - probability:
             low = middle
         else:
             high = middle

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import Refused
@@ -26,8 +27,6 @@ NO_READING = Refused(
     "imu: no reading",
     "covariance[0] is -1: the message says that it carries no acceleration or no angular rate",
 )
-
-NEVER = 2**63 - 1  # ns
 
 
 class ImuAdmission:
@@ -106,7 +105,7 @@ def admitted_readings(
         counts[NO_READING.name] = missing, NO_READING
     k = 0
     while k < len(given):
-        end = admission.end_of_stretch(t_ns, force, rate, k, NEVER)
+        end = admission.end_of_stretch(t_ns, force, rate, k, NEVER_NS)
         if end == k:
             end, now_ns = k + 1, int(t_ns[k])
             imu = ImuFields(now_ns, tuple(force[k].tolist()), tuple(rate[k].tolist()), "")

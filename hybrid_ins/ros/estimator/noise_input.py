@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.noise_regressor.reader import NoiseReader
 
 Array = NDArray[np.float64]
-NEVER_NS = 2**63 - 1
 
 
 class NoiseInput:

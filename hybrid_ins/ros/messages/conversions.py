@@ -368,13 +368,18 @@ class MapFrame:
         return ecef_to_lla(self.origin_e + self.C_me.T @ position_enu)
 
 
+def set_place(place: Message, lla: Array) -> None:
+    """Fill a NavSatFix's or GeoPoint's place, its longitude within 180°: [rad, rad, m]."""
+    place.latitude = math.degrees(lla[0])
+    place.longitude = math.degrees(math.remainder(lla[1], math.tau))
+    place.altitude = float(lla[2])
+
+
 def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:
     """Fill a NavSatFix with the origin of the map."""
     message = new("sensor_msgs/msg/NavSatFix")
     set_stamp(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
-    message.latitude = math.degrees(datum_lla[0])
-    message.longitude = math.degrees(math.remainder(datum_lla[1], math.tau))
-    message.altitude = float(datum_lla[2])
+    set_place(message, datum_lla)
     message.status.status = STATUS_FIX
     return message
