@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hybrid_ins.core.imu_axes.explanation import BETTER, FITS, MUCH_BETTER, NOISE
 from hybrid_ins.core.imu_axes.fit import (
     LEAST_STEP,
     STEP,
@@ -19,7 +20,6 @@ from hybrid_ins.core.imu_axes.fit import (
     subtract_turned,
     triples_of,
 )
-from hybrid_ins.core.imu_axes.monitor import BETTER, FITS, MUCH_BETTER, NOISE
 from hybrid_ins.core.imu_axes.nuisance import TOLERANT
 from hybrid_ins.core.imu_axes.tolerance import times_by_chance
 from hybrid_ins.core.inertial.earth import curvature_scale
