@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.drift import SIGNIFICANT
+from hybrid_ins.calibration.findings import Finding, Verdict
 from hybrid_ins.calibration.fit import CLOCK_KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording
@@ -18,20 +19,18 @@ from hybrid_ins.parameters import PARAMETERS
 from hybrid_ins.ros.messages.conversions import clock_drift
 
 Array = NDArray[np.float64]
-Row = tuple[str, str, str, str, str]  # label, value, sigma, verdict, note
 
 IDENTIFIED_OFFSET, NO_OFFSET = 0.015, 0.08  # s: largest σ, and σ from which nothing is known
 SEARCHED_ANYWAY = 0.05  # s: a wider spread between recordings says no more than the search's cell
 BETWEEN = 1e-5  # s/s, of the drift from one recording to the next: temperatures differ
-DRIFT = "clock drift"
 MOST_FIXES, DELAY_MARGIN = 0.995, 1.25  # arrive within a time; its multiple is allowed for
 
 
 def observe_clock(
     fitted: Fit, own: bool, values: Mapping[str, Any], search: float
-) -> tuple[list[Row], dict[str, float], str]:
+) -> tuple[list[Finding], dict[str, float], str]:
     """
-    Return rows for the user, the parameters that follow, and a comment on the offset.
+    Return what was found, the parameters that follow from all of it, and a comment on the offset.
 
     The offset that is written is the one that antenna, nose and noise were fitted with. Where it is
     weak, or the clock drifts, it has no σ that a filter could trust: that searches from there. With
@@ -47,7 +46,7 @@ def observe_clock(
     search : float
         How far from the given offset was searched [s].
     """
-    rows: list[Row] = []
+    rows: list[Finding] = []
     nominal, drift = values["gnss.time_offset.value"], _drift(fitted, clock_drift(values))
     first = [float(one.aid_t[0] - np.mean(one.aid_t)) for one in fitted.recordings]
     found = {
@@ -62,6 +61,7 @@ def observe_clock(
         value, sigma = fitted.value(name), fitted.sigma(name)
         profile = fitted.profile[k] if own else fitted.profile.sum(axis=0)
         second = _second_peak(fitted.grid, profile, value)
+        verdict: Verdict
         if name in fitted.frozen and sigma > NO_OFFSET:
             verdict, note = "not identifiable", "the motion is too uniform: drive or fly curves"
         elif name in fitted.frozen:
@@ -78,14 +78,15 @@ def observe_clock(
             value, sigma = value + drift.mean * first[k], math.hypot(sigma, drift.std * first[k])
             note = "of the first fix; the filter searches for that of another recording"
         label = "clock offset" + (f", {fitted.recordings[k].name}" if own else "")
-        rows.append((label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
+        rows.append(Finding(label, f"{value:+.4f} s", f"{sigma:.4f} s", verdict, note))
     if fitted.drift.value:
+        name = "gnss.time_offset.drift"
         ppm, std = (f"{1e6 * part:.0f} ppm" for part in fitted.drift)
-        rows.append((DRIFT, ppm, std, "identified", ""))
+        rows.append(Finding("clock drift", ppm, std, "identified", values={name: found[name]}))
     known = not any(name.startswith("offset") for name in fitted.frozen)
     offsets = [fitted.offset(k) + known * drift.mean * first[k] for k in range(count)]
-    text = "; ".join(f"{row[3]}: {row[0]} {row[1]} ± {row[2]}" for row in rows)
-    if not drift.mean and all(row[3] == "identified" for row in rows):
+    text = "; ".join(row.text for row in rows)
+    if not drift.mean and all(row.verdict == "identified" for row in rows):
         found["gnss.time_offset.std"] = _std(fitted, offsets)
     if known and VELOCITY_AGE not in fitted.frozen:
         rows.append(_velocity_age(fitted))
@@ -101,12 +102,12 @@ def _drift(fitted: Fit, given: ClockDrift) -> ClockDrift:
     return given if abs(given.mean) < SIGNIFICANT * found.std else UNKNOWN_DRIFT
 
 
-def _velocity_age(fitted: Fit) -> Row:
-    """Return the row of how much older velocities are than positions with the same stamp."""
+def _velocity_age(fitted: Fit) -> Finding:
+    """Return how much older velocities are than positions with the same stamp."""
     older, sigma = -fitted.value(VELOCITY_AGE), fitted.sigma(VELOCITY_AGE)
-    verdict = "identified" if sigma <= IDENTIFIED_OFFSET else "weak"
+    verdict: Verdict = "identified" if sigma <= IDENTIFIED_OFFSET else "weak"
     note = "behind positions with the same stamp; the filter finds it while running"
-    return ("age of velocities", f"{older:+.3f} s", f"{sigma:.3f} s", verdict, note)
+    return Finding("age of velocities", f"{older:+.3f} s", f"{sigma:.3f} s", verdict, note)
 
 
 def _std(fitted: Fit, offsets: list[float]) -> float:
@@ -130,9 +131,9 @@ def _second_peak(grid: Array, profile: Array, value: float) -> float | None:
 
 def observe_delay(
     recordings: Sequence[Recording], offsets: Sequence[float], given: float
-) -> tuple[Row, float] | None:
+) -> Finding | None:
     """
-    Return a row for the user and a larger ``gnss.max_delay`` [s], that lets the fixes in; or None.
+    Return the delay of the fixes if it takes a larger ``gnss.max_delay`` [s] to let them in.
 
     Parameters
     ----------
@@ -151,10 +152,11 @@ def observe_delay(
         return None
     worst, largest = max(*late, 0.0), float(PARAMETERS["gnss.max_delay"].high or math.inf)
     needed = math.ceil(10.0 * DELAY_MARGIN * worst) / 10.0
-    verdict, note = "identified", f"{100.0 * MOST_FIXES:g} % arrive within that after their stamp"
+    verdict: Verdict = "identified"
+    note = f"{100.0 * MOST_FIXES:g} % arrive within that after their stamp"
     if worst > largest:
         verdict, note = "weak", f"more than gnss.max_delay can be ({largest:g} s): rejected"
     if needed <= given:
         return None
-    value = min(needed, largest)
-    return ("delay of the fixes", f"{worst:.2f} s", "", verdict, note), value
+    changed = {"gnss.max_delay": min(needed, largest)}
+    return Finding("delay of the fixes", f"{worst:.2f} s", "", verdict, note, changed)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+from hybrid_ins.calibration.findings import Finding, Verdict
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
-from hybrid_ins.calibration.wheels import Row
 from hybrid_ins.core.noise.position_scatter import SLOW_TIME
 
 DEFAULT_STD = "gnss.position_std_default"
@@ -16,9 +17,9 @@ SLOW_IDENTIFIED = 1.5  # likewise, of the variance of the slow error
 NOTICEABLE, SIGNIFICANT = 0.4, 3.0  # logarithm of a factor that is mentioned; σ, at the least
 
 
-def scatter_findings(fitted: Fit, given: float) -> list[Row]:
+def scatter_findings(fitted: Fit, given: float) -> list[Finding]:
     """
-    Return label, value, uncertainty, verdict and note; the parameters that follow, by name.
+    Return what was found of the scatter of positions and velocities.
 
     Empty where the covariances were trusted. ``given`` is the present gnss.position_scatter, which
     is kept where nothing better is found.
@@ -28,9 +29,9 @@ def scatter_findings(fitted: Fit, given: float) -> list[Row]:
     is_stated = {recording.states_std for recording in fitted.recordings}
     rows = [_positions(fitted, given, is_stated), _slow_error(fitted, _reference(is_stated))]
     if VELOCITY_SCALE not in fitted.frozen:
-        row, verdict, change = _scale(fitted, VELOCITY_SCALE, "stated σ")
+        row, change = _scale(fitted, VELOCITY_SCALE, "velocities' scatter", "stated σ")
         note = "the receiver's σ of them is too small: gnss.velocity_std_min raises it"
-        rows.append((("velocities' scatter", *row, verdict, note if change > 0 else ""), {}))
+        rows.append(replace(row, note=note) if change > 0 else row)
     return rows
 
 
@@ -41,19 +42,21 @@ def _reference(is_stated: set[bool]) -> str:
     return "stated σ" if is_stated == {True} else "default σ"
 
 
-def _scale(fitted: Fit, name: str, reference: str) -> tuple[tuple[str, str], str, int]:
-    """Return a scale's value and uncertainty, the verdict, and whether it is below or above 1."""
+def _scale(fitted: Fit, name: str, label: str, reference: str) -> tuple[Finding, int]:
+    """Return a scale, and whether it is below or above 1: -1, 1; 0: neither for certain."""
     scale, sigma = fitted.value(name), fitted.sigma(name)
     factor = math.exp(0.5 * scale)
     differs = abs(scale) >= max(SIGNIFICANT * sigma, NOTICEABLE)
     change = int(math.copysign(differs, scale))
-    verdict = "identified" if sigma < SCALE_IDENTIFIED else "weak"
-    return (f"{factor:.3g} × {reference}", f"{0.5 * sigma * factor:.1g}"), verdict, change
+    verdict: Verdict = "identified" if sigma < SCALE_IDENTIFIED else "weak"
+    value, spread = f"{factor:.3g} × {reference}", f"{0.5 * sigma * factor:.1g}"
+    return Finding(label, value, spread, verdict), change
 
 
-def _positions(fitted: Fit, given: float, is_stated: set[bool]) -> Row:
-    """Return the row of the positions' scatter from fix to fix."""
-    row, verdict, change = _scale(fitted, POSITION_SCALE, _reference(is_stated))
+def _positions(fitted: Fit, given: float, is_stated: set[bool]) -> Finding:
+    """Return the positions' scatter from fix to fix."""
+    row, change = _scale(fitted, POSITION_SCALE, "fixes' scatter", _reference(is_stated))
+    verdict = row.verdict
     scale, sigma = fitted.value(POSITION_SCALE), fitted.sigma(POSITION_SCALE)
     if scale + SIGNIFICANT * sigma < 2.0 * math.log(SMALLEST_SCATTER):  # however small it is
         verdict = "identified"
@@ -67,7 +70,7 @@ def _positions(fitted: Fit, given: float, is_stated: set[bool]) -> Row:
     if change and verdict == "identified":
         factor = round(math.exp(0.5 * scale), 2)
         values[SCATTER] = min(max(factor, SMALLEST_SCATTER), LARGEST_SCATTER)
-    return ("fixes' scatter", *row, verdict, note), values
+    return replace(row, verdict=verdict, note=note, values=values)
 
 
 def _of_stated(fitted: Fit, change: int) -> str:
@@ -82,12 +85,13 @@ def _of_stated(fitted: Fit, change: int) -> str:
     return "from fix to fix; σ is to contain the slow error, too: do not lower it"
 
 
-def _slow_error(fitted: Fit, reference: str) -> Row:
-    """Return the row of the slow error of positions."""
+def _slow_error(fitted: Fit, reference: str) -> Finding:
+    """Return the slow error of positions."""
     value, sigma = fitted.value(SLOW_SHARE), fitted.sigma(SLOW_SHARE)
-    verdict, note = "not identifiable", "smaller than the other errors"
+    verdict: Verdict = "not identifiable"
+    note = "smaller than the other errors"
     if sigma < SLOW_IDENTIFIED:
         verdict = "identified"
         note = f"changes within {SLOW_TIME:g} s; the filter finds it while running"
     text, spread = f"{math.exp(0.5 * value):.2f} × {reference}", math.exp(min(0.5 * sigma, 9.0))
-    return ("fixes' slow error", text, f"×/÷ {spread:.1f}", verdict, note), {}
+    return Finding("fixes' slow error", text, f"×/÷ {spread:.1f}", verdict, note)

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.findings import Finding, Verdict
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import FOLLOW
 from hybrid_ins.calibration.loudness import ORDINARY
-from hybrid_ins.calibration.wheels import Row
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ SENSORS = (("accelerometer", "m/s²"), ("gyroscope", "rad/s"))
 
 def noise_findings(
     fitted: Fit, period: float, levels: Array | None, values: Mapping[str, Any]
-) -> list[Row]:
+) -> list[Finding]:
     """
     Return what was found of the noise.
 
@@ -46,13 +46,8 @@ def noise_findings(
         Variances per sample that the regressor rarely exceeds.
     values : mapping
         Checked parameters: nominal values, kept where nothing better is found.
-
-    Returns
-    -------
-    list of (row, values)
-        Label, value, uncertainty, verdict and note; the parameters that follow, by name.
     """
-    found: list[Row] = []
+    found: list[Finding] = []
     powers = [fitted.value(name) for name in FOLLOW]
     louder = np.mean([one.noise(*powers).mean(axis=0) for one in fitted.recordings], axis=0)
     for (sensor, unit), power, factor in zip(SENSORS, FOLLOW, louder, strict=True):
@@ -86,10 +81,10 @@ def _level(
     parameter: str,
     label: str,
     unit: str,
-) -> Row:
-    """Return the row of a level whose logarithm was fitted as ``name``."""
+) -> Finding:
+    """Return a level whose logarithm was fitted as ``name``."""
     prior, sigma = fitted.prior[fitted.names.index(name)], fitted.sigma(name)
-    verdict = "identified"
+    verdict: Verdict = "identified"
     if sigma > 0.75 * prior.std:
         verdict, value = "not identifiable", values[parameter]
         walk = f"needs more than {fitted.recordings[0].t[-1]:.0f} s"
@@ -99,13 +94,14 @@ def _level(
         if abs(fitted.value(name) - prior.mean) < SIGNIFICANT * sigma:
             value, note = values[parameter], KEPT
     spread = f"×/÷ {math.exp(min(sigma, 9.0)):.1f}"
-    row = label, f"{value:.2g} {unit}", spread, verdict, note
-    return row, {parameter: float(f"{value:.3g}")}
+    changed = {parameter: float(f"{value:.3g}")}
+    return Finding(label, f"{value:.2g} {unit}", spread, verdict, note, changed)
 
 
-def _background(sensor: str, unit: str, background: Array, model: str) -> Row:
+def _background(sensor: str, unit: str, background: Array, model: str) -> Finding:
     """Return the level that the regressor rarely exceeds in motion whose noise is now known."""
     text = ", ".join(f"{level:.2g}" for level in background)
     note = f"noise.model {model} reads less for {100.0 * ORDINARY:g} % of the time"
-    row = f"{sensor} background", f"[{text}] ({unit})²", "", "identified", note
-    return row, {f"noise.background_{sensor}": [float(f"{level:.3g}") for level in background]}
+    changed = {f"noise.background_{sensor}": [float(f"{level:.3g}") for level in background]}
+    label, value = f"{sensor} background", f"[{text}] ({unit})²"
+    return Finding(label, value, "", "identified", note, changed)

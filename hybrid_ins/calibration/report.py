@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.calibration.calibrate import Calibration
 from hybrid_ins.calibration.filter_pass import FilterPass
-from hybrid_ins.calibration.findings import Calibration, Finding
+from hybrid_ins.calibration.findings import Finding
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.update import chi_square
 from hybrid_ins.parameters import PARAMETERS

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration import wheels
 from hybrid_ins.calibration.derived import courses, travel
 from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import Finding
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.constraints.constraint_observer import (
     SHOWN,
@@ -84,16 +85,15 @@ def vehicle_findings(
     values: Mapping[str, Any],
     imu_position: Array,
     wrong: Sequence[Motion] = (),
-) -> list[wheels.Row]:
+) -> list[Finding]:
     """
     Return what the motion shows of the vehicle: its nose and axle, its wheels.
 
     Parameters as in `observe_nose` and `wheels.observe_wheels`; ``imu_position`` (3,) is that which
     was found [m, FLU], and ``wrong`` are the passes and offsets with each error of parameters that
-    are held: nose and axle move with it. Each row holds label, value, uncertainty, verdict and
-    note, and the parameters that follow from it, by name.
+    are held: nose and axle move with it.
     """
-    rows: list[wheels.Row] = []
+    rows: list[Finding] = []
     nose = observe_nose(recordings, after, offsets)
     if nose is not None and nose.holds:
         moved = _moved_by(recordings, wrong)
@@ -128,7 +128,7 @@ def findings_of(
     imu_position: Sequence[float],
     moved: Array,
     nominal: Array,
-) -> list[wheels.Row]:
+) -> list[Finding]:
     """
     Return what was found of a vehicle that moves along its nose.
 
@@ -146,11 +146,6 @@ def findings_of(
         How far parameters that are held, maybe wrongly, move the nose [rad] and the axle [m].
     nominal : ndarray, shape (2,)
         Velocity across the nose, left and up [m/s], with which the constraint is used.
-
-    Returns
-    -------
-    list of (row, values)
-        Label, value, uncertainty, verdict and note; the parameters that follow, by name.
     """
     forward = C_new_old @ observer.nose.forward
     yaw = -math.degrees(math.atan2(forward[1], forward[0]))
@@ -164,41 +159,34 @@ def findings_of(
     if rolls:
         kind, note = {"vehicle.kind": "ground"}, "as on wheels: kind ground"
     return [
-        (
-            (
-                "nose",
-                f"yaw {yaw:+.2f}°, pitch {pitch:+.2f}°",
-                f"{math.degrees(sigma):.2f}°",
-                "identified" if sigma < NOSE_IDENTIFIED else "weak",
-                f"the vehicle moves along it, {note}",
-            ),
+        Finding(
+            "nose",
+            f"yaw {yaw:+.2f}°, pitch {pitch:+.2f}°",
+            f"{math.degrees(sigma):.2f}°",
+            "identified" if sigma < NOSE_IDENTIFIED else "weak",
+            f"the vehicle moves along it, {note}",
             {
                 **kind,
                 "vehicle.nose": [round(math.radians(angle), 4) for angle in (yaw, pitch)],
                 "vehicle.nose_std": float(f"{sigma:.2g}"),
             },
         ),
-        (
-            (
-                "axle forward",
-                f"{axle[0]:+.2f} m",
-                f"{along_std:.2f} m",
-                "identified" if along_std < AXLE_IDENTIFIED else "weak",
-                "point that does not slip",
-            ),
+        Finding(
+            "axle forward",
+            f"{axle[0]:+.2f} m",
+            f"{along_std:.2f} m",
+            "identified" if along_std < AXLE_IDENTIFIED else "weak",
+            "point that does not slip",
             {
                 "vehicle.axle_position": [round(float(a), 3) for a in axle],
                 "vehicle.axle_position_std": float(f"{along_std:.2g}"),
             },
         ),
-        (
-            (
-                "slip left, up",
-                f"{slip_std[0]:.3f}, {slip_std[1]:.3f} m/s",
-                f"×/÷ {math.exp(float(np.max(observer.slip.spread))):.1f}",
-                "identified" if np.max(observer.slip.spread) < SLIP_IDENTIFIED else "weak",
-                "velocity across the nose on these roads",
-            ),
-            {},
+        Finding(
+            "slip left, up",
+            f"{slip_std[0]:.3f}, {slip_std[1]:.3f} m/s",
+            f"×/÷ {math.exp(float(np.max(observer.slip.spread))):.1f}",
+            "identified" if np.max(observer.slip.spread) < SLIP_IDENTIFIED else "weak",
+            "velocity across the nose on these roads",
         ),
     ]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import Finding, Verdict
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.aiding.measurements import BodyVelocity
 from hybrid_ins.core.aiding.sensors import VelocitySensor
@@ -29,7 +30,6 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.ros.messages.conversions import FLIP
 
 Array = NDArray[np.float64]
-Row = tuple[tuple[str, str, str, str, str], dict[str, Any]]
 
 NEAR_NS = 120_000_000  # between a state and the readings before and after it
 FEWEST = 20  # readings
@@ -104,56 +104,46 @@ def _turned(state: Array, rate_b: Array, C_new_old: Array) -> Array:
     return nav
 
 
-def findings_of(sensor: VelocitySensor, values: Mapping[str, Any], moved: Array) -> list[Row]:
+def findings_of(sensor: VelocitySensor, values: Mapping[str, Any], moved: Array) -> list[Finding]:
     """
-    Return what was found: label, value, uncertainty, verdict and note; the parameters.
+    Return what was found of scale and place; no parameters follow where the sensor does not fit.
 
     ``values`` are the nominal ones, from which the IMU's position was ``moved`` (3,) [m], FLU.
     """
     sigma = sensor.sigma
     fits = sensor.nis < LARGEST_NIS
-    note = "" if fits else f"mean NIS {sensor.nis:.0f} per component: check axes and stamps"
+    given_std = np.broadcast_to(values["aiding.velocity_position_std"], 3)
+    place = np.add(values["aiding.velocity_position"], FLIP @ sensor.shift_b + moved)
 
-    def verdict(std: float, largest: float, given: float) -> str:
+    def verdict(std: float, largest: float, given: float) -> Verdict:
         if not fits:
             return "does not fit"
         if std > 0.7 * given:
             return "not identifiable"
         return "identified" if std < largest else "weak"
 
-    scale_verdict = verdict(float(sigma[0]), SCALE_IDENTIFIED, values["aiding.velocity_scale_std"])
-    rows: list[Row] = [
-        (
-            ("wheel scale", f"{sensor.scale:.4f}", f"{sigma[0]:.4f}", scale_verdict, note),
+    rows = [
+        Finding(
+            "wheel scale",
+            f"{sensor.scale:.4f}",
+            f"{sigma[0]:.4f}",
+            verdict(float(sigma[0]), SCALE_IDENTIFIED, values["aiding.velocity_scale_std"]),
+            "" if fits else f"mean NIS {sensor.nis:.0f} per component: check axes and stamps",
             {
                 "aiding.velocity_scale": round(float(sensor.scale), 5),
                 "aiding.velocity_scale_std": float(f"{sigma[0]:.2g}"),
             },
         )
     ]
-    given_std = np.broadcast_to(values["aiding.velocity_position_std"], 3)
-    place = np.add(values["aiding.velocity_position"], FLIP @ sensor.shift_b + moved)
-    known = [
-        verdict(float(std), PLACE_IDENTIFIED, float(given))
-        for std, given in zip(sigma[1:], given_std, strict=True)
-    ]
-    for axis, name in enumerate(AXES):
-        rows.append(
-            (
-                (
-                    f"wheels {name}",
-                    f"{place[axis]:+.2f} m",
-                    f"{sigma[1 + axis]:.2f} m",
-                    known[axis],
-                    "" if known[axis] != "not identifiable" else "no axis or no turn shows it",
-                ),
-                {},
-            )
-        )
-    rows[-1][1].update(
-        {
+    for name, metres, std, given in zip(AXES, place, sigma[1:], given_std, strict=True):
+        known = verdict(float(std), PLACE_IDENTIFIED, float(given))
+        note = "no axis or no turn shows it" if known == "not identifiable" else ""
+        rows.append(Finding(f"wheels {name}", f"{metres:+.2f} m", f"{std:.2f} m", known, note))
+    rows[-1] = replace(
+        rows[-1],
+        values={
             "aiding.velocity_position": [round(float(metres), 3) for metres in place],
             "aiding.velocity_position_std": [float(f"{std:.2g}") for std in sigma[1:]],
-        }
+        },
     )
-    return rows if fits else [(row, {}) for row, _ in rows]
+    return rows if fits else [replace(row, values={}) for row in rows]

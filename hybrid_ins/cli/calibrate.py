@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from hybrid_ins import kernels, progress
 from hybrid_ins.calibration.axes import axes_fault
-from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.calibrate import Calibration, calibrate
 from hybrid_ins.calibration.placement import antenna_is_base, with_placement
 from hybrid_ins.calibration.recording import Recording, read_recording
 from hybrid_ins.calibration.report import innovation_line, parameter_file, table

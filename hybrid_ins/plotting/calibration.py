@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid_ins.calibration.findings import Calibration
+from hybrid_ins.calibration.calibrate import Calibration
 from hybrid_ins.plotting.style import BLUE, VERMILLION
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.calibration.calibrate import calibrate
 from hybrid_ins.calibration.clock import IDENTIFIED_OFFSET
 from hybrid_ins.calibration.derived import next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass
-from hybrid_ins.calibration.findings import calibrate
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP

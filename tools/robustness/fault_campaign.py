@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hybrid_ins import parameters, progress
-from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.calibrate import calibrate
 from hybrid_ins.calibration.recording import read_recording
 from hybrid_ins.cli import convert, simulate
 from hybrid_ins.cli import program as shell

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.calibrate import calibrate
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
-from hybrid_ins.calibration.findings import calibrate
+from hybrid_ins.calibration.calibrate import calibrate
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording as Calibrating
 from hybrid_ins.core.inertial.earth import LocalFrame

@@ -14,10 +14,11 @@ from support.scenes import scene
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.calibration.calibrate import Calibration, add_lever_arm, calibrate
 from hybrid_ins.calibration.clock import observe_delay
 from hybrid_ins.calibration.derived import courses, next_biases
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
-from hybrid_ins.calibration.findings import Calibration, Findings, add_lever_arm, calibrate
+from hybrid_ins.calibration.findings import Finding, Findings
 from hybrid_ins.calibration.innovations import (
     N_SAID,
     POSITION,
@@ -176,14 +177,14 @@ def test_offset_and_lever_arm_are_found(found: Calibration) -> None:
 
 def test_fixes_that_arrive_late_are_allowed_for() -> None:
     late = replace(a_run(duration=10.0), delay=np.linspace(0.1, 1.5, 50))
-    assert observe_delay([late], [0.0], 1.0) == (
-        ("delay of the fixes", "1.49 s", "", "identified", ANY),
-        pytest.approx(1.9),
+    changed = {"gnss.max_delay": pytest.approx(1.9)}
+    assert observe_delay([late], [0.0], 1.0) == Finding(
+        "delay of the fixes", "1.49 s", "", "identified", ANY, changed
     )
     assert observe_delay([late], [0.9], 1.0) is None  # the offset is most of it
     assert observe_delay([a_run(duration=10.0)], [0.0], 1.0) is None  # not known
     far = observe_delay([replace(late, delay=np.full(9, 8.0))], [0.0], 1.0)
-    assert far is not None and far[0][3] == "weak" and far[1] == 5.0
+    assert far is not None and far.verdict == "weak" and far.values["gnss.max_delay"] == 5.0
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ import pytest
 from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
+from hybrid_ins.calibration.calibrate import Calibration, calibrate
 from hybrid_ins.calibration.clock import observe_clock
 from hybrid_ins.calibration.drift import Drift
-from hybrid_ins.calibration.findings import Calibration, calibrate
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
@@ -131,10 +131,10 @@ def test_an_ambiguous_clock_is_written_as_all_else_was_fitted_with_it(found_fit:
 
     [row, *_], written, comment = observe_clock(ambiguous, own=False, values=given, search=0.5)
 
-    assert "nearly as likely" in row[4]
-    assert written["gnss.time_offset.value"] == pytest.approx(float(row[1].split()[0]), abs=1e-4)
+    assert "nearly as likely" in row.note
+    assert written["gnss.time_offset.value"] == pytest.approx(float(row.value.split()[0]), abs=1e-4)
     assert written["gnss.time_offset.std"] == 0.0  # the filter searches from there
-    assert comment == f"weak: clock offset {row[1]} ± {row[2]}"
+    assert comment == f"weak: clock offset {row.value} ± {row.sigma}"
 
 
 def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -> None:
@@ -150,13 +150,13 @@ def test_a_clock_that_drifts_is_written_as_it_was_at_the_start(found_fit: Fit) -
     assert at_start["drift"] == pytest.approx(1000.0)
     assert at_start["drift_std"] == pytest.approx(math.hypot(40.0, 10.0), abs=0.1)
     # AND the user is told the same offset, with what is not known of the drift in its σ
-    (_, value, sigma, *_), (label, drift, std, *_) = observe_clock(
+    offset, drift, *_ = observe_clock(
         drifting, own=False, values=parameters.defaults(), search=0.5
-    )[0][:2]
-    assert float(value.split()[0]) == pytest.approx(at_start["value"], abs=2e-4)
+    )[0]
+    assert float(offset.value.split()[0]) == pytest.approx(at_start["value"], abs=2e-4)
     expected = math.hypot(found_fit.sigma("offset"), 1e-6 * at_start["drift_std"] * since)
-    assert float(sigma.split()[0]) == pytest.approx(expected, abs=2e-4)
-    assert (label, drift, std) == ("clock drift", "1000 ppm", "40 ppm")
+    assert float(offset.sigma.split()[0]) == pytest.approx(expected, abs=2e-4)
+    assert (drift.label, drift.value, drift.sigma) == ("clock drift", "1000 ppm", "40 ppm")
 
 
 def test_a_given_drift_is_kept_unless_the_recording_contradicts_it(found_fit: Fit) -> None:

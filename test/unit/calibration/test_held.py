@@ -8,7 +8,7 @@ import pytest
 from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
-from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.calibrate import Calibration, calibrate
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.vehicles import Receiver, record
 

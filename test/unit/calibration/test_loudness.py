@@ -10,7 +10,7 @@ import pytest
 from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
-from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.calibrate import Calibration, calibrate
 from hybrid_ins.calibration.loudness import Levels, ordinary_levels, read_levels, with_loudness
 from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
@@ -63,9 +63,9 @@ def test_a_walk_that_is_not_identifiable_stays_as_given(found: Calibration) -> N
 
     rows = noise_findings(unknown, 0.01, None, given)
 
-    for row, changed in rows:
-        assert row[3] == "not identifiable"
-        assert all(changed[name] == given[name] for name in changed)
+    for row in rows:
+        assert row.verdict == "not identifiable"
+        assert all(row.values[name] == given[name] for name in row.values)
 
 
 def test_loudness_is_that_of_the_instant(drive: Drive, run: Recording) -> None:

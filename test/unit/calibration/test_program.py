@@ -12,8 +12,9 @@ from support.streams import closed_pipe, latin_1
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.calibration.calibrate import Calibration
 from hybrid_ins.calibration.filter_pass import FilterPass
-from hybrid_ins.calibration.findings import Calibration, Finding
+from hybrid_ins.calibration.findings import Finding
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.trial import Trial

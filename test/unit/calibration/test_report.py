@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hybrid_ins.calibration.calibrate import Calibration
 from hybrid_ins.calibration.filter_pass import FilterPass
-from hybrid_ins.calibration.findings import Calibration
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.fix_scatter import SCATTER, scatter_findings
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
@@ -75,10 +75,10 @@ def test_what_the_receiver_did_not_state_is_not_its_fault(
 ) -> None:
     fit = fitted(*(recording([POSITION], one) for one in states), factor=0.4)
 
-    (scatter, written), (slow, _) = scatter_findings(fit, given=1.0)
+    scatter, slow = scatter_findings(fit, given=1.0)
 
-    assert scatter[1] == f"0.4 × {reference}"
-    assert slow[1].endswith(f"× {reference}")
-    assert words in scatter[4]
-    assert scatter[3] == verdict
-    assert written[SCATTER] == (0.4 if verdict == "identified" else 1.0)
+    assert scatter.value == f"0.4 × {reference}"
+    assert slow.value.endswith(f"× {reference}")
+    assert words in scatter.note
+    assert scatter.verdict == verdict
+    assert scatter.values[SCATTER] == (0.4 if verdict == "identified" else 1.0)

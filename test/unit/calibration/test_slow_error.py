@@ -9,7 +9,7 @@ import pytest
 from support.calibration_drives import recording_of
 
 from hybrid_ins import parameters
-from hybrid_ins.calibration.findings import Calibration, calibrate
+from hybrid_ins.calibration.calibrate import Calibration, calibrate
 from hybrid_ins.calibration.fix_scatter import scatter_findings
 from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
@@ -73,8 +73,8 @@ def test_a_receiver_is_not_told_to_claim_less_than_its_slow_error(found: Calibra
     none = replace(slower, x=found.fitted.x.copy())
     none.x[none.names.index(SLOW_SHARE)] = 2.0 * math.log(0.1)
 
-    (row, written), _ = scatter_findings(slower, 1.0)
-    (row_of_none, _), _ = scatter_findings(none, 1.0)
+    row, _ = scatter_findings(slower, 1.0)
+    row_of_none, _ = scatter_findings(none, 1.0)
 
-    assert "do not lower it" in row[4] and written == {"gnss.position_scatter": 0.2}
-    assert row_of_none[4] == "the receiver's σ is too large"
+    assert "do not lower it" in row.note and row.values == {"gnss.position_scatter": 0.2}
+    assert row_of_none.note == "the receiver's σ is too large"

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from hybrid_ins import parameters
 from hybrid_ins.calibration.derived import travel
 from hybrid_ins.calibration.filter_pass import FilterPass
+from hybrid_ins.calibration.findings import Finding
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.vehicle import findings_of, observe_nose, vehicle_findings
-from hybrid_ins.calibration.wheels import Row
 from hybrid_ins.core.aiding.measurements import BodyVelocity
 from hybrid_ins.core.constraints.constraint_observer import ConstraintObserver
 from hybrid_ins.core.inertial.rotations import (
@@ -90,7 +90,7 @@ def drive(name: str, seed: int, faster: float = 1.0) -> tuple[Recording, FilterP
     )
 
 
-def findings(observer: ConstraintObserver, slip_std: float, moved: Array = ZERO) -> list[Row]:
+def findings(observer: ConstraintObserver, slip_std: float, moved: Array = ZERO) -> list[Finding]:
     return findings_of(observer, np.eye(3), [0.5, 0.0, 0.2], moved, np.full(2, slip_std))
 
 
@@ -111,25 +111,26 @@ def test_nose_of_a_car_is_found_to_three_tenths_of_a_degree(seed: int) -> None:
     nose = matrix_from_quat(quat_from_rpy(*MOUNT)).T @ np.array([1.0, 0.0, 0.0])
     off = np.degrees(np.arccos(np.clip(nose @ observer.nose.forward, -1.0, 1.0)))
     assert off < 0.3
-    (row, values), (axle_row, axle), (slip_row, slip) = findings(observer, 0.1)
+    nose_row, axle, slip = findings(observer, 0.1)
+    values = nose_row.values
     assert values["vehicle.kind"] == "ground"
     assert values["vehicle.nose"][0] == pytest.approx(-np.arctan2(nose[1], nose[0]), abs=0.005)
     assert values["vehicle.nose"][1] == pytest.approx(-np.arcsin(nose[2]), abs=0.005)
-    assert row[0] == "nose"
-    assert axle_row[3] in ("identified", "weak")
-    assert axle["vehicle.axle_position"][0] == pytest.approx(0.5 - 1.2, abs=0.35)
-    left, up = (float(text) for text in slip_row[1].removesuffix(" m/s").split(", "))
+    assert nose_row.label == "nose"
+    assert axle.verdict in ("identified", "weak")
+    assert axle.values["vehicle.axle_position"][0] == pytest.approx(0.5 - 1.2, abs=0.35)
+    left, up = (float(text) for text in slip.value.removesuffix(" m/s").split(", "))
     assert 0.01 < left < 0.15  # true: 0.04, 0.06 m/s
     assert 0.02 < up < 0.15
-    assert not slip
+    assert not slip.values
     # AND who slips more than the constraint allows for has to show it again in another drive
-    (row, values), *_ = findings(observer, 0.5 * left)
-    assert "vehicle.kind" not in values
-    assert row[4].endswith("not surely on wheels: vehicle.kind as given")
+    nose_row, *_ = findings(observer, 0.5 * left)
+    assert "vehicle.kind" not in nose_row.values
+    assert nose_row.note.endswith("not surely on wheels: vehicle.kind as given")
     # AND nose and axle are known no better than what they were found with
-    (_, values), (_, axle), _ = findings(observer, 0.1, np.array([0.02, 0.03, 0.4]))
-    assert values["vehicle.nose_std"] == pytest.approx(0.03, rel=0.1)
-    assert axle["vehicle.axle_position_std"] == pytest.approx(0.4, rel=0.1)
+    nose_row, axle, _ = findings(observer, 0.1, np.array([0.02, 0.03, 0.4]))
+    assert nose_row.values["vehicle.nose_std"] == pytest.approx(0.03, rel=0.1)
+    assert axle.values["vehicle.axle_position_std"] == pytest.approx(0.4, rel=0.1)
 
 
 def test_a_reverse_is_no_other_direction_of_travel() -> None:
@@ -166,9 +167,14 @@ def wheel_rows(found: tuple[Recording, FilterPass]) -> dict[str, tuple[str, floa
     C = matrix_from_quat(quat_from_rpy(*MOUNT))  # from the IMU's axes to the car's
     rows = vehicle_findings([found[0]], [found[1]], [0.0], C, parameters.defaults(), np.zeros(3))
     return {
-        row[0]: (row[1], float(row[1].split()[0]), float(row[2].split()[0]), row[3])
-        for row, _ in rows
-        if row[0].startswith("wheel")
+        row.label: (
+            row.value,
+            float(row.value.split()[0]),
+            float(row.sigma.split()[0]),
+            row.verdict,
+        )
+        for row in rows
+        if row.label.startswith("wheel")
     }
 
 
@@ -197,6 +203,6 @@ def test_wheels_that_do_not_fit_are_named_and_nothing_is_written() -> None:
         [found[0]], [found[1]], [0.0], np.eye(3), parameters.defaults(), np.zeros(3)
     )
 
-    mine = [(row, values) for row, values in rows if row[0].startswith("wheel")]
-    assert mine[0][0][3] == "does not fit"
-    assert not any(values for _, values in mine)
+    mine = [row for row in rows if row.label.startswith("wheel")]
+    assert mine[0].verdict == "does not fit"
+    assert not any(row.values for row in mine)
