@@ -22,8 +22,8 @@ from hybrid_ins.core.inertial.state import (
     pack,
     total_std,
 )
-from hybrid_ins.core.navigator.events import HeadingOutdated
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import HeadingOutdated
 from hybrid_ins.core.update.measurements import PositionFix, position_model
 from hybrid_ins.ros.reporting.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
@@ -460,7 +460,7 @@ def test_a_given_heading_that_motion_before_the_fixes_has_blurred_is_said_to_be_
     play(run, navigator, stop=42.0, fix=lambda t: t > 40.0)
 
     # THEN the motion is to show the heading, as if none had been given
-    assert [e for e in run.events if isinstance(e, HeadingOutdated)]
+    assert [e for e in run.notices if isinstance(e, HeadingOutdated)]
     assert navigator.filter is None
     play(run, navigator, start=42.0)
     assert navigator.filter is not None

@@ -12,8 +12,8 @@ from support.scenes import Scene, heading_std, make_navigator, play, scene, stam
 from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.inertial.state import HEADING_DOUBT, total_std
-from hybrid_ins.core.navigator.events import HeadingCorrected
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import HeadingCorrected
 from hybrid_ins.core.navigator.phases import Running, Searching
 from hybrid_ins.core.update.measurements import GNSS
 from hybrid_ins.simulation.motions import car_drive, quadrotor_flight, static
@@ -38,7 +38,7 @@ def run_with_search(run: Scene, navigator: Navigator) -> list[InsFilter]:
 
 
 def corrections(run: Scene) -> list[HeadingCorrected]:
-    return [event for event in run.events if isinstance(event, HeadingCorrected)]
+    return [notice for notice in run.notices if isinstance(notice, HeadingCorrected)]
 
 
 @pytest.mark.parametrize("wrong", [math.pi, 2.0])
@@ -52,8 +52,8 @@ def test_a_wrong_heading_is_named_and_replaced(kind: str, wrong: float) -> None:
 
     def after(t: float) -> None:
         found = corrections(run)[len(off) :]
-        turns = [math.remainder(event.after - run.yaw(t), 2.0 * math.pi) for event in found]
-        off.extend(abs(turn) / event.sigma for turn, event in zip(turns, found, strict=True))
+        turns = [math.remainder(notice.after - run.yaw(t), 2.0 * math.pi) for notice in found]
+        off.extend(abs(turn) / notice.sigma for turn, notice in zip(turns, found, strict=True))
         if round(t * 100.0) % 10 == 0:
             navigator.continue_search()
 

@@ -20,7 +20,7 @@ from hybrid_ins.core.inertial.state import (
     VELOCITY,
     covariance,
 )
-from hybrid_ins.core.navigator.events import GapBridged, RestartCause, Restarted
+from hybrid_ins.core.navigator.notices import GapBridged, RestartCause, Restarted
 from hybrid_ins.core.navigator.stamp_check import StampFault
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.update.measurements import PositionFix
@@ -65,7 +65,7 @@ def test_a_stray_stamp_is_refused_by_name_and_changes_nothing(
     flight, navigator, step: float, fault: StampFault
 ) -> None:
     play(flight, navigator, stop=10.0)
-    flight.events.clear()
+    flight.notices.clear()
     before = navigator.filter.nav.copy()
 
     refused = navigator.imu(navigator.last_ns + round(step * 1e9), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -74,20 +74,20 @@ def test_a_stray_stamp_is_refused_by_name_and_changes_nothing(
     assert np.array_equal(navigator.filter.nav, before)
     play(flight, navigator, start=10.0, stop=12.0)
     assert flight.errors(navigator, 12.0)[0] < 0.3
-    assert not flight.events
+    assert not flight.notices
 
 
 def test_stamps_that_stay_behind_are_a_new_beginning_said_once(flight) -> None:
     # GIVEN a bag that is played in a loop
     navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
     play(flight, navigator, stop=20.0)
-    flight.events.clear()
+    flight.notices.clear()
 
     play(flight, navigator, stop=20.0)
 
-    [event] = flight.events
-    assert isinstance(event, Restarted) and event.cause is RestartCause.STAMPS_WENT_BACK
-    assert event.seconds == pytest.approx(20.0, abs=0.1)
+    [notice] = flight.notices
+    assert isinstance(notice, Restarted) and notice.cause is RestartCause.STAMPS_WENT_BACK
+    assert notice.seconds == pytest.approx(20.0, abs=0.1)
     assert flight.errors(navigator, 20.0)[0] < 0.4
     assert flight.errors(navigator, 20.0)[2] < 0.05
 
@@ -105,9 +105,9 @@ def test_gap_is_bridged_with_a_covariance_that_covers_it(
         # WHEN IMU samples are missing in motion, and fixes go on
         play(run, navigator, stop=30.06, imu=lambda t: not 30.0 - gap < t < 30.0)
 
-        [event] = run.events
-        assert event.seconds == pytest.approx(gap, abs=0.06)
-        if isinstance(event, Restarted):  # it may have turned far
+        [notice] = run.notices
+        assert notice.seconds == pytest.approx(gap, abs=0.06)
+        if isinstance(notice, Restarted):  # it may have turned far
             continue
         off, std = run.errors(navigator, 30.05), sigma(navigator)
         normalised.append((off[0] / std[:2].max(), off[1] / std[3:6].max(), off[2] / std[8]))
@@ -122,7 +122,7 @@ def test_fixes_in_a_long_gap_are_refused_and_those_behind_it_hold_the_state(flig
     navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
     play(flight, navigator, stop=20.0)
     flight.verdicts.clear()
-    flight.events.clear()
+    flight.notices.clear()
 
     play(flight, navigator, start=20.0, stop=30.0, imu=lambda t: not 24.05 < t < 25.45)
 
@@ -131,7 +131,7 @@ def test_fixes_in_a_long_gap_are_refused_and_those_behind_it_hold_the_state(flig
     inside = [(verdict.measurement.t_ns - stamp(24.05)) * 1e-9 for verdict in refused]
     assert len(inside) == 7 and min(inside) > 0.0 and max(inside) < 1.5
     assert flight.errors(navigator, 30.0)[0] < 0.2
-    assert [type(event) for event in flight.events] == [GapBridged]
+    assert [type(notice) for notice in flight.notices] == [GapBridged]
 
 
 def test_heading_does_not_outlast_a_gap_in_a_fast_turn() -> None:
@@ -144,19 +144,19 @@ def test_heading_does_not_outlast_a_gap_in_a_fast_turn() -> None:
 
     play(run, navigator, stop=31.6, imu=lambda t: not 30.0 < t < 31.5)
 
-    [event] = run.events
-    assert isinstance(event, Restarted) and event.cause is RestartCause.NO_SAMPLES
+    [notice] = run.notices
+    assert isinstance(notice, Restarted) and notice.cause is RestartCause.NO_SAMPLES
 
 
 def test_long_gap_ends_dead_reckoning_and_alignment_follows(flight) -> None:
     navigator = make_navigator()
-    flight.events.clear()
+    flight.notices.clear()
 
     play(flight, navigator, imu=lambda t: not 25.0 < t < 29.0)
 
-    [event] = flight.events
-    assert isinstance(event, Restarted) and event.cause is RestartCause.NO_SAMPLES
-    assert event.seconds == pytest.approx(4.0, abs=0.1)
+    [notice] = flight.notices
+    assert isinstance(notice, Restarted) and notice.cause is RestartCause.NO_SAMPLES
+    assert notice.seconds == pytest.approx(4.0, abs=0.1)
     assert navigator.filter is not None
     assert flight.errors(navigator, 60.0)[0] < 0.4
     assert flight.errors(navigator, 60.0)[2] < 0.1
@@ -222,7 +222,7 @@ def test_heading_survives_a_gap_of_a_vehicle_that_stands() -> None:
 
     play(run, navigator, imu=lambda t: not 8.0 < t < 10.0)
 
-    assert [event.cause for event in run.events] == [RestartCause.NO_SAMPLES]
+    assert [notice.cause for notice in run.notices] == [RestartCause.NO_SAMPLES]
     assert navigator.filter is not None
     assert run.errors(navigator, 20.0)[2] < 0.05
 
@@ -248,7 +248,7 @@ def test_fix_that_is_too_old_is_refused_with_its_age(flight, navigator) -> None:
 
     navigator.measure(PositionFix(stamp(8.1), START_LLA, np.eye(3), np.zeros(3)))
 
-    [verdict] = navigator.pop_events()
+    [verdict] = navigator.pop_notices()
     assert not verdict.accepted and verdict.reason == "too old"
     assert verdict.age == pytest.approx(1.9, abs=0.02)
 
@@ -261,7 +261,7 @@ def test_fix_from_the_future_and_a_repeated_one_are_refused(flight, navigator) -
         navigator.measure(PositionFix(stamp(t), START_LLA, np.eye(3), np.zeros(3)))
 
     assert len(flight.verdicts) == count
-    verdicts = navigator.pop_events()
+    verdicts = navigator.pop_notices()
     assert [v.reason for v in verdicts] == ["stamped ahead of the IMU", "repeated stamp"]
     assert not any(v.accepted for v in verdicts)
 
@@ -451,7 +451,7 @@ def test_a_manoeuvre_is_no_fault_of_gravity(motion, fix_rate: float, delay: floa
     play(run, navigator, after=watch, delay=lambda t: delay)
 
     assert np.ptp(run.truth.lla[:, 2]) > 30.0
-    assert not run.events
+    assert not run.notices
     assert seen == [None] * len(seen)
     assert max(heights[500:]) < 0.6
 
@@ -484,7 +484,7 @@ def test_rolls_are_no_rates_in_degrees() -> None:
     samples["t_ns"], samples["f"], samples["w"] = [stamp(t) for t in run.t], run.force, run.rate
     found = [find_fault(samples[k : k + 100]) for k in range(1400, 2800, 20)]
     assert any(fault is not None and fault.kind is FaultKind.DEGREES for fault in found)
-    assert not any(faults) and not run.events
+    assert not any(faults) and not run.notices
     assert run.errors(navigator, 39.9)[0] < 0.1
 
 
@@ -496,7 +496,7 @@ def test_rates_in_degrees_are_found_beside_a_filter_that_agreed_at_rest(fix_rate
 
     play(run, navigator)
 
-    kinds = [e.fault.kind for e in run.events if isinstance(e, Restarted) and e.fault is not None]
+    kinds = [e.fault.kind for e in run.notices if isinstance(e, Restarted) and e.fault is not None]
     assert FaultKind.DEGREES in kinds
 
 
@@ -508,9 +508,9 @@ def test_missing_gravity_is_no_free_fall(fix_rate: float) -> None:
 
     play(run, navigator, stop=12.2)
 
-    [event] = [event for event in run.events if isinstance(event, Restarted)]
-    assert event.cause is RestartCause.IMU_UNUSABLE
-    assert event.fault is not None and event.fault.kind is FaultKind.NO_GRAVITY
+    [notice] = [notice for notice in run.notices if isinstance(notice, Restarted)]
+    assert notice.cause is RestartCause.IMU_UNUSABLE
+    assert notice.fault is not None and notice.fault.kind is FaultKind.NO_GRAVITY
     assert navigator.filter is None
 
 
@@ -569,7 +569,7 @@ def test_a_turn_beyond_the_gyroscopes_range_leaves_no_attitude(start: float) -> 
     play(run, navigator, after=note)
 
     # THEN alignment begins anew, and no other heading is claimed for more than a moment
-    causes = {event.cause for event in run.events if isinstance(event, Restarted)}
+    causes = {notice.cause for notice in run.notices if isinstance(notice, Restarted)}
     assert causes == {RestartCause.TURN_UNMEASURED}
     assert np.mean(np.array(claimed) > 6.0) < 0.02
     assert run.errors(navigator, 90.0)[2] < 0.05
@@ -581,7 +581,7 @@ def test_first_fixes_that_are_far_off_do_not_spoil_the_start() -> None:
     navigator = make_navigator()
     play(run, navigator, shift=lambda t: 300.0 if t < 1.1 else 0.0)
     # THEN alignment begins anew once no hypothesis fits the others, and the start is as ever
-    causes = [event.cause for event in run.events if isinstance(event, Restarted)]
+    causes = [notice.cause for notice in run.notices if isinstance(notice, Restarted)]
     assert causes == [RestartCause.FIXES_JUMPED]
     assert navigator.filter is not None
     assert run.errors(navigator, 60.0)[0] < 0.1

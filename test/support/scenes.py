@@ -15,8 +15,8 @@ from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import heading_from_quat, rpy_from_quat
 from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, LLA, QUAT, VELOCITY
-from hybrid_ins.core.navigator.events import Event
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.update.chi_square import quantile
 from hybrid_ins.core.update.gate import Gate, Verdict
@@ -87,7 +87,7 @@ class Scene:
     fix_lla: np.ndarray
     covariance: np.ndarray
     verdicts: list[Verdict] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)  # all others
+    notices: list[Notice] = field(default_factory=list)  # all others
 
     def yaw(self, t: float) -> float:
         k = int(np.argmin(np.abs(self.truth.t - t)))
@@ -169,8 +169,8 @@ def play(
             lla = run.fix_lla[j] + [shift(true_t) / curvature_scale(run.truth.lla[0])[0], 0, 0]
             navigator.measure(PositionFix(stamp(true_t), lla, run.covariance, np.asarray(lever_b)))
         navigator.check_imu()
-        for event in navigator.pop_events():
-            (run.verdicts if isinstance(event, Verdict) else run.events).append(event)
+        for notice in navigator.pop_notices():
+            (run.verdicts if isinstance(notice, Verdict) else run.notices).append(notice)
         after(t)
 
 

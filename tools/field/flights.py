@@ -20,7 +20,7 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
-from hybrid_ins.core.navigator.events import Event
+from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.smoothing.hindsight import clock_offsets
@@ -164,30 +164,30 @@ class Recorded(Estimator):
         if told is not None:
             self.noise.reader = _Told(values, self.placement.mount, self.inputs.log, told)
 
-    def _handle_events(self) -> None:
+    def _handle_notices(self) -> None:
         running = self.navigator.filter
         if running is not None:
             self.levels_t.append((running.t_ns - self.first_ns) * 1e-9)
             self.levels.append(running.noise.levels())
-        super()._handle_events()
+        super()._handle_notices()
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """See `Estimator`."""
-        if isinstance(event, Verdict):
-            offset_ns = clock_offset_ns(event.measurement)
+        if isinstance(notice, Verdict):
+            offset_ns = clock_offset_ns(notice.measurement)
             self.rows.append(
                 (
-                    event.measurement.t_ns - offset_ns,
+                    notice.measurement.t_ns - offset_ns,
                     "position",
-                    event.accepted,
-                    event.reason,
-                    event.nis,
-                    float(len(event.sigma)),
-                    event.threshold,
+                    notice.accepted,
+                    notice.reason,
+                    notice.nis,
+                    float(len(notice.sigma)),
+                    notice.threshold,
                     offset_ns * 1e-9,
                 )
             )
-        super().on_event(event)
+        super().on_notice(notice)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
-from hybrid_ins.core.navigator.events import Event
+from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
@@ -71,11 +71,11 @@ class Judged(Estimator):
         self.search: list[MapOdometry] = []
         super().__init__(values, log)
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """See `Estimator`."""
-        if isinstance(event, Verdict) and event.reason not in ("aligning", "repeated stamp"):
-            self.rows.append((event.accepted, event.nis, len(event.sigma), event.inflated))
-        super().on_event(event)
+        if isinstance(notice, Verdict) and notice.reason not in ("aligning", "repeated stamp"):
+            self.rows.append((notice.accepted, notice.nis, len(notice.sigma), notice.inflated))
+        super().on_notice(notice)
 
     def handle_fix(self, message: Any, received_ns: int | None = None) -> None:
         """See `Estimator`."""

@@ -26,7 +26,7 @@ from hybrid_ins.core.alignment.multiple_model import MultipleModelBank, headings
 from hybrid_ins.core.filter.ins_filter import InsFilter, state_at_imu
 from hybrid_ins.core.inertial.rotations import heading_from_quat
 from hybrid_ins.core.inertial.state import HEADING_VARIANCE, QUAT, NavState
-from hybrid_ins.core.navigator.events import HeadingCorrected
+from hybrid_ins.core.navigator.notices import HeadingCorrected
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from hybrid_ins.core.imu.lift_watch import LiftWatch
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.imu.standstill import StandingForce, is_standing, may_be_zero
 from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
-from hybrid_ins.core.navigator.events import RestartCause
+from hybrid_ins.core.navigator.notices import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
 from hybrid_ins.core.update.gate import Verdict

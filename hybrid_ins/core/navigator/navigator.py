@@ -4,7 +4,7 @@ From the first IMU sample to a running filter, and back when the IMU stops.
 A navigator admits samples and measurements, checks the IMU, and decides when to restart. Its
 `PhaseMachine` runs the filters: `Aligning` waits for a first state, `Searching` runs one filter per
 possible heading, `Running` has one filter, and may run others beside it to find the clock offset of
-the fixes. What happens comes out of one queue, `Navigator.pop_events`.
+the fixes. What happened comes out of one queue, `Navigator.pop_notices`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from hybrid_ins.core.alignment.alignment import Alignment, AlignmentSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeightCheck
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.navigator.events import (
-    Event,
+from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
+from hybrid_ins.core.navigator.notices import (
     FaultFound,
     GapBridged,
+    Notice,
     RestartCause,
     Restarted,
     TurnedOnTheSpot,
 )
-from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import Aligning, FilterParts, Phase, Searching, speed
 from hybrid_ins.core.navigator.restart import ResetCount, heading_after, outlasts
@@ -87,11 +87,11 @@ class Navigator:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
         self.monitor = ImuMonitor(parts, zero_updates)
-        self._events: deque[Event] = deque()
-        self.phases = PhaseMachine(parts, self.ring, self.stamps, self._events, record)
+        self._notices: deque[Notice] = deque()
+        self.phases = PhaseMachine(parts, self.ring, self.stamps, self._notices, record)
         self._alignment_settings = alignment
         self._record = record
-        self._heights = FrozenHeightCheck(self._events.append)
+        self._heights = FrozenHeightCheck(self._notices.append)
         self._measurements = MeasurementCheck(parts.speed_check)
         self.reset()
 
@@ -117,7 +117,7 @@ class Navigator:
     def give_up(self, cause: RestartCause) -> None:
         """Give up the state for a cause, and align again."""
         fault = self.monitor.fault if cause in IMU_WAS_WRONG else None
-        self._events.append(Restarted(cause, fault=fault))
+        self._notices.append(Restarted(cause, fault=fault))
         if cause in STATE_WAS_WRONG:
             self.phases.kept.discard_antenna()
         self.realign().forget_parameter()
@@ -198,13 +198,13 @@ class Navigator:
         step_ns = t_ns - self.stamps.last_ns
         seconds = abs(step_ns) * 1e-9
         if 0 < step_ns <= self.stamps.max_gap_ns and outlasts(self.filter, reading, seconds):
-            self._events.append(GapBridged(seconds))
+            self._notices.append(GapBridged(seconds))
         elif step_ns < 0:
-            self._events.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
+            self._notices.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
             self.monitor.discard_biases()
             self._discard_samples()
         else:
-            self._events.append(Restarted(RestartCause.NO_SAMPLES, seconds))
+            self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
             kept = heading_after(seconds, self.filter, self.monitor.standing)
             alignment = self._discard_samples()
             alignment.forget_parameter()
@@ -221,7 +221,7 @@ class Navigator:
             return
         self.phases.follow_imu(t_ns)
         if isinstance(self.phase, Searching) and self.phase.bank.is_misled:
-            self._events.append(TurnedOnTheSpot())
+            self._notices.append(TurnedOnTheSpot())
             self.realign().forget_parameter()
         self.check_imu()
         self.phases.include_clock(self.monitor.may_stand, self.monitor.calm)
@@ -242,13 +242,13 @@ class Navigator:
     # Measurements, and what they show.
 
     def measure(self, measurement: Measurement) -> None:
-        """Use an aiding measurement; its verdict appears among the events."""
+        """Use an aiding measurement; its verdict appears among the notices."""
         measurement = self._heights.checked(measurement)
         refused = self._measurements.check(measurement, self.stamps, speed(self.phase))
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)
         if self._measurements.contradiction is not None:
-            self._events.append(self._measurements.contradiction)
+            self._notices.append(self._measurements.contradiction)
             if not isinstance(self.phase, Aligning):
                 self.give_up(RestartCause.VELOCITIES_WRONG)
         if refused is None and not self.phases.measure(measurement):
@@ -256,7 +256,7 @@ class Navigator:
                 self.alignment.observe(measurement)
             refused = Verdict.rejected(measurement, "aligning")
         if refused is not None:
-            self._events.append(refused)
+            self._notices.append(refused)
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
@@ -265,27 +265,27 @@ class Navigator:
             return
         fault = self.monitor.fault
         if fault is not None and fault != before:
-            self._events.append(FaultFound(fault))
+            self._notices.append(FaultFound(fault))
         if self.monitor.restart_cause is not None:
             self.give_up(self.monitor.restart_cause)
 
-    def pop_events(self) -> list[Event]:
+    def pop_notices(self) -> list[Notice]:
         """Return what happened since the last call, in order."""
-        events: list[Event] = []
-        while self._events:
-            event = self._events.popleft()
-            if isinstance(event, Verdict):
-                if event.measurement.sensor in (IMU, ASSUMED):
+        notices: list[Notice] = []
+        while self._notices:
+            notice = self._notices.popleft()
+            if isinstance(notice, Verdict):
+                if notice.measurement.sensor in (IMU, ASSUMED):
                     continue
-                if event.measurement.sensor == GNSS:
-                    self._on_verdict(event)
-            events.append(event)
-        return events
+                if notice.measurement.sensor == GNSS:
+                    self._on_verdict(notice)
+            notices.append(notice)
+        return notices
 
     @property
-    def has_events(self) -> bool:
-        """Return whether anything happened since `pop_events`."""
-        return bool(self._events)
+    def has_notices(self) -> bool:
+        """Return whether anything happened since `pop_notices`."""
+        return bool(self._notices)
 
     def _on_verdict(self, verdict: Verdict) -> None:
         """Restart where a covariance reset does not help: the heading is wrong, or all of them."""

@@ -27,14 +27,14 @@ from hybrid_ins.core.filter.ins_filter import InsFilter, hand_over
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.inertial.state import HEADING_DOUBT
 from hybrid_ins.core.navigator.clock_comparison import Comparison, compare, is_excluded, lacking_std
-from hybrid_ins.core.navigator.events import (
-    ClockOffsetFound,
-    Event,
-    HeadingCorrected,
-    HeadingOutdated,
-)
 from hybrid_ins.core.navigator.heading_check import check, is_contradicted
 from hybrid_ins.core.navigator.kept_knowledge import KeptKnowledge
+from hybrid_ins.core.navigator.notices import (
+    ClockOffsetFound,
+    HeadingCorrected,
+    HeadingOutdated,
+    Notice,
+)
 from hybrid_ins.core.navigator.phases import (
     Aligning,
     FilterParts,
@@ -67,7 +67,7 @@ class PhaseMachine:
         Recent IMU samples; its owner fills it.
     stamps : ImuStampCheck
         Its ``steady_ns`` follows the filter that runs.
-    events : deque of Event
+    notices : deque of Notice
         Verdicts and decisions are appended.
     record : RunRecord, optional
         Filled for a smoother.
@@ -88,13 +88,13 @@ class PhaseMachine:
         parts: FilterParts,
         ring: ImuRing,
         stamps: ImuStampCheck,
-        events: deque[Event],
+        notices: deque[Notice],
         record: RunRecord | None,
     ) -> None:
         self._parts = parts
         self._ring = ring
         self._stamps = stamps
-        self._events = events
+        self._notices = notices
         self._record = record
         self.clock_open = False
         self.kept = KeptKnowledge()
@@ -152,8 +152,8 @@ class PhaseMachine:
             self.collect_verdicts(self.filter)
 
     def collect_verdicts(self, decided: InsFilter) -> None:
-        """Move a filter's verdicts to the events."""
-        self._events.extend(decided.verdicts)
+        """Move a filter's verdicts to the notices."""
+        self._notices.extend(decided.verdicts)
         decided.verdicts.clear()
 
     # From no state to one filter.
@@ -162,14 +162,14 @@ class PhaseMachine:
         """Try to start filters while aligning."""
         if isinstance(self.phase, Aligning):
             start = self.phase.alignment.attempt()
-            self._events.extend(map(HeadingOutdated, self.phase.alignment.pop_outdated()))
+            self._notices.extend(map(HeadingOutdated, self.phase.alignment.pop_outdated()))
             if start is not None:
                 self._enter(phase_after_alignment(start, self._parts, self._ring, self.clock_open))
 
     def follow_imu(self, t_ns: int) -> None:
         """Let the filters of several headings follow the IMU to a stamp [ns]."""
         if isinstance(self.phase, Searching):
-            self._events.extend(self.phase.bank.advance(self._ring, t_ns))
+            self._notices.extend(self.phase.bank.advance(self._ring, t_ns))
 
     def include_clock(self, may_stand: bool, calm: tuple[int, int]) -> None:
         """Search for clock offset and heading, unless the vehicle may stand; see `ImuMonitor`."""
@@ -184,7 +184,7 @@ class PhaseMachine:
         self._enter(Searching(search) if running is None else Running(running, search))
         for measurement in waiting:
             if not search.measure(measurement) and running is None:
-                self._events.append(Verdict.rejected(measurement, "aligning"))
+                self._notices.append(Verdict.rejected(measurement, "aligning"))
 
     def open_clock(self, unknown: bool) -> bool:
         """
@@ -227,7 +227,7 @@ class PhaseMachine:
         running.nav[HEADING_DOUBT], corrected = check(running, bank)
         if corrected is not None and not self.phase.is_provisional:
             left = bank.take_over(running)
-            self._events.extend([corrected, *(Verdict.rejected(m, "aligning") for m in left)])
+            self._notices.extend([corrected, *(Verdict.rejected(m, "aligning") for m in left)])
             self._enter(Searching(bank))
 
     def advance_search(self) -> None:
@@ -253,7 +253,7 @@ class PhaseMachine:
             winner.predict_block(missed)
         if running is not None and not self.phase.is_provisional:
             if bank.heading_open and is_contradicted(running.state, winner.state):
-                self._events.append(HeadingCorrected.between(running.state, winner.state))
+                self._notices.append(HeadingCorrected.between(running.state, winner.state))
             elif not bank.clock_open:
                 self._enter(Running(running))
                 return False
@@ -261,12 +261,12 @@ class PhaseMachine:
             winner.verdicts.clear()
             waiting = hand_over(running, winner, round(decision.offset * 1e9))
             reason = "clock offset found" if bank.clock_open else "heading corrected"
-            self._events.extend(Verdict.rejected(m, reason) for m in waiting)
+            self._notices.extend(Verdict.rejected(m, reason) for m in waiting)
         if isinstance(bank, ClockSearch):
             self.clock_open = decision.at_edge or not decision.is_final
             missing, variance = winner.clock.missing
             found = decision.offset, missing, math.sqrt(variance), decision.is_final
-            self._events.append(ClockOffsetFound(*found))
+            self._notices.append(ClockOffsetFound(*found))
             bank.in_force_ns += round(decision.offset * 1e9)
         self.collect_verdicts(winner)
         if self._record is not None:
@@ -285,7 +285,7 @@ class PhaseMachine:
         elif comparison is Comparison.CONFIRMED:
             self.clock_open = False
             self._enter(Running(running))
-            self._events.append(ClockOffsetFound(0.0, running.clock.residual, running.clock.sigma))
+            self._notices.append(ClockOffsetFound(0.0, running.clock.residual, running.clock.sigma))
         return comparison is not Comparison.EXCLUDED
 
     def _inflate_clock(self, running: InsFilter, std: float) -> None:

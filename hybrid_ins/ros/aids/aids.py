@@ -9,9 +9,9 @@ from typing import Any
 
 from hybrid_ins.core.filter.missing_height import MissingHeight
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeight
-from hybrid_ins.core.navigator.events import Event
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.navigator.outage_monitor import OutageMonitor
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import GNSS
@@ -71,17 +71,17 @@ class Aids:
         self.vehicle.restart()
         self.sources.restart()
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """Note a fix, or that heights are none; report the verdict on another sensor's reading."""
-        if isinstance(event, FrozenHeight):
-            self._navigator.phases.submit(self._height.on_frozen(event))
-        elif not isinstance(event, Verdict):
+        if isinstance(notice, FrozenHeight):
+            self._navigator.phases.submit(self._height.on_frozen(notice))
+        elif not isinstance(notice, Verdict):
             return
-        elif event.measurement.sensor == GNSS:
-            self._fixes.on_verdict(event)
-            self._height.on_verdict(event)
+        elif notice.measurement.sensor == GNSS:
+            self._fixes.on_verdict(notice)
+            self._height.on_verdict(notice)
         else:
-            self._report("aiding/verdict", aiding_verdict_status(event))
+            self._report("aiding/verdict", aiding_verdict_status(notice))
 
     def run_periodic(self, t_ns: int) -> list[Report]:
         """Do what is due at a stamp [ns]; return what is to be published."""

@@ -14,8 +14,8 @@ from typing import Any
 from hybrid_ins.core.alignment.clock_search import MAX_OFFSET_NS, ClockSearch
 from hybrid_ins.core.filter.events import ClockShift
 from hybrid_ins.core.filter.ins_filter import InsFilter
-from hybrid_ins.core.navigator.events import ClockOffsetFound
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import ClockOffsetFound
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import GNSS

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Alignment
-from hybrid_ins.core.navigator.events import (
+from hybrid_ins.core.navigator.notices import (
     ClockOffsetFound,
-    Event,
     HeadingCorrected,
+    Notice,
     RestartCause,
     Restarted,
 )
@@ -261,7 +261,7 @@ class Estimator:
             return
         self._review.axes.observe(measurement)
         self.navigator.measure(measurement)
-        self._handle_events()
+        self._handle_notices()
         self.clock.run_periodic(self._review.axes.are_plausible)
         self._fixes.follow()
 
@@ -270,10 +270,10 @@ class Estimator:
     def run_periodic(self) -> None:
         """Do what is not done with every sample; call it after each, once that is published."""
         t_ns = self.navigator.last_ns
-        if t_ns < self.due_ns and not self.navigator.has_events:
+        if t_ns < self.due_ns and not self.navigator.has_notices:
             self.navigator.phases.advance_search()
             return
-        self._handle_events()
+        self._handle_notices()
         self.noise.run_periodic(t_ns)
         if t_ns >= self._report_ns:
             self._report_ns = t_ns + REPORT_NS
@@ -282,30 +282,30 @@ class Estimator:
             if self._review.run_periodic():
                 self._on_moved_sensors()
             self.navigator.continue_search()
-            self._handle_events()
+            self._handle_notices()
             self.reporter.report_state(t_ns, self.placement.arm_b)
             if self.reporter.is_diagnostics_due(t_ns):
                 self.reporter.report_diagnostics(t_ns, self.status.diagnostics(t_ns))
                 self._review.note_second()
         self.due_ns = min(self._report_ns, self.noise.next_ns)
 
-    def _handle_events(self) -> None:
-        for event in self.navigator.pop_events():
-            self.on_event(event)
+    def _handle_notices(self) -> None:
+        for notice in self.navigator.pop_notices():
+            self.on_notice(notice)
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """Report what happened in the navigator, and follow it."""
-        self.reporter.on_event(event)
-        self._review.on_event(event)
-        self.aids.on_event(event)
-        if isinstance(event, Verdict):
-            self.clock.on_verdict(event)
-        elif isinstance(event, Restarted):
-            self._restart(self.clock.keep if event.cause in KEEP_CLOCK else self.clock.forget)
-        elif isinstance(event, HeadingCorrected) and self.navigator.filter is None:
+        self.reporter.on_notice(notice)
+        self._review.on_notice(notice)
+        self.aids.on_notice(notice)
+        if isinstance(notice, Verdict):
+            self.clock.on_verdict(notice)
+        elif isinstance(notice, Restarted):
+            self._restart(self.clock.keep if notice.cause in KEEP_CLOCK else self.clock.forget)
+        elif isinstance(notice, HeadingCorrected) and self.navigator.filter is None:
             self._restart(self.clock.distrust)
-        elif isinstance(event, ClockOffsetFound):
-            self.clock.on_found(event)
+        elif isinstance(notice, ClockOffsetFound):
+            self.clock.on_found(notice)
             self._fixes.configure()
 
 

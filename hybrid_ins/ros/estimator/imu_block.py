@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import N_NAV
-from hybrid_ins.core.navigator.events import RestartCause
+from hybrid_ins.core.navigator.notices import RestartCause
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.reporting.reports import OdometryBlock

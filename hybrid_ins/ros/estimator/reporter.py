@@ -16,16 +16,16 @@ from hybrid_ins.core.filter.ins_filter import TOO_OLD
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeight
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction
 from hybrid_ins.core.inertial.state import DV, QUAT, VELOCITY, total_std
-from hybrid_ins.core.navigator.events import (
-    Event,
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import (
     FaultFound,
     GapBridged,
     HeadingCorrected,
     HeadingOutdated,
+    Notice,
     Restarted,
     TurnedOnTheSpot,
 )
-from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.stamp_check import PUBLISHED_AGAIN
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import GNSS
@@ -114,40 +114,40 @@ class Reporter:
         """Publish reports of others, too."""
         self._reports += reports
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """Count, log and report what happened to the navigator."""
         counts, log = self._inputs.counts, self._inputs.log
-        if isinstance(event, Verdict):
-            self._on_verdict(event)
-        elif isinstance(event, GapBridged):
+        if isinstance(notice, Verdict):
+            self._on_verdict(notice)
+        elif isinstance(notice, GapBridged):
             counts["imu: gaps bridged"] += 1
-            if event.seconds > LONG_GAP:
-                text = wording.describe_gap(event)
+            if notice.seconds > LONG_GAP:
+                text = wording.describe_gap(notice)
                 self._inputs.count_and_warn("imu/data", Refused("imu: long gaps bridged", text))
-        elif isinstance(event, Restarted):
-            name = f"restart: {event.cause.value}"
+        elif isinstance(notice, Restarted):
+            name = f"restart: {notice.cause.value}"
             counts[name] += 1
             if counts[name] <= RESTARTS_LOGGED or is_logged(counts[name]):
-                log("warn", f"{wording.describe_restart(event)}: aligning anew")
-        elif isinstance(event, TurnedOnTheSpot):
+                log("warn", f"{wording.describe_restart(notice)}: aligning anew")
+        elif isinstance(notice, TurnedOnTheSpot):
             refused = Refused("gnss: turns on the spot", wording.TURNS_ON_THE_SPOT)
             self._inputs.count_and_warn("gnss/fix", refused)
-        elif isinstance(event, HeadingCorrected):
+        elif isinstance(notice, HeadingCorrected):
             counts["heading corrected"] += 1
-            log("warn", wording.describe_correction(event))
-        elif isinstance(event, HeadingOutdated):
-            log("warn", wording.describe_outdated_heading(event))
-        elif isinstance(event, Contradiction):
-            text = wording.describe_contradiction(event)
+            log("warn", wording.describe_correction(notice))
+        elif isinstance(notice, HeadingOutdated):
+            log("warn", wording.describe_outdated_heading(notice))
+        elif isinstance(notice, Contradiction):
+            text = wording.describe_contradiction(notice)
             log(
                 "warn",
                 f"gnss/velocity contradicts gnss/fix, and is not used until it agrees: {text}",
             )
-        elif isinstance(event, FrozenHeight):
-            text = wording.describe_frozen_height(event)
+        elif isinstance(notice, FrozenHeight):
+            text = wording.describe_frozen_height(notice)
             self._inputs.count_and_warn("gnss/fix", Refused("gnss: altitude frozen", text))
-        elif isinstance(event, FaultFound):
-            name, text = wording.name_of_fault(event.fault), wording.describe_fault(event.fault)
+        elif isinstance(notice, FaultFound):
+            name, text = wording.name_of_fault(notice.fault), wording.describe_fault(notice.fault)
             self._inputs.count_and_warn("imu/data", Refused(name, text))
 
     def _on_verdict(self, verdict: Verdict) -> None:

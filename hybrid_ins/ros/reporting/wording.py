@@ -17,14 +17,14 @@ from hybrid_ins.core.alignment.multiple_model import MultipleModelBank
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeight
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction
 from hybrid_ins.core.imu.health import FaultKind, ImuFault
-from hybrid_ins.core.navigator.events import (
+from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import (
     GapBridged,
     HeadingCorrected,
     HeadingOutdated,
     RestartCause,
     Restarted,
 )
-from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.phases import Aligning, Searching
 from hybrid_ins.core.navigator.stamp_check import StampFault
 from hybrid_ins.core.update.gate import Verdict
@@ -240,10 +240,10 @@ def describe_correction(found: HeadingCorrected) -> str:
     )
 
 
-def describe_outdated_heading(event: HeadingOutdated) -> str:
+def describe_outdated_heading(notice: HeadingOutdated) -> str:
     """Return why a given heading is not used, and what to do about it."""
     return (
-        f"the heading that was given is known to {math.degrees(event.std):.0f}° only by now: the "
+        f"the heading that was given is known to {math.degrees(notice.std):.0f}° only by now: the "
         "vehicle has moved for too long before the first fixes; the motion decides instead (give "
         "the heading again on /initialpose once fixes arrive, or imu.gyroscope_bias with its "
         "small std)"

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hybrid_ins.core.navigator.events import Event
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.ros.messages.conversions import Message, Refused, missing_covariance
@@ -85,10 +85,10 @@ class InputReview:
             self.axes.restart()
         return self.axes.run_periodic()
 
-    def on_event(self, event: Event) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """Note what happened to the navigator."""
-        if isinstance(event, Verdict):
-            self._scatter.on_verdict(event)
+        if isinstance(notice, Verdict):
+            self._scatter.on_verdict(notice)
 
     def note_second(self) -> None:
         """Note what has lasted for another second."""

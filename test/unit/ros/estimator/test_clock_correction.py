@@ -11,7 +11,7 @@ import pytest
 from hybrid_ins import parameters
 from hybrid_ins.core.filter.events import ClockShift
 from hybrid_ins.core.inertial.state import N_FLAT
-from hybrid_ins.core.navigator.events import ClockOffsetFound
+from hybrid_ins.core.navigator.notices import ClockOffsetFound
 from hybrid_ins.core.sensor_errors.clock_offset import DRIFT, P_DRIFT, ClockOffsetObserver
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.ros.estimator.clock_correction import ClockCorrection

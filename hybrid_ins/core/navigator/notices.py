@@ -1,5 +1,5 @@
 """
-What happens to a navigator, as records in one queue: `Navigator.pop_events`.
+What a navigator reports of itself, as records in one queue: `Navigator.pop_notices`.
 
 Verdicts on measurements (`hybrid_ins.core.update.gate.Verdict`) are in the same queue, in order.
 """
@@ -96,7 +96,7 @@ class HeadingCorrected:
         return cls(heading_from_quat(before.quat_xyzw), heading_from_quat(after.quat_xyzw), sigma)
 
 
-Event = (
+Notice = (
     Verdict
     | GapBridged
     | Restarted
