@@ -46,7 +46,7 @@ from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
 SMOOTHED = ("odometry", "gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
 VERDICT = "gnss/verdict"
 TRUTH = "/truth/"
-BLOCK = 256  # odometry messages that are written at a time
+MESSAGES_AT_A_TIME = 256  # odometry messages that are written at a time
 
 Log = Callable[[str, str], None]  # level and text
 
@@ -343,7 +343,7 @@ class _OdometryWriter:
             stamps_ns, values = stamps_ns[due], values[due]
         self._pending.append((stamps_ns, values))
         self._count += len(stamps_ns)
-        if self._count >= BLOCK:
+        if self._count >= MESSAGES_AT_A_TIME:
             self.flush()
 
     def flush(self) -> None:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 100
 FEWEST_FIXES = 15
-SHORTEST = 8.0  # s of fixes
+SHORTEST_SPAN = 8.0  # s of fixes
 WINDOW = 1.0  # s of samples that show a fault of the IMU
 LASTING = 0.5  # share of the windows: falls and stuck readings are shorter in a usable recording
 TURNING = 0.1  # share of the windows that show degrees, which only fast turns do
@@ -100,10 +100,10 @@ def check_fixes(fixes: Array, others: int, length: float, place: str) -> None:
     InputError
         Says what is too little.
     """
-    if length < SHORTEST:
+    if length < SHORTEST_SPAN:
         raise InputError(
             f"{place}: the IMU's samples span {length:.1f} s without a gap: calibration needs "
-            f"{SHORTEST:g} s; record half a minute or more"
+            f"{SHORTEST_SPAN:g} s; record half a minute or more"
         )
     if len(fixes) < FEWEST_FIXES:
         elsewhere = (
@@ -116,10 +116,10 @@ def check_fixes(fixes: Array, others: int, length: float, place: str) -> None:
             f"needs {FEWEST_FIXES}{elsewhere}"
         )
     span = float(fixes[-1] - fixes[0])
-    if span < SHORTEST:
+    if span < SHORTEST_SPAN:
         raise InputError(
             f"{place}: the {len(fixes)} usable fixes span {span:.1f} s of {length:.0f} s of IMU "
-            f"samples: calibration needs {SHORTEST:g} s of fixes"
+            f"samples: calibration needs {SHORTEST_SPAN:g} s of fixes"
         )
 
 
@@ -146,10 +146,10 @@ def check_rest(fixes: Array, length: float, search: float, is_cut: bool, place: 
         Names the option, its value and its bound.
     """
     span = float(fixes[-1] - fixes[0]) if len(fixes) else 0.0
-    if len(fixes) >= FEWEST_FIXES and span >= SHORTEST:
+    if len(fixes) >= FEWEST_FIXES and span >= SHORTEST_SPAN:
         return
     interval = span / (len(fixes) - 1) if len(fixes) > 1 else 0.0
-    needed = max(SHORTEST, FEWEST_FIXES * interval) + max(interval, 0.5)
+    needed = max(SHORTEST_SPAN, FEWEST_FIXES * interval) + max(interval, 0.5)
     most = math.floor(5.0 * (length - needed)) / 10.0
     if is_cut:
         remedy = f"give --longest at least {math.ceil(needed + 2.0 * search)}"
@@ -160,5 +160,5 @@ def check_rest(fixes: Array, length: float, search: float, is_cut: bool, place: 
     raise InputError(
         f"{place}: {len(fixes)} fixes over {span:.1f} s are left of the {length:.0f} s that are "
         f"used, by a search for clock offsets within ±{search:g} s: calibration needs "
-        f"{FEWEST_FIXES} over {SHORTEST:g} s: {remedy}"
+        f"{FEWEST_FIXES} over {SHORTEST_SPAN:g} s: {remedy}"
     )

@@ -39,6 +39,7 @@ from hybrid_ins.calibration.noise import noise_findings
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.smoothed_pass import smoothed_pass
 from hybrid_ins.calibration.vehicle import vehicle_findings
+from hybrid_ins.calibration.wheels import AXES
 from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
 from hybrid_ins.ros.messages import conversions
@@ -63,7 +64,6 @@ MEASURED, NOT_GIVEN = 3.0, 2.0  # σ by which an antenna has to be elsewhere; no
 WEAK = 2.0  # times σ, which is of a model that is only nearly right
 LARGEST_BACKWARD = 0.3  # share of the time: what a vehicle does most is forward
 COURSE_SPREAD = math.radians(8.0)  # of a vehicle that moves along its nose
-AXES = ("forward", "left", "up")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.drift import SIGNIFICANT
-from hybrid_ins.calibration.findings import Finding, Verdict
+from hybrid_ins.calibration.findings import SIGNIFICANT, Finding, Verdict
 from hybrid_ins.calibration.fit import CLOCK_KEPT, Fit
 from hybrid_ins.calibration.likelihood import VELOCITY_AGE, offset_name
 from hybrid_ins.calibration.recording import Recording

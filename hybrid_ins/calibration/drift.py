@@ -21,16 +21,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.likelihood import Likelihood
+from hybrid_ins.calibration.findings import SIGNIFICANT
+from hybrid_ins.calibration.likelihood import Likelihood, sums_of_blocks
 from hybrid_ins.calibration.recording import Recording
 
 Array = NDArray[np.float64]
 
 PRIOR = 1e-3  # standard deviation; crystals agree to 1e-4, logger software to less
 STEP = 0.004  # s, of finite differences, at the ends of a recording
-BLOCK = 3.0  # s, over which scores are assumed to be dependent
-SIGNIFICANT = 3.0  # standard deviations, from which a drift is looked for
-CERTAIN = 4.0  # likewise, from which what was found is one: 3.4 were chance
+CERTAIN = 4.0  # standard deviations, from which what was found is one: 3.4 were chance
 NOTICEABLE = 0.005  # s, of the offset at the ends of the longest recording
 SETTLED = 0.1  # standard deviations
 MOST_PASSES = 8
@@ -121,9 +120,7 @@ def _newton_step(likelihood: Likelihood, x: Array, longest: float, drift: float)
     likelihood.use(given)
     for recording, low, up, slope in zip(given, values, high, slopes, strict=True):
         score = np.column_stack((slope[:, free], (up - low) / h))
-        label = ((recording.aid_t - recording.aid_t[0]) // BLOCK).astype(int)
-        by_block = np.zeros((label[-1] + 1, score.shape[1]))
-        np.add.at(by_block, label, score)
+        by_block = sums_of_blocks(recording, score)
         rows.append(score)
         sums.append(by_block - by_block.mean(axis=0))
     precision = np.append([likelihood.prior[i].std ** -2.0 for i in free], PRIOR**-2.0)

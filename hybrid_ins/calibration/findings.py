@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+SIGNIFICANT = 3.0  # standard deviations: a smaller difference may be chance
 Verdict = Literal["identified", "weak", "not identifiable", "does not fit"]
 
 
@@ -38,6 +39,11 @@ class Finding:
         """Verdict, value and uncertainty in words."""
         spread = f" {self.sigma if self.sigma.startswith('×') else '± ' + self.sigma}"
         return f"{self.verdict}: {self.label} {self.value}{spread if self.sigma else ''}"
+
+
+def kept_below(sigmas: float) -> str:
+    """Return the note on a given value from which the best differs by fewer standard deviations."""
+    return f"as given: less than {sigmas:g} σ from what fits best"
 
 
 @dataclass

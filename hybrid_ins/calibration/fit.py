@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration.ascent import climb, maximise, settle_offsets
 from hybrid_ins.calibration.drift import Drift, remove_drift
 from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
+from hybrid_ins.calibration.findings import kept_below
 from hybrid_ins.calibration.innovations import VELOCITY
 from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
@@ -38,6 +39,7 @@ from hybrid_ins.calibration.likelihood import (
     Likelihood,
     Prior,
     offset_name,
+    sums_of_blocks,
 )
 from hybrid_ins.calibration.motion import std_by_motion
 from hybrid_ins.calibration.recording import Recording
@@ -46,13 +48,11 @@ Array = NDArray[np.float64]
 OnStage = Callable[[str], Callable[[], None]]  # given a stage's name, returns what counts passes
 
 COARSE_STEP = 0.1  # s
-BLOCK = 3.0  # s, over which scores are assumed to be dependent
 DIFFERENT = 5.0  # standard deviations: σ is of a model that is only nearly right, and a weak
 # antenna's height was 3.9 σ off
 CLOCK_DIFFERENT = 3.0  # likewise, of clock offsets: with a wrong one all else is wrong, too
 CONFIRMED = "as given: the motion agrees with it"
-KEPT = f"as given: less than {DIFFERENT:g} σ from what fits best"
-CLOCK_KEPT = f"as given: less than {CLOCK_DIFFERENT:g} σ from what fits best"
+KEPT, CLOCK_KEPT = kept_below(DIFFERENT), kept_below(CLOCK_DIFFERENT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,9 +227,7 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     blocks = 0
     _, slopes = likelihood.scores(x)
     for k, recording in enumerate(likelihood.recordings):
-        label = ((recording.aid_t - recording.aid_t[0]) // BLOCK).astype(int)
-        sums = np.zeros((label[-1] + 1, len(x)))
-        np.add.at(sums, label, slopes[k])
+        sums = sums_of_blocks(recording, slopes[k])
         sums = sums[:, free] - sums[:, free].mean(axis=0)
         scatter += sums.T @ sums
         blocks += len(sums)

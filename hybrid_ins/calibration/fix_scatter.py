@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from hybrid_ins.calibration.findings import Finding, Verdict
+from hybrid_ins.calibration.findings import SIGNIFICANT, Finding, Verdict
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
 from hybrid_ins.core.noise.position_scatter import SLOW_TIME
@@ -14,7 +14,7 @@ DEFAULT_STD = "gnss.position_std_default"
 SCATTER, SMALLEST_SCATTER, LARGEST_SCATTER = "gnss.position_scatter", 0.2, 10.0
 SCALE_IDENTIFIED = 0.3  # largest σ of the logarithm of a covariance's factor
 SLOW_IDENTIFIED = 1.5  # likewise, of the variance of the slow error
-NOTICEABLE, SIGNIFICANT = 0.4, 3.0  # logarithm of a factor that is mentioned; σ, at the least
+NOTICEABLE = 0.4  # logarithm of a factor that is mentioned
 
 
 def scatter_findings(fitted: Fit, given: float) -> list[Finding]:

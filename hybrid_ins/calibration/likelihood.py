@@ -52,6 +52,7 @@ YAW_STD = 0.15  # rad, of the chosen one
 LITTLE_SLOW, COARSE_SLOW = 0.01, 0.1  # share of the claimed variance of positions
 COARSE_PSD_A, COARSE_PSD_G = 2e-2, 1e-5  # (m/s²)²/Hz, (rad/s)²/Hz: broad peaks over the offset
 LONGEST_COARSE = 90.0  # s of each recording
+SCORE_BLOCK = 3.0  # s, over which scores are assumed to be dependent
 OFFSET_STEP = 0.008  # s, of its finite differences at the least: a few samples
 FORWARD, CENTRAL = (1.0,), (-1.0, 1.0)  # steps, at which finite differences are taken
 LN10 = math.log(10.0)
@@ -65,6 +66,14 @@ class Prior:
     mean: float
     std: float
     step: float
+
+
+def sums_of_blocks(recording: Recording, scores: Array) -> Array:
+    """Return the sums (B, n) of the scores (M, n) of measurements over ``SCORE_BLOCK``."""
+    block = ((recording.aid_t - recording.aid_t[0]) // SCORE_BLOCK).astype(int)
+    sums = np.zeros((block[-1] + 1, scores.shape[1]))
+    np.add.at(sums, block, scores)
+    return sums
 
 
 def offset_name(recording: int, names: Sequence[str]) -> str:

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.findings import Finding, Verdict
+from hybrid_ins.calibration.findings import SIGNIFICANT, Finding, Verdict, kept_below
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import FOLLOW
 from hybrid_ins.calibration.loudness import ORDINARY
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 3.0  # standard deviations
-KEPT = f"as given: less than {SIGNIFICANT:g} σ from what fits best"
 SENSORS = (("accelerometer", "m/s²"), ("gyroscope", "rad/s"))
 
 
@@ -92,7 +90,7 @@ def _level(
     elif sigma > 0.35 * prior.std:
         verdict, note = "weak", "order of magnitude only"
         if abs(fitted.value(name) - prior.mean) < SIGNIFICANT * sigma:
-            value, note = values[parameter], KEPT
+            value, note = values[parameter], kept_below(SIGNIFICANT)
     spread = f"×/÷ {math.exp(min(sigma, 9.0)):.1f}"
     changed = {parameter: float(f"{value:.3g}")}
     return Finding(label, f"{value:.2g} {unit}", spread, verdict, note, changed)

@@ -28,7 +28,7 @@ Motion = tuple[Sequence[FilterPass], Sequence[float]]  # over each recording, an
 INTERVAL = 0.5  # s, at least, between two observations
 RATE_TIME = 0.03  # s, before and after an observation, of samples whose mean is the angular rate
 NOSE_STD, POINT_STD, SLIP_STD = 0.1, 1.5, 0.1  # rad, m, m/s: before the motion is known
-SHORTEST = 20  # observations
+FEWEST_OBSERVATIONS = 20  # observations
 NOSE_IDENTIFIED, AXLE_IDENTIFIED = math.radians(0.3), 0.3  # rad, m: largest σ
 SLIP_IDENTIFIED = 0.35  # largest σ of its logarithm
 
@@ -53,7 +53,7 @@ def observe_nose(
         Its nose and point are in b of the samples, relative to the IMU.
     """
     angles = np.concatenate([courses(one) for one in after])
-    if len(angles) < SHORTEST:
+    if len(angles) < FEWEST_OBSERVATIONS:
         return None
     settings = ConstraintSettings(
         Nose(travel(angles).angle, 0.0, np.zeros(3)),

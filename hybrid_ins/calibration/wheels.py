@@ -32,7 +32,7 @@ from hybrid_ins.ros.messages.conversions import FLIP
 Array = NDArray[np.float64]
 
 NEAR_NS = 120_000_000  # between a state and the readings before and after it
-FEWEST = 20  # readings
+FEWEST_READINGS = 20  # readings
 SCALE_IDENTIFIED, PLACE_IDENTIFIED = 0.003, 0.1  # -, m: largest σ
 LARGEST_NIS = 5.0  # mean per component, of a sensor that fits
 AXES = ("forward", "left", "up")
@@ -82,7 +82,7 @@ def observe_wheels(
             if sensor.admit(begin_ns + reading.t_ns):
                 sensor.check(reading, nav, checked=True, outage=False)
                 count += 1
-    return sensor if count >= FEWEST else None
+    return sensor if count >= FEWEST_READINGS else None
 
 
 def _between(first: BodyVelocity, second: BodyVelocity, t_ns: int) -> BodyVelocity:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LENGTHS = np.array([2.0, 8.0, 30.0])  # s, of batches
-MEMORY = 300.0  # s over which ratios are remembered: jumps and drifts are rare
+RATIO_MEMORY = 300.0  # s over which ratios are remembered: jumps and drifts are rare
 PRIOR_COUNT = 2.0  # batches of ratio 1 that are assumed at the start
 LARGEST_RATIO = 1000.0  # of one batch
 
@@ -79,7 +79,7 @@ class LastingErrors:
         mean = self._z[i] / time
         of_state, of_sensor = self._expected[i][0] / time, self._expected[i][1] / time**2
         surplus = np.maximum(mean**2 - of_state.diagonal(), 0.0) / of_sensor.diagonal()
-        fading = math.exp(-time / MEMORY)
+        fading = math.exp(-time / RATIO_MEMORY)
         self._count[i] = fading * self._count[i] + 1.0
         self._sum[i] = fading * self._sum[i] + min(float(surplus.max()), LARGEST_RATIO)
         self._restart(i, m)

@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 SILENCE_NS = 2_000_000_000
 AGREES, DISAGREES = 3.0, 7.0  # mean NIS per component, of a sensor to be used, to be refused
 SHOWN = 3.0  # s of readings that show either
-MEMORY = 3.0  # s over which the NIS is averaged
+NIS_MEMORY = 3.0  # s over which the NIS is averaged
 SMALLEST_SCALE_STD = 1e-4
 STILL_KNOWN = 4.0  # factor on the variance of a state that refused a sensor and may accept it
 LARGEST_NIS = 50.0  # that counts: one outlier does not refuse a sensor
@@ -222,7 +222,7 @@ class AidingSensor:
         self._decide()
 
     def _average(self, nis: float) -> None:
-        gain = 1.0 - math.exp(-self._interval / MEMORY)
+        gain = 1.0 - math.exp(-self._interval / NIS_MEMORY)
         self._nis += gain * (min(nis, LARGEST_NIS) - self._nis)
 
     def _decide(self) -> None:

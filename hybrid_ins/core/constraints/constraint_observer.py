@@ -48,10 +48,10 @@ SQUAT_STD = 0.005  # rad per m/s², of the body's pitch by acceleration: cars ha
 STATE_TIME = 10.0  # s, of the errors of the filter's velocity and heading
 NOSE_TIME = 1.0  # s: an error of the nose is constant, but the state made it, and both cancel
 EVIDENCE_TIME = 2.0  # s for which motion shows the same
-MEMORY, RECENT = 120.0, 8.0  # s over which evidence is remembered
+EVIDENCE_MEMORY, RECENT_MEMORY = 120.0, 8.0  # s over which evidence is remembered
 MOST_EVIDENCE = 30.0  # nats
 SHOWN = 10.0  # nats that prove the constraint
-BROKEN = -4.0  # nats over ``RECENT`` that disprove it
+BROKEN = -4.0  # nats over ``RECENT_MEMORY`` that disprove it
 TURNED = 2.0 * math.pi  # rad that the vehicle must have turned by: a straight leg fits any nose
 KNOWN = math.radians(1.0)  # σ of the nose: a filter that knows little agrees with anything
 REPEATED = 2.0  # factor on that angle each time that the constraint was disproven
@@ -176,13 +176,13 @@ class ConstraintObserver:
         if not proves:  # a vehicle that slews or crawls sideways still disproves the constraint
             gains = np.minimum(gains, 0.0)
         else:
-            fading = math.exp(-interval / MEMORY)
+            fading = math.exp(-interval / EVIDENCE_MEMORY)
             self.slip.observe(z, S, share, fading)
             if answer is not None:
                 std = np.sqrt(np.diag(answer))
                 self.ratio.observe(z / std, S / np.outer(std, std), share, fading)
-        self.evidence = _faded(self.evidence, float(gains[0]), interval / MEMORY)
-        self.recent = _faded(self.recent, float(gains[1]), interval / RECENT)
+        self.evidence = _faded(self.evidence, float(gains[0]), interval / EVIDENCE_MEMORY)
+        self.recent = _faded(self.recent, float(gains[1]), interval / RECENT_MEMORY)
         if nis < OUTLIER and proves:
             self.turned += abs(float(rate_b[2] - nav[BIAS_G][2])) * interval
             R = inflated(state, STATE_TIME, interval)

@@ -27,8 +27,7 @@ from hybrid_ins.core.constraints.nonholonomic import Nose, point_velocity
 from hybrid_ins.core.imu.samples import readings_of
 from hybrid_ins.core.imu.standstill import (
     LARGEST_MEAN_RATE,
-    SLOW_FORCE_STD,
-    SLOW_RATE_STD,
+    SLOW_STD,
     StandingForce,
 )
 from hybrid_ins.core.inertial.state import covariance
@@ -37,8 +36,8 @@ from hybrid_ins.core.update.measurements import IMU
 Array = NDArray[np.float64]
 
 WINDOW_NS = 1_000_000_000  # of samples whose spectrum is compared
-SHORTEST = 0.8  # s, of such a window
-FEWEST = 16  # samples of it
+SHORTEST_WINDOW = 0.8  # s, of such a window
+FEWEST_SAMPLES = 16  # samples of it
 MOTION_BAND = (0.5, 5.0)  # Hz
 VIBRATION = 10.0  # Hz, from which on there is none of a vehicle's motion
 LEAKAGE = 0.03  # of vibration into the frequencies of motion
@@ -46,21 +45,20 @@ CRAWL = 0.3  # m/s, of the fastest crawl whose spectrum is that of a stand
 CRAWL_STD = CRAWL / math.sqrt(3.0)  # m/s: any speed up to that is as likely as another
 SMOOTHEST_NS = 1_500_000_000  # of the stand's spectrum: a smooth second of a drive is no stand
 MOVING = 2.0 * CRAWL  # m/s, from which on `CRAWL_STD` would not be true
-MEMORY = 300.0  # s over which windows of motion are remembered
+MOTION_MEMORY = 300.0  # s over which windows of motion are remembered
 FEWEST_MOVING = 100.0  # of them
 MOST_ALIKE = 0.02  # share of them that may look like a stand
 KNOWN_SPEED = 3.0  # m/s, σ: a filter that knows its speed no better finds zero plausible in a drive
 PLAUSIBLE_NIS = 10.8  # chi-square, 1 degree of freedom, 99.9 %
-_SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 
 def only_vibrates(samples: NDArray[np.void]) -> bool:
     """Return whether ``samples`` (``SAMPLE_DTYPE``), about a second, show vibration at most."""
-    if len(samples) < FEWEST:
+    if len(samples) < FEWEST_SAMPLES:
         return False
     span = (int(samples["t_ns"][-1]) - int(samples["t_ns"][0])) * 1e-9
     readings = readings_of(samples)
-    if span < SHORTEST or np.any(np.abs(readings[:, 3:].mean(axis=0)) > LARGEST_MEAN_RATE):
+    if span < SHORTEST_WINDOW or np.any(np.abs(readings[:, 3:].mean(axis=0)) > LARGEST_MEAN_RATE):
         return False
     window = np.hanning(len(readings))[:, None]
     power = np.abs(np.fft.rfft((readings - readings.mean(axis=0)) * window, axis=0)) ** 2
@@ -69,7 +67,7 @@ def only_vibrates(samples: NDArray[np.void]) -> bool:
     low, high = MOTION_BAND
     slow = power[(frequency >= low) & (frequency < high)].sum(axis=0)
     vibration = power[frequency >= VIBRATION].sum(axis=0)
-    return bool(np.all(slow < _SLOW_STD**2 + LEAKAGE**2 * vibration))
+    return bool(np.all(slow < SLOW_STD**2 + LEAKAGE**2 * vibration))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +142,7 @@ class NearStandstillDetector:
         self.restart()
         speed, variance = _speed(NearStandstill(0, samples["w"][-1], nose), nav)
         if abs(speed) - 2.0 * math.sqrt(variance) > MOVING:
-            fading = math.exp(-interval / MEMORY)
+            fading = math.exp(-interval / MOTION_MEMORY)
             self.moving = fading * self.moving + 1.0
             self.alike = fading * self.alike + only_vibrates(samples)
 

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.constraints.constraint_observer import MEMORY, STATE_TIME, inflated
+from hybrid_ins.core.constraints.constraint_observer import EVIDENCE_MEMORY, STATE_TIME, inflated
 from hybrid_ins.core.constraints.nonholonomic import Nose
 from hybrid_ins.core.constraints.slip import SlipEstimator
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, skew
@@ -108,7 +108,7 @@ class WindObserver:
         state = H @ covariance(nav) @ H.T
         wind = by_wind @ self._P @ by_wind
         share = min(interval / GUST_TIME, 1.0)
-        self.slip.observe(z, state + wind, share, math.exp(-interval / MEMORY))
+        self.slip.observe(z, state + wind, share, math.exp(-interval / EVIDENCE_MEMORY))
         R = inflated(state, STATE_TIME, interval)
         R = R + inflated(self.slip.covariance, GUST_TIME, interval)
         K = self._P @ by_wind / (wind + R[0, 0])

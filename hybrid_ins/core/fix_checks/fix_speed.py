@@ -13,7 +13,7 @@ from hybrid_ins.core.inertial.earth import horizontal_displacement
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
 SIGMAS = 4.0  # of the measurements' own noise, that no speed needs to explain
-SHORTEST = 1.0  # s: in less, noise and small jumps look like speed
+SHORTEST_INTERVAL = 1.0  # s: in less, noise and small jumps look like speed
 
 
 class _Place(NamedTuple):
@@ -81,6 +81,6 @@ class SpeedCheck:
     def _connects(self, before: _Place, here: _Place) -> bool:
         """Return whether the vehicle can get from one place to the other in that time."""
         north, east = horizontal_displacement(before[1:3], here[1:3])
-        seconds = max(abs(here.t_ns - before.t_ns) * 1e-9, SHORTEST)
+        seconds = max(abs(here.t_ns - before.t_ns) * 1e-9, SHORTEST_INTERVAL)
         noise = SIGMAS * math.sqrt(before.variance + here.variance)
         return math.hypot(north, east) - noise <= self.max_speed * seconds

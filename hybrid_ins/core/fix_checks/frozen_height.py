@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.core.update.measurements import Measurement, PositionFix
 
-FEWEST = 30  # fixes of one altitude that show it
+FEWEST_FIXES = 30  # fixes of one altitude that show it
 LEAST_WAY = 100.0  # m, horizontally, that they lie apart
 PER_STD, PER_STEP = 100.0, 10_000.0  # of that way, by the claimed σ, by the rounding
 COARSEST = 1.0  # m, that altitudes are rounded to; larger changes are no rounding
@@ -57,7 +57,8 @@ class FrozenHeightCheck:
         if not isinstance(measurement, PositionFix) or not math.isfinite(measurement.lla[2]):
             return measurement
         self._follow(measurement)
-        if not self._is_frozen and self._count >= FEWEST and self._way >= self._needed(measurement):
+        is_shown = self._count >= FEWEST_FIXES and self._way >= self._needed(measurement)
+        if is_shown and not self._is_frozen:
             self._is_frozen = True
             height = float(measurement.lla[2])
             self._tell(FrozenHeight(measurement.t_ns, height, self._count, self._way))

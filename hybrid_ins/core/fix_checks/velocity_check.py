@@ -23,7 +23,7 @@ from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
 Array = NDArray[np.float64]
 
-SHORTEST, LONGEST = 5.0, 60.0  # s, of a way
+SHORTEST_TIME, LONGEST_TIME = 5.0, 60.0  # s, of a way
 LEAST_WAY = 20.0  # m
 SIGMAS = 10.0  # of the positions, that a way has at least
 MAX_INTERVAL_NS = 2_000_000_000  # between velocities that are summed
@@ -103,10 +103,10 @@ class _Comparison:
         """Compare both if the way to this position is long enough."""
         first, last, axes = self._first, self._last, self._axes
         seconds = (end.t_ns - start.t_ns) * 1e-9
-        if seconds < SHORTEST:
+        if seconds < SHORTEST_TIME:
             return
         assert first is not None and last is not None
-        if seconds > LONGEST or end.t_ns - last.t_ns > MAX_INTERVAL_NS:
+        if seconds > LONGEST_TIME or end.t_ns - last.t_ns > MAX_INTERVAL_NS:
             self.reset()
             return
         moved_n = displacement(start.lla, end.lla)

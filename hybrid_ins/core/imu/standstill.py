@@ -32,10 +32,10 @@ MEANS = 8  # per window
 FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES, MAX_FIXES = 4, 64  # of those
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
-SIGNIFICANT = 4.0  # standard deviations of the speed
+SIGNIFICANT_SPEED = 4.0  # standard deviations of the speed
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 _STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
-_SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
+SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 
 def is_standing(samples: NDArray[np.void]) -> bool:
@@ -45,7 +45,7 @@ def is_standing(samples: NDArray[np.void]) -> bool:
         return False
     readings = readings_of(samples)
     noise, slow = _spread(readings[-MEANS * size :], size)
-    if np.any(noise > _STD) or np.any(slow > np.hypot(_SLOW_STD, 2.0 * noise / np.sqrt(size))):
+    if np.any(noise > _STD) or np.any(slow > np.hypot(SLOW_STD, 2.0 * noise / np.sqrt(size))):
         return False
     mean, _ = mean_and_std(as_numbers(samples))
     return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
@@ -193,4 +193,4 @@ def _slope(t, places):  # type: ignore[no-untyped-def]
         residual += np.sum((place - t * slope) ** 2)
         speed = np.hypot(speed, slope)
     variance = residual / (2 * count - 4) / square
-    return speed if speed > max(MIN_SPEED, SIGNIFICANT * np.sqrt(variance)) else 0.0
+    return speed if speed > max(MIN_SPEED, SIGNIFICANT_SPEED * np.sqrt(variance)) else 0.0

@@ -27,7 +27,7 @@ FAR_AWAY = 4.0  # m: nearer ones are left to `sensor_errors.lever_arm`
 AGREE = 0.3  # of the error: between two motions, at most
 CERTAIN = 3.0  # standard deviations
 OVERLAP, LEAST_STD = 2.0, 0.2  # of successive changes of velocity, that share fixes; m
-KEPT = 4  # motions: a minute of them
+MOTIONS_KEPT = 4  # motions: a minute of them
 STARTS = 10.0  # m, along all axes: where the search for the lever arm begins
 
 
@@ -73,7 +73,7 @@ class FarAntenna:
 
     def reset(self) -> None:
         """Forget the motions so far."""
-        self._shown: deque[_Shown] = deque(maxlen=KEPT)
+        self._shown: deque[_Shown] = deque(maxlen=MOTIONS_KEPT)
         self.is_doubtful = False
 
     def add(self, motion: Motion, found: Fit) -> None:

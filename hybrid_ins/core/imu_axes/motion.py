@@ -13,15 +13,15 @@ from hybrid_ins.core.inertial.earth import displacement
 
 Array = NDArray[np.float64]
 
-WINDOW, SHORTEST, LONG_WINDOW = 20.0, 12.0, 60.0  # s, of motion; the last without a finding
+WINDOW, SHORTEST_WINDOW, LONG_WINDOW = 20.0, 12.0, 60.0  # s, of motion; the last without a finding
 LEAST_CHANGE = (1.0, 0.4, 0.4)  # m/s, RMS of the changes of velocity over ``INTERVALS``
-FEWEST = 8  # changes of velocity
+FEWEST_CHANGES = 8  # changes of velocity
 MAX_FIXES = 1024  # that are kept
 
 
 def is_long(motion: Motion) -> bool:
     """Return whether a motion is longer than `WINDOW`."""
-    return bool(motion.t[-1] - motion.t[0] > WINDOW + SHORTEST)
+    return bool(motion.t[-1] - motion.t[0] > WINDOW + SHORTEST_WINDOW)
 
 
 class MotionWindow:
@@ -75,27 +75,27 @@ class MotionWindow:
     def mean_force(self) -> Array | None:
         """Return the mean specific force (3,) over `WINDOW` [m/s²]; None: too short."""
         grid = self._grid
-        if len(grid) < SHORTEST / STEP:
+        if len(grid) < SHORTEST_WINDOW / STEP:
             return None
         begin = max(0, len(grid) - 1 - round(WINDOW / STEP))
         return np.asarray((grid[-1, 4:] - grid[begin, 4:]) / (STEP * (len(grid) - 1 - begin)))
 
     def long_motions(self) -> list[Motion]:
         """Return the motions of the last minute, once there is more than the shorter window."""
-        is_longer = len(self._grid) > (WINDOW + SHORTEST) / STEP
+        is_longer = len(self._grid) > (WINDOW + SHORTEST_WINDOW) / STEP
         return self.motions(LONG_WINDOW, 1) if is_longer else []
 
     def motions(self, window: float, shortest: int) -> list[Motion]:
         """Return the motions of the last ``window`` seconds, from an index of ``INTERVALS`` on."""
         grid = self._grid[-round((window + 2.0) / STEP) :]
-        if len(grid) < SHORTEST / STEP or len(self._fix_ns) < 3:
+        if len(grid) < SHORTEST_WINDOW / STEP or len(self._fix_ns) < 3:
             return []
         fix_t, lla = (self._fix_ns - self._start_ns) * 1e-9, self._fix_lla
         reach = CLOCK_OFFSETS[-1]
         begin = max(grid[0, 0] + reach, grid[-1, 0] - window)
         inside = (fix_t > begin) & (fix_t < grid[-1, 0] - reach)
         fix_t, lla = fix_t[inside], lla[inside]
-        if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST - 2.0 * reach - 1.0:
+        if len(fix_t) < 3 or fix_t[-1] - fix_t[0] < SHORTEST_WINDOW - 2.0 * reach - 1.0:
             return []
         position_n = np.nan_to_num(displacement(lla[0], lla))
         steps = np.diff(grid[:, 1:], axis=0)
@@ -104,6 +104,6 @@ class MotionWindow:
             triples = triples_of(fix_t, interval)
             motion = Motion(grid[:, 0], steps[:, :3], steps[:, 3:], fix_t, position_n, triples)
             changes = np.sum(motion.change_n[:, :2] ** 2)
-            if len(triples) >= FEWEST and changes > least**2 * len(triples):
+            if len(triples) >= FEWEST_CHANGES and changes > least**2 * len(triples):
                 motions.append(motion)
         return motions

@@ -16,7 +16,7 @@ CONFIRMATION, CONTRADICTION = 1.0, 2.0
 
 CERTAIN_NS = 10_000_000_000  # for how long [ns] another offset is certain before it is used
 PRECISE = 0.02  # s, of a search beside a filter that runs: it is not urgent
-SIGNIFICANT = 3.0  # standard deviations, from the offset in force
+SIGNIFICANT_OFFSET = 3.0  # standard deviations, from the offset in force
 
 
 class Comparison(Enum):
@@ -47,7 +47,7 @@ def compare(running: InsFilter, search: ClockSearch) -> Comparison:
     if sigma <= OFFSET_KNOWN[0] and difference > CONTRADICTION * std:
         return Comparison.CONTRADICTED
     precise = sigma <= min(OFFSET_KNOWN[0], max(PRECISE, 2.0 * own.sigma))
-    significant = min(abs(found) / sigma, abs(own.residual) / own.sigma) > SIGNIFICANT
+    significant = min(abs(found) / sigma, abs(own.residual) / own.sigma) > SIGNIFICANT_OFFSET
     if certain or not (precise or significant) or difference > CONFIRMATION * std:
         return Comparison.NOTHING
     return Comparison.CONFIRMED

@@ -31,7 +31,7 @@ from hybrid_ins.core.navigator.notices import HeadingCorrected
 Array = NDArray[np.float64]
 
 WRONG = 0.1  # prior probability that a given heading is wrong
-SIGNIFICANT = 3.0  # standard deviations
+SIGNIFICANT_TURN = 3.0  # standard deviations
 DOUBTFUL = 0.5  # probability of a heading below which others are the more probable ones
 EXCLUDED = 0.01  # that of one that is given up
 GROSS = 0.5  # rad; the filter corrects a smaller error by itself
@@ -46,7 +46,7 @@ def is_contradicted(state: NavState, found: NavState) -> bool:
     """Return whether the heading of a state is far from the one that motion has shown."""
     turn = heading_from_quat(found.quat_xyzw) - heading_from_quat(state.quat_xyzw)
     std = math.sqrt(state.P[8, 8] + found.P[8, 8])
-    return abs(math.remainder(turn, 2.0 * math.pi)) > max(GROSS, SIGNIFICANT * std)
+    return abs(math.remainder(turn, 2.0 * math.pi)) > max(GROSS, SIGNIFICANT_TURN * std)
 
 
 class HeadingCheck(NamedTuple):
@@ -76,7 +76,7 @@ def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
     off = np.abs((turns + math.pi) % (2.0 * math.pi) - math.pi)
     weights = np.exp(bank.log_weights)
     weights /= weights.sum()
-    probability = float(weights[off < max(GROSS, SIGNIFICANT * std)].sum())
+    probability = float(weights[off < max(GROSS, SIGNIFICANT_TURN * std)].sum())
     doubt = float(weights @ off**2) if probability < DOUBTFUL else 0.0
     if probability > EXCLUDED:
         return HeadingCheck(doubt)

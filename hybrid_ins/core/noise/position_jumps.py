@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MEMORY = 300.0  # s without a jump, over which it is forgotten: wrong solutions last for minutes
+JUMP_MEMORY = 300.0  # s, over which a jump is forgotten: wrong solutions last for minutes
 UNCLAIMED = 2.0  # times what a position claims: less is no jump
 DOUBTED_NS = 10_000_000_000  # after a fault of the IMU: the state may have been wrong
 
@@ -108,4 +108,4 @@ class PositionJumps:
 
     def _fading(self, t_ns: int) -> float:
         """Return what is left at a stamp [ns] of what was learned up to the last jump."""
-        return math.exp(-max(t_ns - self.t_ns, 0) * 1e-9 / MEMORY)
+        return math.exp(-max(t_ns - self.t_ns, 0) * 1e-9 / JUMP_MEMORY)

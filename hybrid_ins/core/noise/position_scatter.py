@@ -62,7 +62,7 @@ from hybrid_ins.core.update.measurements import LinearModel
 
 Array = NDArray[np.float64]
 
-MEMORY = 30.0  # s, over which the scatter is averaged
+SCATTER_MEMORY = 30.0  # s, over which the scatter is averaged
 PRIOR_COUNT = 20.0  # components, that the given share weighs at the start, and that are remembered
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.003  # share of the claimed variance
@@ -228,7 +228,7 @@ class PositionScatter(ShallowCopy):
         if evidence is None:
             return
         total, count, normalised = evidence
-        fading = max(math.exp(-interval / MEMORY), min(PRIOR_COUNT / self._count, 1.0))
+        fading = max(math.exp(-interval / SCATTER_MEMORY), min(PRIOR_COUNT / self._count, 1.0))
         self._count = fading * self._count + count
         largest = LARGEST_RESIDUAL * len(normalised) * max(1.0, self.learned)
         self._sum = max(fading * self._sum + min(total, largest), SMALLEST * self._count)

@@ -21,9 +21,7 @@ from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY, LocalFrame
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
-    FIX,
-    GBAS_FIX,
-    SBAS_FIX,
+    STATUS_OF_FIX_TYPE,
     WEEK,
     EstimateLog,
     GnssLog,
@@ -38,7 +36,6 @@ from hybrid_ins.ros.messages.trajectory import Array
 DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
 MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2
 YEARS_US = 978_307_200_000_000, 4_102_444_800_000_000  # 2001 to 2100, of telemetry stamps
-STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
 IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
     "HIGHRES_IMU": (1.0, 1.0),
     "RAW_IMU": (1e-3 * STANDARD_GRAVITY, 1e-3),
@@ -119,7 +116,7 @@ def read_gnss(path: Path) -> GnssLog:
         times_of_epochs(t[:, 0], epochs[:, 0]),
         np.column_stack((np.radians(lla[:, :2]), lla[:, 2])),
         diagonal(np.column_stack((horizontal / 2**0.5, horizontal / 2**0.5, vertical))),
-        np.array([STATUS[int(kind)] for kind in status[:, 0]], np.int8),
+        np.array([STATUS_OF_FIX_TYPE[int(kind)] for kind in status[:, 0]], np.int8),
         velocity,
         diagonal(np.column_stack([speed / 3**0.5] * 3)),
         is_dated=False,
@@ -163,7 +160,7 @@ def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:
             elif fixes:  # follows the message that it belongs to
                 fixes[-1] = (fixes[-1][0], m)
     for m, own in fixes:
-        if m.Status not in STATUS:
+        if m.Status not in STATUS_OF_FIX_TYPE:
             continue
         course = np.radians(m.GCrs)
         height = m.Alt - (getattr(own, "Und", 0.0) if own is not None else 0.0)
@@ -179,7 +176,7 @@ def _telemetry_fixes(path: Path) -> list[tuple[float, ...]]:
     """Return rows as `_dataflash_fixes`."""
     rows: list[tuple[float, ...]] = []
     for m in _messages(path, "GPS_RAW_INT"):
-        if m.fix_type not in STATUS:
+        if m.fix_type not in STATUS_OF_FIX_TYPE:
             continue
         is_moving_known = UNKNOWN not in (m.vel, m.cog)
         speed = m.vel * 1e-2 if is_moving_known else np.nan

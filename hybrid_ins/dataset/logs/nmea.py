@@ -28,7 +28,7 @@ from hybrid_ins.dataset.logs.series import (
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array
 
-STATUS = {1: FIX, 2: SBAS_FIX, 3: FIX, 4: GBAS_FIX, 5: GBAS_FIX}
+STATUS_OF_QUALITY = {1: FIX, 2: SBAS_FIX, 3: FIX, 4: GBAS_FIX, 5: GBAS_FIX}
 RANGE_STD, VERTICAL = 2.5, 1.5  # m, for a dilution of precision of 1; of the horizontal deviation
 KNOT = 1852.0 / 3600.0  # m/s
 
@@ -89,7 +89,7 @@ def read_gnss(path: Path) -> GnssLog:
                     epochs.append(_Epoch(message.time))
                 epochs[-1].sentences[message.msgID] = message
     gga = [epoch.sentences.get("GGA") for epoch in epochs]
-    found = [k for k, m in enumerate(gga) if m is not None and m.quality in STATUS]
+    found = [k for k, m in enumerate(gga) if m is not None and m.quality in STATUS_OF_QUALITY]
     if not found:
         raise InputError(f"{path}: no GGA sentence with a fix; enable GGA in the receiver")
     t = _times(path, epochs)[found]
@@ -142,4 +142,4 @@ def _row(epoch: dict[str, Any]) -> tuple[Any, ...]:
         course = np.radians(rmc.cog) if isinstance(rmc.cog, float) else 0.0
         speed = rmc.spd * KNOT
         velocity = (speed * np.cos(course), speed * np.sin(course), np.nan)
-    return lla, std, STATUS[gga.quality], velocity
+    return lla, std, STATUS_OF_QUALITY[gga.quality], velocity

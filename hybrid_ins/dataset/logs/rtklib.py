@@ -28,7 +28,7 @@ from hybrid_ins.dataset.logs.series import (
 )
 from hybrid_ins.errors import InputError
 
-STATUS = {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX}
+STATUS_OF_QUALITY = {1: GBAS_FIX, 2: GBAS_FIX, 3: SBAS_FIX, 4: SBAS_FIX, 5: FIX, 6: FIX}
 NED_AXES, ECEF_AXES = (("n", "e", "u"), (1.0, 1.0, -1.0)), (("x", "y", "z"), (1.0, 1.0, 1.0))
 
 SCALES = b"GPST", b"UTC", b"JST"
@@ -78,7 +78,7 @@ def read_gnss(path: Path) -> GnssLog:
         raise InputError(f"{path}: no row has the columns that its header names")
     columns = dict(zip(names[1:], np.array([values for _, values in table]).T, strict=True))
     t = np.array([t for t, _ in table])
-    status = np.array([STATUS.get(int(q), FIX) for q in columns["Q"]], np.int8)
+    status = np.array([STATUS_OF_QUALITY.get(int(q), FIX) for q in columns["Q"]], np.int8)
     t = utc_from_gps(t) if names[0] == "GPST" else t + GPS_EPOCH
     t = t - JST if names[0] == "JST" else t
     if "x-ecef" in columns:

@@ -17,6 +17,7 @@ from hybrid_ins.core.inertial.earth import C_en, ecef_to_lla
 from hybrid_ins.ros.messages.trajectory import Array
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
+STATUS_OF_FIX_TYPE = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}  # MAVLink GPS_FIX_TYPE
 GPS_EPOCH = 315_964_800  # 1980-01-06T00:00:00Z [s since 1970]
 DAY, WEEK = 86_400, 604_800  # s
 LEAPS = (  # from when on GPS time is ahead of UTC by one second more

@@ -17,9 +17,7 @@ from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.core.inertial.rotations import slerp
 from hybrid_ins.dataset.logs.epochs import times_of_epochs
 from hybrid_ins.dataset.logs.series import (
-    FIX,
-    GBAS_FIX,
-    SBAS_FIX,
+    STATUS_OF_FIX_TYPE,
     EstimateLog,
     GnssLog,
     ImuLog,
@@ -29,7 +27,6 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
 
 GNSS_TOPICS = ("vehicle_gps_position", "sensor_gps")
-STATUS = {3: FIX, 4: SBAS_FIX, 5: GBAS_FIX, 6: GBAS_FIX}
 
 
 def recognise(head: bytes) -> bool:
@@ -73,7 +70,7 @@ def read_gnss(path: Path) -> GnssLog:
         `pyulog` is not installed, or the log lacks the topic.
     """
     data = _topic(path, GNSS_TOPICS)
-    good = np.isin(data["fix_type"], list(STATUS))
+    good = np.isin(data["fix_type"], list(STATUS_OF_FIX_TYPE))
     if not good.any():
         raise InputError(f"{path}: holds no three-dimensional fix")
     data = {name: values[good] for name, values in data.items()}
@@ -94,7 +91,7 @@ def read_gnss(path: Path) -> GnssLog:
         times_of_epochs(arrivals, epochs),
         lla,
         diagonal(np.column_stack((horizontal, horizontal, data["epv"]))),
-        np.array([STATUS[int(kind)] for kind in data["fix_type"]], np.int8),
+        np.array([STATUS_OF_FIX_TYPE[int(kind)] for kind in data["fix_type"]], np.int8),
         np.column_stack([data[f"vel_{axis}_m_s"] for axis in "ned"]).astype(float),
         diagonal(np.column_stack([speed] * 3)),
         is_dated=False,

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
 QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
-KEPT = 12  # states, one with each tenth of a second: readings may be a second late
+STATES_KEPT = 12  # states, one with each tenth of a second: readings may be a second late
 OLDEST_NS = 1_200_000_000  # before there are any
 EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
@@ -72,7 +72,7 @@ class AidingSources:
         self._navigator = navigator
         self._fixes = fixes
         self._inputs = inputs
-        self._states: deque[tuple[int, Array]] = deque(maxlen=KEPT)
+        self._states: deque[tuple[int, Array]] = deque(maxlen=STATES_KEPT)
 
     def configure(self, arm_b: Array) -> None:
         """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""

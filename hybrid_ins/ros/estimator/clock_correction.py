@@ -26,7 +26,7 @@ from hybrid_ins.ros.reporting.reports import Status
 
 CORRECTION_NS = 1_000_000_000  # between two corrections of the offset
 USABLE, SETTLED = 0.1, 0.015  # s, standard deviations
-SIGNIFICANT = 3.0  # standard deviations from the given offset: a smaller difference is chance
+SIGNIFICANT_OFFSET = 3.0  # standard deviations from the given one: less is chance
 WRONG = 0.03  # s, of an offset that the user should know of
 LEAST = 1e-3  # s: a smaller correction changes nothing
 LARGEST = 1.0  # s: innovations that show a larger change are of something else
@@ -184,7 +184,7 @@ class ClockCorrection:
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
-        is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT
+        is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT_OFFSET
         is_left |= self._given_drift.mean != 0.0
         if sigma < USABLE and abs(missing) > 0.3 * sigma and is_left:
             self._shift(running, missing)

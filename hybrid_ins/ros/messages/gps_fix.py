@@ -65,7 +65,7 @@ LINE, CIRCLE = 1.96, 2.448  # standard deviations in 95 % of one and of two dime
 DIAGONAL = 2  # type of a covariance
 
 LONGEST_STEP_NS, LONGEST_NS = 2_000_000_000, 10_000_000_000  # between messages, of a comparison
-SHORTEST = 5.0  # m, of a comparison
+SHORTEST_WAY = 5.0  # m, of a comparison
 AGREES = math.radians(25.0)
 VOTES, MAJORITY = 5, 4
 
@@ -167,7 +167,7 @@ class TrackCheck:
         self._way += 0.5e-9 * (t_ns - before[0]) * (before[1] + velocities)
         north, east = horizontal_displacement(self._from[1:], here[1:])
         moved = east, north
-        if math.hypot(*moved) >= SHORTEST:
+        if math.hypot(*moved) >= SHORTEST_WAY:
             self._votes.append(tuple(_angle(moved, way) < AGREES for way in self._way))
             self._decide()
             self._begin(here)

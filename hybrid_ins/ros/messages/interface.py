@@ -47,7 +47,7 @@ TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 FIX = "sensor_msgs/msg/NavSatFix"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
-STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 AIDING = (
@@ -169,19 +169,19 @@ PUBLISHED = (
     ),
     Topic(
         "gnss/verdict",
-        STATUS,
+        DIAGNOSTIC_STATUS,
         OUTPUT,
         "for each fix: accepted or the reason for rejection, NIS, threshold, σ used",
     ),
     Topic(
         "aiding/verdict",
-        STATUS,
+        DIAGNOSTIC_STATUS,
         OUTPUT,
         "the same for each reading of an aiding sensor that was given to the filter",
     ),
     Topic(
         "validity",
-        STATUS,
+        DIAGNOSTIC_STATUS,
         LATEST,
         "position, velocity and heading: *good*, *waiting* (WARN: no estimate yet), *coasting* "
         "(WARN: no fixes, σ within `validity.*_std_max`) or *lost* (ERROR: σ beyond it, no "

@@ -11,8 +11,8 @@ from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.ros.messages.conversions import Refused
 from hybrid_ins.ros.reporting.input_log import InputLog
 
-KEPT = 100  # fixes
-FEWEST = 5  # fixes that show anything
+OUTCOMES_KEPT = 100  # fixes
+FEWEST_OUTCOMES = 5  # fixes that show anything
 SHARE = 0.5  # of the fixes, from which a reason is the dominant one
 ANOTHER_CLOCK = 2.0  # s, from the IMU: no receiver is so late, and alignment takes no older fix
 LEAP_SECONDS = (17.0, 19.0)  # s: GPS time is 18 s ahead of UTC, since 2017
@@ -34,7 +34,7 @@ class FixRefusals:
     def __init__(self, navigator: Navigator, inputs: InputLog) -> None:
         self._navigator = navigator
         self._inputs = inputs
-        self._outcomes: deque[str] = deque(maxlen=KEPT)
+        self._outcomes: deque[str] = deque(maxlen=OUTCOMES_KEPT)
         self._texts: dict[str, str] = {}
 
     def note(self, fix: PositionFix | Refused) -> None:
@@ -63,7 +63,7 @@ class FixRefusals:
     @property
     def dominant(self) -> str:
         """The reason for which most fixes are of no use; empty where most are of use."""
-        if len(self._outcomes) < FEWEST:
+        if len(self._outcomes) < FEWEST_OUTCOMES:
             return ""
         [(name, count)] = Counter(self._outcomes).most_common(1)
         if not name or count < SHARE * len(self._outcomes):

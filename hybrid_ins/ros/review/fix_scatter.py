@@ -18,7 +18,7 @@ from hybrid_ins.ros.reporting.input_log import InputLog
 
 Array = NDArray[np.float64]
 
-KEPT = 40  # fixes
+FIXES_KEPT = 40  # fixes
 REJECTED = 0.4  # share of the fixes, from which the receiver is suspected
 EXCESS = 5.0  # times the claimed standard deviation
 JERK = 3.0  # m/s³, of a vehicle
@@ -37,7 +37,7 @@ class FixScatter:
 
     def __init__(self, inputs: InputLog) -> None:
         self._inputs = inputs
-        self._fixes: deque[tuple[int, Array, float, bool]] = deque(maxlen=KEPT)
+        self._fixes: deque[tuple[int, Array, float, bool]] = deque(maxlen=FIXES_KEPT)
         self._quiet = 0  # fixes until the next warning
 
     def on_verdict(self, verdict: Verdict) -> None:
@@ -50,10 +50,10 @@ class FixScatter:
             return
         sigma = float(np.sqrt(0.5 * (fix.covariance_n[0, 0] + fix.covariance_n[1, 1])))
         self._fixes.append((fix.t_ns, fix.lla, sigma, verdict.accepted))
-        if self._quiet or verdict.accepted or len(self._fixes) < KEPT:
+        if self._quiet or verdict.accepted or len(self._fixes) < FIXES_KEPT:
             return
         rejected = sum(not accepted for *_, accepted in self._fixes)
-        if rejected < REJECTED * KEPT:
+        if rejected < REJECTED * FIXES_KEPT:
             return
         scatter = self._scatter()
         claimed = float(np.median([sigma for _, _, sigma, _ in self._fixes]))
@@ -63,9 +63,9 @@ class FixScatter:
                 "gnss/fix",
                 Refused(
                     "gnss: claimed accuracy is not kept",
-                    f"{rejected} of {KEPT} fixes rejected: they scatter by {scatter:.2g} m from "
-                    f"one to the next, σ {claimed:.2g} m is used: set gnss.position_std_min to "
-                    f"{_rounded_up(scatter):g}",
+                    f"{rejected} of {FIXES_KEPT} fixes rejected: they scatter by {scatter:.2g} m "
+                    f"from one to the next, σ {claimed:.2g} m is used: set gnss.position_std_min "
+                    f"to {_rounded_up(scatter):g}",
                 ),
             )
 
@@ -77,7 +77,7 @@ class FixScatter:
         places = np.array([place for _, place, *_ in self._fixes])
         places = displacement(places[0], places)[:, :2]
         third = np.diff(places, 3, axis=0)[even[:-2] & even[1:-1] & even[2:]]
-        if len(third) < KEPT // 3:
+        if len(third) < FIXES_KEPT // 3:
             return 0.0
         motion = JERK * dt**3
         variance = (float(np.median(np.abs(third))) / 0.6745) ** 2 - motion**2

@@ -12,7 +12,7 @@ from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.ros.messages.conversions import Message, Refused, stamp_ns
 from hybrid_ins.ros.reporting.input_log import InputLog
 
-KEPT = 20  # fixes
+STAMPS_KEPT = 20  # fixes
 SHARED = 8  # of them with the stamp of the one before, and another position
 SECOND_NS = 1_000_000_000
 RADIANS = 1.6, 3.2  # of latitude and longitude: in degrees that is open sea off Ghana
@@ -34,7 +34,7 @@ class InputUnits:
 
     def __init__(self, inputs: InputLog) -> None:
         self._inputs = inputs
-        self._stamps: deque[tuple[int, float, float]] = deque(maxlen=KEPT)
+        self._stamps: deque[tuple[int, float, float]] = deque(maxlen=STAMPS_KEPT)
 
     def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
         """Compare a NavSatFix with those before."""
@@ -47,7 +47,7 @@ class InputUnits:
                 f"altitude is {message.altitude:.0f} m: it seems to be in millimetres or "
                 "centimetres; let the driver publish metres above the ellipsoid",
             )
-        if len(self._stamps) == KEPT:
+        if len(self._stamps) == STAMPS_KEPT:
             self._check_radians()
             self._check_whole_seconds()
 
@@ -72,8 +72,8 @@ class InputUnits:
         if shared >= SHARED:
             self._note(
                 "gnss: whole seconds",
-                f"header.stamp has whole seconds only, and {shared} of the last {KEPT} fixes have "
-                "the stamp of the one before: let the driver fill nanosec, or set "
+                f"header.stamp has whole seconds only, and {shared} of the last {STAMPS_KEPT} "
+                "fixes have the stamp of the one before: let the driver fill nanosec, or set "
                 "use_receive_time: true",
             )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.fix_checks.frozen_height import (
-    FEWEST,
+    FEWEST_FIXES,
     LEAST_WAY,
     FrozenHeight,
     FrozenHeightCheck,
@@ -50,7 +50,7 @@ def test_a_height_that_never_changes_is_taken_away_and_told_once(height: float) 
 def test_fast_vehicles_need_as_many_fixes() -> None:
     kept, _ = check(lambda k: 5.0, 40, step=50.0)
 
-    assert kept.index(False) == FEWEST - 1
+    assert kept.index(False) == FEWEST_FIXES - 1
 
 
 def test_the_first_height_that_differs_ends_it() -> None:

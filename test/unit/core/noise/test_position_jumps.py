@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.navigator.restart import RESETS, ResetCount
-from hybrid_ins.core.noise.position_jumps import DOUBTED_NS, MEMORY, PositionJumps
+from hybrid_ins.core.noise.position_jumps import DOUBTED_NS, JUMP_MEMORY, PositionJumps
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import PositionFix
 
@@ -61,8 +61,8 @@ def test_it_fades_while_none_jumps_and_is_none_below_the_claim() -> None:
     found = _after((10.0, (0.5, 0.5)))
 
     first = found.variance(10 * SECOND)
-    assert found.variance(round((10.0 + MEMORY) * SECOND)) == pytest.approx(first / np.e)
-    assert not found.variance(round((10.0 + 10.0 * MEMORY) * SECOND)).any()
+    assert found.variance(round((10.0 + JUMP_MEMORY) * SECOND)) == pytest.approx(first / np.e)
+    assert not found.variance(round((10.0 + 10.0 * JUMP_MEMORY) * SECOND)).any()
 
 
 def test_none_is_learned_soon_after_a_fault_of_the_imu() -> None:
