@@ -147,10 +147,8 @@ class Estimator:
             self.inputs.log("info", f"parameter {name} is {shortened(str(value))} from now on")
         self._parts.change(changes)
         self.clock.change(changes)
-        self._fixes.configure()
+        self._fixes.configure(changes)
         self.reporter.set_odometry_rate(self.values["odometry_rate"])
-        for running in self.navigator.phases.filters:
-            self._parts.change_running(running, changes)
         if any(name.startswith("noise.") for name in changes):
             self.noise.configure(self.values, self.placement.mount)
 

@@ -4,7 +4,7 @@ From parameters to the parts of a filter: process noise, noise model, gate, sett
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -106,8 +106,9 @@ class FilterFactory:
             self.alignment(), self, values["imu.max_gap"], values["imu.zero_updates"], record
         )
 
-    def change_running(self, running: InsFilter, changes: Mapping[str, Any]) -> None:
-        """Change the gate and the noise of a filter that runs, where ``changes`` concern them."""
+    def change_running(self, running: InsFilter, changes: Iterable[str] = ()) -> None:
+        """Give a filter that runs the settings; gate and noise where parameters of them changed."""
+        running.change_settings(self.settings)
         if any(name in GATE for name in changes):
             running.submit(SettingsChange(running.t_ns, gate=self.gate()))
         if any(name.startswith("noise.") or name.endswith("_bias_walk") for name in changes):

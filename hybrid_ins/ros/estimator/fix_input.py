@@ -4,7 +4,7 @@ Messages of the receiver into measurements.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -50,8 +50,8 @@ class FixInput:
         self._flood = FloodGuard()
         self.configure()
 
-    def configure(self) -> None:
-        """Use the present parameters, placement and clock offset."""
+    def configure(self, changes: Iterable[str] = ()) -> None:
+        """Use the present parameters, of which ``changes`` are new, placement and clock offset."""
         placement = self._placement
         is_placed = placement.antenna_is_placed
         self._parts.set_antenna(placement.lever_b, placement.antenna_std, is_placed)
@@ -59,7 +59,7 @@ class FixInput:
         self._parts.set_clock_offset(clock.offset, clock.prior, clock.drift)
         self._prior = clock.prior
         for running in self._navigator.phases.filters:
-            running.change_settings(self._parts.settings)
+            self._parts.change_running(running, changes)
         self._gnss = replace(
             GnssInput.from_parameters(self._values),
             lever_b=self._placement.lever_b,
