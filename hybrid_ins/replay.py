@@ -19,15 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import kernels, parameters, progress
-from hybrid_ins.bags.messages import (
-    FIX,
-    GPS_FIX,
-    INITIAL_POSE,
-    TRANSFORMS,
-    VELOCITY,
-    Message,
-    new_message,
-)
+from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader, InputTopics, received
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.smoothing.forward_record import RunRecord
@@ -38,6 +30,7 @@ from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
 from hybrid_ins.ros.estimator.imu_admission import NO_READING
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages.cdr import OdometryEncoder
+from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, POSE, TRANSFORMS, TWIST
 from hybrid_ins.ros.output.message_types import OUTPUTS, encode
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.reporting.reports import Report
@@ -203,13 +196,13 @@ class _Replay:
         else:
             self._handlers[fix_topic] = partial(self._measure, estimator.handle_fix)
             self._carried[fix_topic] = "/gnss/fix"
-        if bag.topics.get(velocity_topic) == VELOCITY:
+        if bag.topics.get(velocity_topic) == TWIST:
             self._handlers[velocity_topic] = partial(self._measure, estimator.handle_velocity)
             self._carried[velocity_topic] = "/gnss/velocity"
         for name, kind in aiding_sources.TOPICS.items():
             if bag.topics.get(f"/{name}") == kind:
                 self._handlers[f"/{name}"] = partial(_aid, estimator, name)
-        if bag.topics.get("/initialpose") == INITIAL_POSE:
+        if bag.topics.get("/initialpose") == POSE:
             self._handlers["/initialpose"] = lambda message, _: estimator.handle_initial_pose(
                 message
             )

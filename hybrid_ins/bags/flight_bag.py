@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins import progress
-from hybrid_ins.bags.messages import FIX, IMU, ODOMETRY, VELOCITY, Message, new_message
+from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.errors import InputError
@@ -46,6 +46,7 @@ from hybrid_ins.ros.messages.conversions import (
     set_stamp,
 )
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
+from hybrid_ins.ros.messages.type_names import FIX, IMU, ODOMETRY, TWIST
 
 # 2023-01-01T00:00:00Z. Files and simulations count from zero, which ROS takes for an unset stamp.
 EPOCH_NS = 1_672_531_200_000_000_000
@@ -202,7 +203,7 @@ def _fix_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
 def _velocity_entries(gnss: GnssRecord, log_offset_ns: int) -> Iterator[Entry]:
     if gnss.velocity_n is None or gnss.velocity_std is None:
         return
-    message = new_message(VELOCITY)
+    message = new_message(TWIST)
     # A receiver does not measure the rotation.
     variances = [*(gnss.velocity_std @ SWAP) ** 2, *np.full(3, UNKNOWN_VARIANCE)]
     message.twist.covariance[:] = np.diag(variances).ravel()

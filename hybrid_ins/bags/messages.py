@@ -14,14 +14,6 @@ from hybrid_ins.ros.messages import gps_fix, interface
 
 Message: TypeAlias = Any  # its class depends on the topic
 
-IMU = "sensor_msgs/msg/Imu"
-FIX = "sensor_msgs/msg/NavSatFix"
-GPS_FIX = gps_fix.GPS_FIX
-VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
-INITIAL_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
-
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in gps_fix.DEFINITIONS.items():
     TYPES.register(get_types_from_msg(_text, _name))

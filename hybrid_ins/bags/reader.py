@@ -20,19 +20,12 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags.formats import open_recording
 from hybrid_ins.bags.mcap_reader import Channel, Record
-from hybrid_ins.bags.messages import (
-    FIX,
-    GPS_FIX,
-    IMU,
-    TYPES,
-    Message,
-    absolute,
-    is_standard,
-)
+from hybrid_ins.bags.messages import TYPES, Message, absolute, is_standard
 from hybrid_ins.core.imu.samples import BlockList, Blocks
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.cdr import ImuDecoder, imu_records
 from hybrid_ins.ros.messages.conversions import imu_fields
+from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, IMU
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages import type_names
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.ros.placement.sensor_placement import PARAMETERS, SensorPlacement
 from hybrid_ins.ros.reporting.input_log import InputLog
@@ -56,12 +56,12 @@ def _placement(
     """Return the parameters ``NAMES`` by a bag."""
     placement = SensorPlacement(values, InputLog(lambda level, text: None))
     with BagReader(path) as bag:
-        if bag.topics.get("/tf_static") == messages.TRANSFORMS:
+        if bag.topics.get("/tf_static") == type_names.TRANSFORMS:
             for *_, message in bag.messages("/tf_static"):
                 placement.add_transforms(message)
         for sensor, topic, kind, option in (
-            ("imu/data", imu_topic, messages.IMU, "--imu-topic"),
-            ("gnss/fix", fix_topic, messages.FIX, "--fix-topic"),
+            ("imu/data", imu_topic, type_names.IMU, "--imu-topic"),
+            ("gnss/fix", fix_topic, type_names.FIX, "--fix-topic"),
         ):
             frame = _frame(bag, bag.require(topic, kind, option))
             if frame is not None:
@@ -83,7 +83,7 @@ def antenna_is_base(
 
     def frame(path: Path) -> str:
         with BagReader(path) as bag:
-            return _frame(bag, bag.require(fix_topic, messages.FIX, "--fix-topic")) or ""
+            return _frame(bag, bag.require(fix_topic, type_names.FIX, "--fix-topic")) or ""
 
     return not any(values["gnss.antenna_position"]) and all(
         frame(path).lstrip("/") == values["base_frame"] for path in paths

@@ -31,7 +31,7 @@ from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.estimator.imu_admission import admitted_readings
-from hybrid_ins.ros.messages import conversions, gps_fix
+from hybrid_ins.ros.messages import conversions, gps_fix, type_names
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages
 from hybrid_ins.ros.messages.conversions import FLIP, SWAP, GnssInput, Refused
 from hybrid_ins.ros.reporting.wording import describe_contradiction
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 TRUTH_STD = 0.03  # m, of a position of the truth used as a fix
 MOTION_STEP = 2.0  # s, over which changes of velocity are seen
 BEFORE_AND_AFTER = 10.0  # s, from the samples: fixes that are used
-WHEELS = {"/aiding/velocity": messages.VELOCITY, "/aiding/odometry": "nav_msgs/msg/Odometry"}
+WHEELS = {"/aiding/velocity": type_names.TWIST, "/aiding/odometry": type_names.ODOMETRY}
 
 _log = logging.getLogger(__name__)
 
@@ -207,7 +207,7 @@ def read_recording(
         if use_truth:
             aid, attitude = _truth(bag)
         else:
-            fix_topic = bag.require(fix_topic, messages.FIX, "--fix-topic")
+            fix_topic = bag.require(fix_topic, type_names.FIX, "--fix-topic")
             gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
             repetition = RepetitionCheck()
             for _, log_ns, message in bag.messages(fix_topic):
@@ -221,7 +221,7 @@ def read_recording(
                     delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
                     aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
                     unstated += bool(conversions.missing_covariance(message))
-            if bag.topics.get(velocity_topic) == messages.VELOCITY:
+            if bag.topics.get(velocity_topic) == type_names.TWIST:
                 for _, log_ns, message in bag.messages(velocity_topic):
                     velocity = gnss.velocity(message, received(values, log_ns))
                     if not isinstance(velocity, Refused):
@@ -304,7 +304,7 @@ def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
         if bag.topics.get(topic) != kind:
             continue
         for _, _, message in bag.messages(topic):
-            read = convert.twist if kind == messages.VELOCITY else convert.odometry
+            read = convert.twist if kind == type_names.TWIST else convert.odometry
             reading = read(message)
             if not isinstance(reading, Refused):
                 found.append(reading)
@@ -315,7 +315,7 @@ def _truth(
     bag: BagReader,
 ) -> tuple[list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
     """Return the positions of the truth as fixes, and its attitude: stamps [ns], C_nb (K, 4)."""
-    topic = bag.require("/truth/odometry", "nav_msgs/msg/Odometry", "a bag with truth")
+    topic = bag.require("/truth/odometry", type_names.ODOMETRY, "a bag with truth")
     datum = next(bag.messages("/truth/datum"), None)
     if datum is None:
         raise InputError(f"{bag.path}: no /truth/datum: the origin of the truth's map is unknown")

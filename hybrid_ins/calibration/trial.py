@@ -17,7 +17,7 @@ from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
-from hybrid_ins.ros.messages import gps_fix
+from hybrid_ins.ros.messages import gps_fix, type_names
 from hybrid_ins.ros.messages.conversions import SWAP, GnssInput, Refused
 
 Array = NDArray[np.float64]
@@ -127,9 +127,9 @@ def _run(
     t_blocks, pose_blocks = [np.empty(0, np.int64)], [np.empty((0, 43))]
     with BagReader(path) as bag:
         imu = bag.imu(topics["imu_topic"])
-        fix_topic = bag.require(topics["fix_topic"], messages.FIX, "--fix-topic")
+        fix_topic = bag.require(topics["fix_topic"], type_names.FIX, "--fix-topic")
         velocity_topic = topics["velocity_topic"]
-        has_velocity = bag.topics.get(velocity_topic) == messages.VELOCITY
+        has_velocity = bag.topics.get(velocity_topic) == type_names.TWIST
         used = np.arange(len(imu.log_ns))[rows]
         used = used[imu.has_reading[used]]
         stamps, log_ns = imu.times_ns(values)[used], imu.log_ns[used]

@@ -22,7 +22,7 @@ from hybrid_ins.bags.flight_bag import (
     stamp,
     stamps,
 )
-from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.dataset.logs.clock_match import clock_offset
 from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
@@ -31,6 +31,7 @@ from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import SWAP, datum_fix, set_place
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
+from hybrid_ins.ros.messages.type_names import FIX, IMU, TWIST
 
 Mask = NDArray[np.bool_]  # (M,)
 
@@ -170,7 +171,7 @@ def _velocity_entries(gnss: GnssLog) -> Iterator[Entry]:
     """Yield velocities whose horizontal part is known; an unknown vertical one is NaN."""
     if gnss.velocity_n is None or gnss.velocity_covariance_n is None:
         return
-    message = new_message(VELOCITY)
+    message = new_message(TWIST)
     velocity_enu = gnss.velocity_n[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
     covariance_enu = _covariance_enu(gnss.velocity_covariance_n)
     stamp_ns = stamps(gnss.t, 0.0).tolist()

@@ -17,15 +17,10 @@ from hybrid_ins.bags.messages import absolute
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Topics, Verdicts
+from hybrid_ins.ros.messages import type_names
 from hybrid_ins.ros.messages.conversions import stamp_ns as ns_of
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
 
-_ODOMETRY = "nav_msgs/msg/Odometry"
-_FIX = "sensor_msgs/msg/NavSatFix"
-_VERDICT = "diagnostic_msgs/msg/DiagnosticStatus"
-_BIAS = "geometry_msgs/msg/AccelWithCovarianceStamped"
-_VECTOR = "geometry_msgs/msg/Vector3Stamped"
-_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _ODOMETRY_DOUBLES = 85  # pose 7, covariance 36, twist 6, covariance 36: they end it
 _CHUNK = 10_000  # messages decoded at once
 _FIGURE = re.compile(r"[-+]?\d+(?:\.\d+)?")
@@ -126,14 +121,14 @@ def _trajectory(
 ) -> tuple[Trajectory, tuple[str, str]]:
     """Read an Odometry topic and its frames; faults are added to `notes`."""
     path = bag.reader.path
-    topic = bag.reader.require(topic, _ODOMETRY, option)
+    topic = bag.reader.require(topic, type_names.ODOMETRY, option)
     first = _first(bag.reader, topic)
     if first is None:
         raise InputError(f"{path}: no message on {topic}")
     trajectory, faults = trajectory_from_odometry(*_odometry_rows(bag.reader, topic))
     if not len(trajectory):
         raise InputError(f"{path}: {topic} has no usable message: {'; '.join(faults)}")
-    datums = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, _FIX)]
+    datums = [(m.latitude, m.longitude, m.altitude) for m in bag.of(datum_topic, type_names.FIX)]
     if len(set(datums)) > 1:
         faults.append(f"{datum_topic} changed during the run: the last one is used")
     if datums and np.all(np.isfinite(datums[-1])):
@@ -202,7 +197,7 @@ def _doubles(tails: list[bytes]) -> Array:
 def _fixes(bag: _Bag, topic: str) -> Fixes:
     rows = [
         (ns_of(m.header.stamp), m.latitude, m.longitude, m.altitude)
-        for m in bag.of(topic, _FIX)
+        for m in bag.of(topic, type_names.FIX)
         if m.status.status >= 0
     ]
     rows = sorted(r for r in rows if math.isfinite(r[1]) and math.isfinite(r[2]))
@@ -215,7 +210,7 @@ def _fixes(bag: _Bag, topic: str) -> Fixes:
 
 def _verdicts(bag: _Bag, topic: str) -> Verdicts:
     rows = []
-    for message in bag.of(topic, _VERDICT):
+    for message in bag.of(topic, type_names.STATUS):
         values = {pair.key: pair.value for pair in message.values}
         if not values.get("stamp", "").isdigit():
             continue
@@ -241,7 +236,7 @@ def _sensor_errors(bag: _Bag, topics: Topics, below: str = "") -> SensorErrors:
 
 def _biases(bag: _Bag, topic: str) -> tuple[Series | None, Series | None]:
     stamps, linear, angular, variances = [], [], [], []
-    for message in bag.of(topic, _BIAS):
+    for message in bag.of(topic, type_names.ACCELERATION):
         accel = message.accel.accel
         stamps.append(ns_of(message.header.stamp))
         linear.append(_xyz(accel.linear))
@@ -258,7 +253,7 @@ def _biases(bag: _Bag, topic: str) -> tuple[Series | None, Series | None]:
 
 
 def _vectors(bag: _Bag, topic: str) -> Series | None:
-    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in bag.of(topic, _VECTOR)]
+    rows = [(ns_of(m.header.stamp), _xyz(m.vector)) for m in bag.of(topic, type_names.VECTOR)]
     if not rows:
         return None
     return Series(np.array([r[0] for r in rows], np.int64), np.array([r[1] for r in rows]))
@@ -266,7 +261,7 @@ def _vectors(bag: _Bag, topic: str) -> Series | None:
 
 def _noise_source(bag: _Bag, topic: str) -> tuple[tuple[int, str], ...]:
     changes: list[tuple[int, str]] = []
-    for array in bag.of(topic, _DIAGNOSTICS):
+    for array in bag.of(topic, type_names.DIAGNOSTICS):
         for status in array.status:
             if not status.name.endswith("hybrid_ins: process noise"):
                 continue
@@ -283,7 +278,7 @@ def _lasting(bag: _Bag, topic: str) -> list[str]:
     seconds: Counter[str] = Counter()
     texts: dict[str, str] = {}  # the last, by the text without its figures
     total = 0
-    for array in bag.of(topic, _DIAGNOSTICS):
+    for array in bag.of(topic, type_names.DIAGNOSTICS):
         total += 1
         for status in array.status:
             level = status.level if isinstance(status.level, int) else ord(status.level)

@@ -21,6 +21,7 @@ from hybrid_ins.core.inertial.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.ros.messages.trajectory import Trajectory
+from hybrid_ins.ros.messages.type_names import ACCELERATION, VECTOR
 from hybrid_ins.simulation.motions import (
     Motion,
     aircraft_flight,
@@ -182,8 +183,8 @@ def _gnss_record(
 
 def _error_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
     """Yield messages of the true biases and noise variances, sensor axes (FLU)."""
-    bias = new_message("geometry_msgs/msg/AccelWithCovarianceStamped")
-    noise = new_message("geometry_msgs/msg/Vector3Stamped")
+    bias = new_message(ACCELERATION)
+    noise = new_message(VECTOR)
     for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
         stamp_ns = int(stamps(imu.t[row]))
         flight_bag.stamp(bias, stamp_ns, "imu_link")

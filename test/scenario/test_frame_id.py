@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from support.drive import KNOWN, Drive
 
-from hybrid_ins.bags.messages import TRANSFORMS, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import fill_transform, set_stamp
+from hybrid_ins.ros.messages.type_names import TRANSFORMS
 from hybrid_ins.ros.placement.frame_id import CONFIRMED
 
 LEVEL = (0.0, 0.0, 9.8)

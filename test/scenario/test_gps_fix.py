@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hybrid_ins.bags.messages import GPS_FIX, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.recording import read_recording
@@ -19,6 +19,7 @@ from hybrid_ins.parameters import check_all
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
 from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
+from hybrid_ins.ros.messages.type_names import GPS_FIX
 
 RADIANS_FROM_EAST = "is an angle in radians, from east"
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from rosbags.typesys import Stores, get_typestore
 
-from hybrid_ins.bags.messages import FIX, IMU, Message, new_message
+from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.ros.messages.type_names import FIX, IMU
 
 START_NS = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)

@@ -13,7 +13,7 @@ from support.ros_nodes import ENVIRONMENT, Client, start_node
 
 from hybrid_ins.parameters.declared import PARAMETERS
 from hybrid_ins.parameters.parameter import Parameter
-from hybrid_ins.ros.messages import interface
+from hybrid_ins.ros.messages import interface, type_names
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
@@ -48,7 +48,7 @@ class Running:
 
     def __init__(self, client: Client) -> None:
         self.client = client
-        has_tf = interface.TRANSFORMS in client_types()
+        has_tf = type_names.TRANSFORMS in client_types()
         self.subscribed = {
             full(t.name): t for t in interface.SUBSCRIBED if has_tf or t.name != "/tf_static"
         }
@@ -77,7 +77,7 @@ def client_types() -> set[str]:
         import tf2_msgs.msg  # noqa: F401
     except ImportError:
         return set()
-    return {interface.TRANSFORMS}
+    return {type_names.TRANSFORMS}
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,14 @@ import pytest
 from support.paths import ROOT
 
 from hybrid_ins.bags.mcap_writer import CHUNK_SIZE
-from hybrid_ins.bags.messages import IMU, absolute, new_message
+from hybrid_ins.bags.messages import absolute, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import play as program
 from hybrid_ins.playback import ESTIMATES, NOT_PLAYED
 from hybrid_ins.ros.messages.cdr import ImuDecoder
 from hybrid_ins.ros.messages.interface import PUBLISHED
+from hybrid_ins.ros.messages.type_names import IMU
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")

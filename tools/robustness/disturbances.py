@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.bags.messages import TRANSFORMS, Message, new_message
 from hybrid_ins.bags.messages import TYPES as ROS_TYPES
+from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.ros.messages.conversions import KNOWN, fill_transform, set_stamp, stamp_ns
+from hybrid_ins.ros.messages.type_names import TRANSFORMS
 
 IMU, FIX, VELOCITY, POSE = "/imu/data", "/gnss/fix", "/gnss/velocity", "/initialpose"
 TF_STATIC, TRANSFORM = "/tf_static", "geometry_msgs/msg/TransformStamped"

@@ -19,17 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_ins.bags.messages import FIX, IMU, INITIAL_POSE, TYPES, VELOCITY, new_message
+from hybrid_ins.bags.messages import TYPES, new_message
 from hybrid_ins.cli import simulate
 from hybrid_ins.ros.aids import aiding_sources
+from hybrid_ins.ros.messages.type_names import FIX, IMU, POSE, TWIST
 from tools.processes import Processes, isolated_ros, program
 from tools.robustness.soak import resident
 
 INPUTS = {
     "imu/data": IMU,
     "gnss/fix": FIX,
-    "gnss/velocity": VELOCITY,
-    "initialpose": INITIAL_POSE,
+    "gnss/velocity": TWIST,
+    "initialpose": POSE,
     **aiding_sources.TOPICS,
 }
 ODD = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1.0, 9.81, 90.0, 1e3, 1e9, 1e308, -1e308, 5e-324)

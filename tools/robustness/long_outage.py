@@ -14,12 +14,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid_ins import kernels, parameters
-from hybrid_ins.bags.messages import FIX, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.state import covariance
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.ros.messages.type_names import FIX
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample
 from tools.robustness.soak import GROWTH, SETTLED, resident

@@ -21,10 +21,11 @@ import numpy as np
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.flight_bag import UNKNOWN_VARIANCE, Entry, set_vector, stamp
-from hybrid_ins.bags.messages import FIX, IMU, VELOCITY, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.messages.conversions import DIAGONAL
+from hybrid_ins.ros.messages.type_names import FIX, IMU, TWIST
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.parallel import run_parallel
 from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
@@ -68,7 +69,7 @@ def _fixes(drive: Drive) -> Iterator[Entry]:
 def _velocities(drive: Drive) -> Iterator[Entry]:
     if drive.velocity_enu is None or drive.velocity_std is None:
         return
-    message = new_message(VELOCITY)
+    message = new_message(TWIST)
     known = np.isfinite(drive.velocity_enu).all(axis=1)
     for k in np.flatnonzero(known).tolist():
         variance = [*np.nan_to_num(drive.velocity_std[k]) ** 2, *np.full(3, UNKNOWN_VARIANCE)]

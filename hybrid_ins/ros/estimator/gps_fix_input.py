@@ -7,9 +7,8 @@ from __future__ import annotations
 from typing import Any
 
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages.conversions import stamp_ns
+from hybrid_ins.ros.messages.conversions import NewMessage, stamp_ns
 from hybrid_ins.ros.messages.gps_fix import (
-    NewMessage,
     TrackCheck,
     fix_type,
     position_of,

@@ -30,6 +30,7 @@ from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros.messages.cdr import ImuFields
+from hybrid_ins.ros.messages.type_names import FIX
 
 Array = NDArray[np.float64]
 Message = Any
@@ -377,7 +378,7 @@ def set_place(place: Message, lla: Array) -> None:
 
 def datum_fix(new: NewMessage, t_ns: int, frame_id: str, datum_lla: Array) -> Message:
     """Fill a NavSatFix with the origin of the map."""
-    message = new("sensor_msgs/msg/NavSatFix")
+    message = new(FIX)
     set_stamp(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
     set_place(message, datum_lla)

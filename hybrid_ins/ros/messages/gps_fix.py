@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.inertial.earth import horizontal_displacement
+from hybrid_ins.ros.messages.conversions import NewMessage
+from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, TWIST
 
 Array = NDArray[np.float64]
 Message = Any
-NewMessage = Callable[[str], Message]
 
-GPS_FIX = "gps_msgs/msg/GPSFix"
 DEFINITIONS = {
     "gps_msgs/msg/GPSStatus": (
         "std_msgs/Header header\n"
@@ -83,7 +82,7 @@ def position_of(message: Message, new: NewMessage) -> Message:
     """
     if not hasattr(message, "err_horz"):
         return message
-    fix = new("sensor_msgs/msg/NavSatFix")
+    fix = new(FIX)
     fix.header = message.header
     fix.status.status = NAVSAT_STATUS.get(int(message.status.status), 0)
     fix.latitude, fix.longitude = message.latitude, message.longitude
@@ -113,7 +112,7 @@ def velocity_of(message: Message, new: NewMessage) -> Message | None:
         return None
     if speed == 0.0 and (climb == 0.0 or math.isnan(climb)) and not std:
         return None
-    twist = new("geometry_msgs/msg/TwistWithCovarianceStamped")
+    twist = new(TWIST)
     twist.header = message.header
     sine, cosine = math.sin(math.radians(track)), math.cos(math.radians(track))
     linear = twist.twist.twist.linear

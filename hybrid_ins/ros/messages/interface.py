@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hybrid_ins.ros.messages.gps_fix import GPS_FIX
+from hybrid_ins.ros.messages import type_names
 
 
 class Quality(NamedTuple):
@@ -43,17 +43,10 @@ OUTPUT = Quality(100, reliable=True)
 FIXED = Quality(100, reliable=True, transient_local=True)
 LATEST = Quality(1, reliable=True, transient_local=True)
 
-TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
-ODOMETRY = "nav_msgs/msg/Odometry"
-FIX = "sensor_msgs/msg/NavSatFix"
-VECTOR = "geometry_msgs/msg/Vector3Stamped"
-DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-
 AIDING = (
     Topic(
         "aiding/velocity",
-        TWIST,
+        type_names.TWIST,
         SENSOR,
         "optional. Velocity of the vehicle in the axes of `base_frame`: wheels, a Doppler log. "
         "Axes with a variance of 0 or above 100 (m/s)² are not used. Where no axis is left and "
@@ -62,20 +55,20 @@ AIDING = (
     ),
     Topic(
         "aiding/odometry",
-        ODOMETRY,
+        type_names.ODOMETRY,
         SENSOR,
         "optional. The same from the twist of an odometry, of which nothing else is used",
     ),
     Topic(
         "aiding/heading",
-        "sensor_msgs/msg/Imu",
+        type_names.IMU,
         SENSOR,
         "optional. Orientation of `base_frame` (forward, left, up) in east-north-up, of which the "
         "yaw is used: two antennas, a compass. Only after the motion has confirmed it",
     ),
     Topic(
         "aiding/pressure",
-        "sensor_msgs/msg/FluidPressure",
+        type_names.PRESSURE,
         SENSOR,
         "optional. Its height is used in outages; its offset is found with fixes",
     ),
@@ -84,14 +77,14 @@ AIDING = (
 SUBSCRIBED = (
     Topic(
         "imu/data",
-        "sensor_msgs/msg/Imu",
+        type_names.IMU,
         IMU,
         "required. Angular rates [rad/s] and specific force [m/s²] as REP-145 defines them: at "
         "rest +9.8 on the axis that points up",
     ),
     Topic(
         "gnss/fix",
-        FIX,
+        type_names.FIX,
         SENSOR,
         "required, unless `gnss/gpsfix` is given. A fix is valid when `status.status` is 0 or "
         "more. Altitude is above the WGS-84 ellipsoid; where it is NaN only the horizontal "
@@ -99,7 +92,7 @@ SUBSCRIBED = (
     ),
     Topic(
         "gnss/gpsfix",
-        GPS_FIX,
+        type_names.GPS_FIX,
         SENSOR,
         "in place of `gnss/fix`, where gps_msgs is installed: position, velocity (track, speed, "
         "climb), kind of fix, DOP. Uncertainties are 95 % values. The velocity is used once "
@@ -107,7 +100,7 @@ SUBSCRIBED = (
     ),
     Topic(
         "gnss/velocity",
-        TWIST,
+        type_names.TWIST,
         SENSOR,
         "optional. Velocity of the antenna, in east-north-up axes. A vertical component of exactly "
         "0 without a positive variance says nothing of the climb",
@@ -115,14 +108,14 @@ SUBSCRIBED = (
     *AIDING,
     Topic(
         "initialpose",
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        type_names.POSE,
         OUTPUT,
         "optional. Sets the heading by hand, in the frame `map`; RViz publishes it with *2D Pose "
         "Estimate*",
     ),
     Topic(
         "/tf_static",
-        TRANSFORMS,
+        type_names.TRANSFORMS,
         FIXED,
         "optional, where tf2 is installed. Positions of the sensors, used where the parameters "
         "`imu.position` and `imu.mount_rpy`, or `gnss.antenna_position`, are zero",
@@ -132,7 +125,7 @@ SUBSCRIBED = (
 PUBLISHED = (
     Topic(
         "odometry",
-        ODOMETRY,
+        type_names.ODOMETRY,
         OUTPUT,
         "pose of `base_link` in `map`, twist in `base_link`, full covariances; at the IMU's rate, "
         "or at `odometry_rate`. From the first fix until the heading is known it comes at 10 Hz "
@@ -142,61 +135,61 @@ PUBLISHED = (
     ),
     Topic(
         "odometry/local",
-        ODOMETRY,
+        type_names.ODOMETRY,
         OUTPUT,
         "the same in `odom`: continuous, without jumps when a fix corrects the estimate",
     ),
     Topic(
         "gnss/filtered",
-        FIX,
+        type_names.FIX,
         OUTPUT,
         "the estimated position with its covariance; `status.status` is -1 (no fix) while dead "
         "reckoning, from two seconds after the last fused fix on",
     ),
     Topic(
         "q/accelerometer",
-        VECTOR,
+        type_names.VECTOR,
         OUTPUT,
         "the noise variance per IMU sample that the filter uses, for each axis; an upper bound "
         "where fast motion or vibration covers the noise",
     ),
-    Topic("q/gyroscope", VECTOR, OUTPUT, "the same of the gyroscope"),
+    Topic("q/gyroscope", type_names.VECTOR, OUTPUT, "the same of the gyroscope"),
     Topic(
         "imu/bias",
-        "geometry_msgs/msg/AccelWithCovarianceStamped",
+        type_names.ACCELERATION,
         OUTPUT,
         "estimated biases with covariance; linear: accelerometer, angular: gyroscope",
     ),
     Topic(
         "gnss/verdict",
-        DIAGNOSTIC_STATUS,
+        type_names.STATUS,
         OUTPUT,
         "for each fix: accepted or the reason for rejection, NIS, threshold, σ used",
     ),
     Topic(
         "aiding/verdict",
-        DIAGNOSTIC_STATUS,
+        type_names.STATUS,
         OUTPUT,
         "the same for each reading of an aiding sensor that was given to the filter",
     ),
     Topic(
         "validity",
-        DIAGNOSTIC_STATUS,
+        type_names.STATUS,
         LATEST,
         "position, velocity and heading: *good*, *waiting* (WARN: no estimate yet), *coasting* "
         "(WARN: no fixes, σ within `validity.*_std_max`) or *lost* (ERROR: σ beyond it, no "
         "estimate any more, or no IMU sample for a second); on every change",
     ),
-    Topic("datum", FIX, LATEST, "origin of `map`; late subscribers receive it, too"),
+    Topic("datum", type_names.FIX, LATEST, "origin of `map`; late subscribers receive it, too"),
     Topic(
         "/diagnostics",
-        "diagnostic_msgs/msg/DiagnosticArray",
+        type_names.DIAGNOSTICS,
         OUTPUT,
         "once a second; see [diagnostics](diagnostics.md)",
     ),
     Topic(
         "/tf",
-        TRANSFORMS,
+        type_names.TRANSFORMS,
         OUTPUT,
         "map → odom → base_link at 50 Hz, where tf2 is installed and `publish_tf` is true",
     ),

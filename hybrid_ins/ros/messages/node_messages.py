@@ -15,16 +15,18 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
+from hybrid_ins.ros.messages import type_names
+
 MESSAGES = {
-    "nav_msgs/msg/Odometry": Odometry,
-    "sensor_msgs/msg/NavSatFix": NavSatFix,
-    "sensor_msgs/msg/Imu": Imu,
-    "sensor_msgs/msg/FluidPressure": FluidPressure,
-    "geometry_msgs/msg/TwistWithCovarianceStamped": TwistWithCovarianceStamped,
-    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped,
-    "geometry_msgs/msg/AccelWithCovarianceStamped": AccelWithCovarianceStamped,
-    "diagnostic_msgs/msg/DiagnosticStatus": DiagnosticStatus,
-    "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
+    type_names.ODOMETRY: Odometry,
+    type_names.FIX: NavSatFix,
+    type_names.IMU: Imu,
+    type_names.PRESSURE: FluidPressure,
+    type_names.TWIST: TwistWithCovarianceStamped,
+    type_names.VECTOR: Vector3Stamped,
+    type_names.ACCELERATION: AccelWithCovarianceStamped,
+    type_names.STATUS: DiagnosticStatus,
+    type_names.DIAGNOSTICS: DiagnosticArray,
 }
 
 

@@ -19,7 +19,8 @@ from hybrid_ins.ros.messages.cdr import (
     stamped,
 )
 from hybrid_ins.ros.messages.conversions import STATUS_FIX, STATUS_NO_FIX, fill_transform
-from hybrid_ins.ros.messages.interface import PUBLISHED, TRANSFORMS
+from hybrid_ins.ros.messages.interface import PUBLISHED
+from hybrid_ins.ros.messages.type_names import TRANSFORMS
 from hybrid_ins.ros.output.odom_frame import map_from_odom
 from hybrid_ins.ros.reporting.reports import (
     Diagnostics,

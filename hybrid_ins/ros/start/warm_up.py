@@ -15,6 +15,7 @@ from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import NewMessage
+from hybrid_ins.ros.messages.type_names import FIX, TWIST
 from hybrid_ins.ros.output.message_types import encode
 
 
@@ -37,10 +38,10 @@ def warm_up(new: NewMessage, values: Mapping[str, Any]) -> None:
         "alignment.window": 0.05,
     }
     estimator = Estimator(values, lambda level, text: None)
-    fix = new("sensor_msgs/msg/NavSatFix")
+    fix = new(FIX)
     fix.status.status = conversions.STATUS_FIX
     fix.latitude = 1.0
-    velocity = new("geometry_msgs/msg/TwistWithCovarianceStamped")
+    velocity = new(TWIST)
     for k in range(1, 101):
         t_ns = k * 10_000_000
         estimator.handle_imu(ImuFields(t_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))

@@ -20,9 +20,9 @@ from support.bags import TYPES, imu_message, serialised, stamp_ns, write_flight
 from support.paths import ROOT
 
 from hybrid_ins.bags import mcap_reader
-from hybrid_ins.bags.messages import IMU
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages.type_names import IMU
 
 
 @pytest.fixture(scope="module")

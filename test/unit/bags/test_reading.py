@@ -17,10 +17,11 @@ from rosbags.typesys import Stores, get_typestore
 from support.bags import FIX, TYPES, imu_message, serialised, stamp_ns, write_flight
 
 from hybrid_ins.bags import reader
-from hybrid_ins.bags.messages import IMU, Message, new_message
+from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages.type_names import IMU
 from hybrid_ins.row_file import BlockFile
 
 

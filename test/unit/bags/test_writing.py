@@ -16,10 +16,11 @@ from mcap.reader import make_reader
 from support.bags import FIX, imu_message, stamp_ns, write_flight
 from support.paths import ROOT
 
-from hybrid_ins.bags.messages import IMU, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages.type_names import IMU
 
 
 @pytest.mark.parametrize("name", ["bag", "bag.mcap"])

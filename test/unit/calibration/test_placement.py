@@ -11,12 +11,13 @@ import pytest
 from support.bags import START_NS, imu_message
 
 from hybrid_ins import parameters
-from hybrid_ins.bags.messages import FIX, TRANSFORMS, new_message
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.calibration.placement import NAMES, with_placement
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import mount_matrix
+from hybrid_ins.ros.messages.type_names import FIX, TRANSFORMS
 
 IMU_RPY, IMU_PLACE = (math.pi, 0.0, 0.5 * math.pi), (0.6, -0.3, 0.2)
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.ros.messages.gps_fix import GPS_FIX, TrackCheck, position_of, velocity_of
+from hybrid_ins.ros.messages.gps_fix import TrackCheck, position_of, velocity_of
+from hybrid_ins.ros.messages.type_names import GPS_FIX
 
 EARTH = 6_371_000.0  # m
 
