@@ -63,7 +63,7 @@ def draw_map(axes: Axes, view: RunView) -> None:
     finish_map(axes, [p, fixes, *([] if view.truth is None else [view.truth.position_enu])])
 
 
-def finish_map(axes: Axes, positions: Sequence[Array], legend: bool = True) -> None:
+def finish_map(axes: Axes, positions: Sequence[Array]) -> None:
     """
     Add equal axes, a scale bar, north, and the legend in the emptiest corners of a map.
 
@@ -73,8 +73,6 @@ def finish_map(axes: Axes, positions: Sequence[Array], legend: bool = True) -> N
         With everything drawn.
     positions : sequence of ndarray, shape (N, 2 or 3)
         What is drawn, east and north [m].
-    legend : bool
-        Add the legend.
     """
     from matplotlib.offsetbox import AnchoredOffsetbox
 
@@ -96,11 +94,8 @@ def finish_map(axes: Axes, positions: Sequence[Array], legend: bool = True) -> N
         )
 
     first, second = sorted(_CORNERS, key=covered)[:2]
-    if legend:
-        axes.legend(loc=first)
-    box = AnchoredOffsetbox(
-        second if legend else first, child=_scale_and_north(axes, right - left), pad=0.3
-    )
+    axes.legend(loc=first)
+    box = AnchoredOffsetbox(second, child=_scale_and_north(axes, right - left), pad=0.3)
     box.patch.set(alpha=0.8, edgecolor="none")
     axes.add_artist(box)
 

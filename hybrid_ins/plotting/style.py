@@ -113,11 +113,11 @@ def legend_above(axes: Axes) -> None:
     )
 
 
-def legend_inside(axes: Axes, font_size: float = 7.5) -> float:
+def legend_inside(axes: Axes) -> float:
     """Put the legend at the top of the panel, within its width; returns its share of the height."""
     panel = axes.get_window_extent()
     for columns in (4, 3, 2, 1):
-        legend = axes.legend(ncols=columns, loc="upper right", fontsize=font_size)
+        legend = axes.legend(ncols=columns, loc="upper right", fontsize=7.5)
         box = legend.get_window_extent()
         if box.width < 0.98 * panel.width:
             break

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.inertial import rotations
 from hybrid_ins.core.inertial.earth import LocalFrame
-from hybrid_ins.core.inertial.state import DP, DV, EPS
 from hybrid_ins.ros.messages.conversions import SWAP
 
 Array = NDArray[np.float64]
@@ -55,7 +54,6 @@ class Trajectory:
         lla: Array,
         velocity_n: Array | None = None,
         quat_nb_xyzw: Array | None = None,
-        covariance: Array | None = None,
         *,
         datum_lla: Array,
     ) -> Trajectory:
@@ -72,8 +70,6 @@ class Trajectory:
             Velocity over ground, NED [m/s].
         quat_nb_xyzw : ndarray, shape (N, 4), optional
             Body (FRD) to navigation frame (NED).
-        covariance : ndarray, shape (N, M, M), M >= 9, optional
-            Of the error state: position [m], velocity [m/s], misalignment [rad], all NED.
         datum_lla : ndarray, shape (3,)
             Origin of the map.
 
@@ -81,9 +77,6 @@ class Trajectory:
         frame = LocalFrame(datum_lla)
         # The axes of the navigation frame depend on the position; those of the map do not.
         C_map_n = SWAP @ np.array([frame.C_from_n(place) for place in lla]).reshape(-1, 3, 3)
-
-        def block(part: slice) -> Array | None:
-            return None if covariance is None else _rotated(C_map_n, covariance[:, part, part])
 
         return cls(
             np.asarray(stamp_ns, np.int64),
@@ -95,9 +88,6 @@ class Trajectory:
                 rotations.quat_from_matrix(C_map_n),
                 rotations.quat_multiply(quat_nb_xyzw, _QUAT_FRD_FLU),
             ),
-            block(DP),
-            _velocity_base_cov(velocity_n, quat_nb_xyzw, covariance),
-            block(EPS),
             datum_lla=frame.datum_lla,
         )
 
@@ -312,21 +302,6 @@ def _none_if_unknown(values: Array) -> Array | None:
 def _none_if_unset(covariance: Array) -> Array | None:
     """Return None for covariances that are all zero or not finite."""
     return covariance if np.any(np.nan_to_num(covariance, posinf=0.0, neginf=0.0)) else None
-
-
-def _velocity_base_cov(
-    velocity_n: Array | None, quat_nb_xyzw: Array | None, covariance: Array | None
-) -> Array | None:
-    """Covariance of C_bn v_n along FLU axes: its error is C_bn (dv - [v x] eps)."""
-    if velocity_n is None or quat_nb_xyzw is None or covariance is None:
-        return None
-    C_flu_n = np.swapaxes(
-        rotations.matrix_from_quat(rotations.quat_multiply(quat_nb_xyzw, _QUAT_FRD_FLU)), -1, -2
-    )
-    J = np.zeros((len(velocity_n), 3, covariance.shape[-1]))
-    J[:, :, DV] = C_flu_n
-    J[:, :, EPS] = -C_flu_n @ rotations.skew(velocity_n)
-    return _rotated(J, covariance)
 
 
 def _rotated(C: Array, covariance: Array) -> Array:
