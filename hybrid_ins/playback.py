@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hybrid_ins.bags.messages import LATCHED, absolute, is_standard
+from hybrid_ins.bags.messages import LATCHED, TRUTH, absolute, is_standard
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.errors import InputError
@@ -17,7 +17,6 @@ from hybrid_ins.ros.messages.interface import PUBLISHED
 
 ESTIMATES = tuple(absolute(topic.name) for topic in PUBLISHED if topic.name != "/tf")
 NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/tf_static", "/rosout", "/parameter_events")
-TRUTH = "/truth/"
 
 _SETTLING = 0.3  # s; a subscriber learns of us a little later than we learn of it
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import kernels, parameters, progress
-from hybrid_ins.bags.messages import Message, new_message
+from hybrid_ins.bags.messages import TRUTH, Message, new_message
 from hybrid_ins.bags.reader import BagReader, InputTopics, received
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.smoothing.forward_record import RunRecord
@@ -33,15 +33,13 @@ from hybrid_ins.ros.messages.cdr import OdometryEncoder
 from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, POSE, TRANSFORMS, TWIST
 from hybrid_ins.ros.output.message_types import OUTPUTS, encode
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
+from hybrid_ins.ros.reporting.input_log import Log
 from hybrid_ins.ros.reporting.reports import Report
 from hybrid_ins.row_file import BlockFile, ObjectFile, RowFile
 
 SMOOTHED = ("odometry", "gnss/filtered", "imu/bias", "q/accelerometer", "q/gyroscope")
 VERDICT = "gnss/verdict"
-TRUTH = "/truth/"
 MESSAGES_AT_A_TIME = 256  # odometry messages that are written at a time
-
-Log = Callable[[str, str], None]  # level and text
 
 _LEVELS = {"info": logging.INFO, "warn": logging.WARNING, "error": logging.ERROR}
 _log = logging.getLogger(__name__)

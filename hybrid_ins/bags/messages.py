@@ -63,6 +63,7 @@ def absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
 
 
+TRUTH = "/truth/"  # topics of the true motion begin with it
 LATCHED = frozenset(
     {"/truth/datum"}
     | {absolute(name) for name, q in interface.QUALITY.items() if q.transient_local}

@@ -58,6 +58,7 @@ from hybrid_ins.ros.output.message_types import OUTPUTS, fill_transforms
 from hybrid_ins.ros.output.output_topics import OutputTopics
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.placement.static_transforms import without_tf2
+from hybrid_ins.ros.reporting.input_log import Log
 from hybrid_ins.ros.review.crowded_topics import CrowdedTopics
 from hybrid_ins.ros.start.memory import HypothesesHeap
 from hybrid_ins.ros.start.warm_start import WarmStart
@@ -129,9 +130,7 @@ class LiveEstimator:
         Counts and logs what callbacks raise.
     """
 
-    def __init__(
-        self, node: Node, values: Mapping[str, Any], log: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, node: Node, values: Mapping[str, Any], log: Log) -> None:
         self._node = node
         self._decoder = ImuDecoder()
         self.estimator = Estimator(values, log)

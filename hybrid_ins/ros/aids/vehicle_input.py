@@ -5,7 +5,7 @@ The constraint of a vehicle on wheels, or with wings, into the navigator, where 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.noise_regressor.slip import SlipReader
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.ros.reporting.diagnostics import status
+from hybrid_ins.ros.reporting.input_log import Log
 from hybrid_ins.ros.reporting.reports import Status
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ class VehicleInput:
         values: Mapping[str, Any],
         navigator: Navigator,
         fixes: FixWatch,
-        log: Callable[[str, str], None],
+        log: Log,
     ) -> None:
         self._values = values
         self._navigator = navigator

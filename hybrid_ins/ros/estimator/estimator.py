@@ -39,7 +39,7 @@ from hybrid_ins.ros.messages.conversions import MapFrame, Message, Refused
 from hybrid_ins.ros.output.odometry import OdometrySource
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.ros.reporting import wording
-from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.reporting.input_log import InputLog, Log
 from hybrid_ins.ros.reporting.reports import Odometry, Report
 from hybrid_ins.ros.reporting.wording import STAMP_FAULTS
 from hybrid_ins.ros.review.input_review import InputReview
@@ -101,7 +101,7 @@ class Estimator:
     def __init__(
         self,
         values: Mapping[str, Any],
-        log: Callable[[str, str], None],
+        log: Log,
         record: RunRecord | None = None,
     ) -> None:
         self.values = dict(values)

@@ -4,7 +4,7 @@ Noise levels into the navigator: a regressor asked at the period of ``noise.refr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.noise_regressor.reader import NoiseReader
+from hybrid_ins.ros.reporting.input_log import Log
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class NoiseInput:
         Stamp of the next estimate [ns].
     """
 
-    def __init__(self, navigator: Navigator, log: Callable[[str, str], None]) -> None:
+    def __init__(self, navigator: Navigator, log: Log) -> None:
         self._navigator = navigator
         self._log = log
         self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.resources import shortened
-from hybrid_ins.ros.messages.conversions import FLIP, Message, Refused, imu_yaw, stamp_ns
+from hybrid_ins.ros.messages.conversions import (
+    FLIP,
+    Message,
+    Refused,
+    imu_yaw,
+    stamp_ns,
+    zero_stamp,
+)
 
 Array = NDArray[np.float64]
 
@@ -70,7 +77,7 @@ class AidingMessages:
     def _velocity(self, message: Message, frame: str) -> BodyVelocity | Refused:
         t_ns = stamp_ns(message.header.stamp)
         if t_ns <= 0:
-            return Refused("aiding: zero stamp", "header.stamp is zero: the driver must set it")
+            return zero_stamp("aiding")
         if frame not in ("", self.base_frame):
             return Refused(
                 "aiding: other frame",
@@ -100,7 +107,7 @@ class AidingMessages:
         """Convert the orientation of a sensor_msgs/Imu, ENU, in the axes of the base frame."""
         t_ns = stamp_ns(message.header.stamp)
         if t_ns <= 0:
-            return Refused("aiding: zero stamp", "header.stamp is zero: the driver must set it")
+            return zero_stamp("aiding")
         q = message.orientation
         variances = np.array(message.orientation_covariance, float)
         yaw = imu_yaw((q.x, q.y, q.z, q.w), self.mount)
@@ -115,7 +122,7 @@ class AidingMessages:
         """Convert a sensor_msgs/FluidPressure; the height is that of the standard atmosphere."""
         t_ns = stamp_ns(message.header.stamp)
         if t_ns <= 0:
-            return Refused("aiding: zero stamp", "header.stamp is zero: the driver must set it")
+            return zero_stamp("aiding")
         pressure = float(message.fluid_pressure)
         if not (math.isfinite(pressure) and 1e4 < pressure < 1.2e5):
             return Refused(

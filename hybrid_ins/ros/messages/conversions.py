@@ -96,6 +96,11 @@ class Refused:
     text: str
 
 
+def zero_stamp(sensor: str) -> Refused:
+    """Return that a sensor's message has no stamp."""
+    return Refused(f"{sensor}: zero stamp", "header.stamp is zero: the driver must set it")
+
+
 @dataclass(frozen=True, slots=True)
 class GnssInput:
     """
@@ -139,7 +144,7 @@ class GnssInput:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` replaces its stamp if given."""
         t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
-            return Refused("gnss: zero stamp", "header.stamp is zero: the driver must set it")
+            return zero_stamp("gnss")
         if message.status.status < STATUS_FIX:
             return Refused("gnss: no fix", f"status {message.status.status} means no fix")
         lat, lon, height = message.latitude, message.longitude, message.altitude
@@ -193,7 +198,7 @@ class GnssInput:
         """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
         t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
-            return Refused("velocity: zero stamp", "header.stamp is zero: the driver must set it")
+            return zero_stamp("velocity")
         linear = message.twist.twist.linear
         velocity_enu = np.array([linear.x, linear.y, linear.z], float)
         if not np.all(np.isfinite(velocity_enu[:2])) or math.isinf(velocity_enu[2]):

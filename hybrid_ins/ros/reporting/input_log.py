@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from hybrid_ins.ros.messages.conversions import Refused
 
-Log = Callable[[str, str], None]
+Log = Callable[[str, str], None]  # level (info, warn, error) and a line for the user
 
 RECENT_NS = 10_000_000_000  # seconds in which what is odd is new
 ORDINARY = ("gnss: aligning",)  # counts of what happens at every start

@@ -68,9 +68,7 @@ class WarmStart:
         InputError
             There is no file to write, or nothing to save yet.
         """
-        if self.path is None:
-            raise InputError("the parameter state_file is empty: set it to a path, and restart")
-        navigator = self._estimator.navigator
+        path, navigator = self._given_path(), self._estimator.navigator
         running = navigator.filter
         if running is None:
             raise InputError("nothing to save: the filter does not run yet")
@@ -83,9 +81,14 @@ class WarmStart:
             running.noise.levels(),
             self._estimator.clock.offset,
         )
-        saved.write(self.path)
+        saved.write(path)
         self._saved_ns, self._saved_standing = saved.stamp_ns, saved.standing
-        return f"saved to {self.path}"
+        return f"saved to {path}"
+
+    def _given_path(self) -> Path:
+        if self.path is None:
+            raise InputError("the parameter state_file is empty: set it to a path, and restart")
+        return self.path
 
     @property
     def _has_something(self) -> bool:
@@ -123,9 +126,7 @@ class WarmStart:
         InputError
             There is no usable file.
         """
-        if self.path is None:
-            raise InputError("the parameter state_file is empty: set it to a path, and restart")
-        self._known = SavedState.read(self.path)
+        self._known = SavedState.read(self._given_path())
         self._prepared, self._heading_used, self._informed = None, False, False
         offset = self._known.clock_offset
         if self._estimator.values["gnss.time_offset.estimate"]:
