@@ -199,57 +199,29 @@ def read_recording(
         imu_ns, place = imu.times_ns(values), f"{path}: {imu_topic}"
         rows = _longest_part(imu, values, place)
         wheels = _wheels(bag, values)
-        aid: list[tuple[int, int, Array, Array]] = []
-        ahead_ns: list[int] = []  # stamps of fixes, of the recorder's clock
-        delay_ns: list[int] = []  # of fixes behind the IMU
-        unstated = 0  # fixes without a covariance
-        attitude = None
         if use_truth:
-            aid, attitude = _truth(bag)
+            found, attitude = _truth(bag)
         else:
             fix_topic = bag.require(fix_topic, type_names.FIX, "--fix-topic")
-            gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
-            repetition = RepetitionCheck()
-            for _, log_ns, message in bag.messages(fix_topic):
-                message = gps_fix.position_of(message, messages.new_message)
-                fix = gnss.position(message, received(values, log_ns))
-                if not isinstance(fix, Refused):
-                    if repetition.is_again(fix.lla) and repetition.repeats:
-                        continue
-                    ahead_ns.append(fix.t_ns - log_ns)
-                    before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
-                    delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
-                    aid.append((fix.t_ns, POSITION, fix.lla, fix.covariance_n))
-                    unstated += bool(conversions.missing_covariance(message))
-            if bag.topics.get(velocity_topic) == type_names.TWIST:
-                for _, log_ns, message in bag.messages(velocity_topic):
-                    velocity = gnss.velocity(message, received(values, log_ns))
-                    if not isinstance(velocity, Refused):
-                        aid.append(
-                            (
-                                velocity.t_ns,
-                                VELOCITY,
-                                velocity.velocity_n,
-                                velocity.covariance_n,
-                            )
-                        )
-    if ahead_ns:
-        ahead = (np.median(ahead_ns) - np.median((imu_ns - imu.log_ns)[rows])) * 1e-9
+            found, attitude = _fixes(bag, values, imu, fix_topic, velocity_topic), None
+    if found.ahead_ns:
+        ahead = (np.median(found.ahead_ns) - np.median((imu_ns - imu.log_ns)[rows])) * 1e-9
         if abs(ahead) > BEFORE_AND_AFTER:
             raise InputError(
                 f"{path}: fixes on {fix_topic}: {describe_clocks(float(ahead))}: let both drivers "
                 "stamp by one clock, and record again"
             )
-    aid.sort(key=lambda row: row[:2])
+    aid = sorted(found.aid, key=lambda one: (one.t_ns, one.kind))
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     samples = np.hstack((imu.specific_force[rows] @ mount.T, imu.angular_rate[rows] @ mount.T))
     origin = int(imu_ns[rows[0]])
     t = np.asarray((imu_ns[rows] - origin) * 1e-9, float)
     check_imu(t, samples, place)
     first, last = -BEFORE_AND_AFTER, t[-1] + BEFORE_AND_AFTER
-    near = [row for row in aid if first < (row[0] - origin) * 1e-9 < last]
-    positions = np.array([row[0] - origin for row in near if row[1] == POSITION]) * 1e-9
-    others = sum(row[1] == POSITION for row in aid) - len(positions)
+    near = [one for one in aid if first < (one.t_ns - origin) * 1e-9 < last]
+    fixes = [one for one in near if isinstance(one, PositionFix)]
+    positions = np.array([fix.t_ns - origin for fix in fixes]) * 1e-9
+    others = sum(isinstance(one, PositionFix) for one in aid) - len(fixes)
     check_fixes(positions, others, float(t[-1]), str(path))
     _refuse_wrong_velocities(path, velocity_topic, near)
     reference = None
@@ -259,19 +231,21 @@ def read_recording(
         path.name,
         t,
         samples,
-        np.array([(row[0] - origin) * 1e-9 for row in near]),
-        np.array([row[1] for row in near], np.int64),
-        np.array([row[2] for row in near]),
-        np.array([row[3] for row in near]),
+        np.array([(one.t_ns - origin) * 1e-9 for one in near]),
+        np.array(
+            [POSITION if isinstance(one, PositionFix) else VELOCITY for one in near], np.int64
+        ),
+        np.array([one.lla if isinstance(one, PositionFix) else one.velocity_n for one in near]),
+        np.array([one.covariance_n for one in near]),
         reference,
         tuple(
             replace(one, t_ns=one.t_ns - origin)
             for one in wheels
             if 0 <= (one.t_ns - origin) * 1e-9 <= t[-1]
         ),
-        np.array(delay_ns) * 1e-9,
+        np.array(found.delay_ns) * 1e-9,
         rows=rows,
-        states_std=2 * unstated <= len(delay_ns),
+        states_std=2 * found.unstated <= len(found.delay_ns),
     )
     used = whole.part_in_motion(longest)
     left = used.fixes_within(values["gnss.time_offset.value"], search)
@@ -279,14 +253,48 @@ def read_recording(
     return used
 
 
+@dataclass
+class _Found:
+    """Measurements of a receiver, and what their arrival says."""
+
+    aid: list[PositionFix | VelocityFix] = field(default_factory=list)
+    ahead_ns: list[int] = field(default_factory=list)  # stamps of fixes, of the recorder's clock
+    delay_ns: list[int] = field(default_factory=list)  # of fixes behind the IMU
+    unstated: int = 0  # fixes without a covariance
+
+
+def _fixes(
+    bag: BagReader, values: Mapping[str, Any], imu: ImuTable, fix_topic: str, velocity_topic: str
+) -> _Found:
+    """Return the fixes that are not repeated, and the velocities, where the bag has them."""
+    found, imu_ns = _Found(), imu.times_ns(values)
+    gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
+    repetition = RepetitionCheck()
+    for _, log_ns, message in bag.messages(fix_topic):
+        message = gps_fix.position_of(message, messages.new_message)
+        fix = gnss.position(message, received(values, log_ns))
+        if isinstance(fix, Refused) or (repetition.is_again(fix.lla) and repetition.repeats):
+            continue
+        found.aid.append(fix)
+        found.ahead_ns.append(fix.t_ns - log_ns)
+        before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
+        found.delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
+        found.unstated += bool(conversions.missing_covariance(message))
+    if bag.topics.get(velocity_topic) == type_names.TWIST:
+        for _, log_ns, message in bag.messages(velocity_topic):
+            velocity = gnss.velocity(message, received(values, log_ns))
+            if not isinstance(velocity, Refused):
+                found.aid.append(velocity)
+    return found
+
+
 def _refuse_wrong_velocities(
-    path: Path, topic: str, rows: Sequence[tuple[int, int, Array, Array]]
+    path: Path, topic: str, aid: Sequence[PositionFix | VelocityFix]
 ) -> None:
     """Raise InputError where velocities contradict the positions."""
     check = VelocityCheck()
-    for t_ns, kind, measured, covariance_n in rows:
-        new = PositionFix if kind == POSITION else VelocityFix
-        check.observe(new(t_ns, measured, covariance_n, np.zeros(3)))
+    for one in aid:
+        check.observe(one)
     if check.contradiction is not None:
         raise InputError(
             f"{path}: {topic} contradicts the positions: "
@@ -311,9 +319,7 @@ def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
     return sorted(found, key=lambda one: one.t_ns)
 
 
-def _truth(
-    bag: BagReader,
-) -> tuple[list[tuple[int, int, Array, Array]], tuple[NDArray[np.int64], Array] | None]:
+def _truth(bag: BagReader) -> tuple[_Found, tuple[NDArray[np.int64], Array] | None]:
     """Return the positions of the truth as fixes, and its attitude: stamps [ns], C_nb (K, 4)."""
     topic = bag.require("/truth/odometry", type_names.ODOMETRY, "a bag with truth")
     datum = next(bag.messages("/truth/datum"), None)
@@ -332,13 +338,15 @@ def _truth(
         quats.append((q.x, q.y, q.z, q.w))
     lla = frame.lla(np.array(positions) @ SWAP)
     R = np.eye(3) * TRUTH_STD**2
-    aid = [(t, POSITION, row, R) for t, row in zip(stamps, lla, strict=True)]
+    found = _Found(
+        [PositionFix(t, row, R, np.zeros(3)) for t, row in zip(stamps, lla, strict=True)]
+    )
     norm = np.linalg.norm(quats, axis=1)
     known = np.abs(norm - 1.0) < 0.1
     if not np.any(known):
-        return aid, None
+        return found, None
     attitudes = np.array([conversions.quat_nb_from_enu(q) for q in np.array(quats)[known]])
-    return aid, (np.array(stamps, np.int64)[known], attitudes)
+    return found, (np.array(stamps, np.int64)[known], attitudes)
 
 
 def _longest_part(imu: ImuTable, values: Mapping[str, Any], place: str) -> NDArray[np.int64]:
