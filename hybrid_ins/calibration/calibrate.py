@@ -240,9 +240,8 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
 
     What was given is exact where it is kept.
     """
-    lever_b = np.array([fitted.value(name) for name in LEVER])
     is_given = any(prior.mean for prior in fitted.prior if prior.name in LEVER)
-    arm = FLIP @ C_new_old @ lever_b
+    arm = FLIP @ C_new_old @ fitted.model.lever_b
     if antenna_is_base:
         sensor, parameter, position = "IMU", "imu.position", -arm
         together = "taken to be at the antenna"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,18 @@ class Nominal:
     def antenna_is_given(self) -> bool:
         """Somebody has said where the antenna is."""
         return bool(self.lever_b.any())
+
+
+class Model(NamedTuple):
+    """What the filter runs with over recordings, besides their clock offsets and headings."""
+
+    lever_b: Array  # (3,) m, antenna relative to the IMU
+    psd: Array  # (12,) diagonal of Qc
+    follow: tuple[float, float] = (0.0, 0.0)  # powers of the loudness on those of the IMU's noise
+    position_scale: float = 1.0  # factors on the covariances of the measurements
+    velocity_scale: float = 1.0
+    slow_share: float = 0.0  # variance of the slow error of positions, of that they claim
+    velocity_age: float = 0.0  # s, added to the stamps of velocities, besides the clock offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,13 +203,13 @@ def _levelled(up_b: Array, up_n: Array, yaw: float) -> Array:
     return quat_from_matrix(matrix_from_quat(quat_from_rotvec(axis)) @ C)
 
 
-def slow_variance(claimed: Array, share: float) -> Array:
-    """Return a slow error's variance (M, 3): this share of what positions claim (M, 3, 3)."""
-    variance = np.diagonal(claimed, axis1=1, axis2=2)
-    return np.where(np.isfinite(variance), share * variance, 0.0)
+def slow_variance(recording: Recording, model: Model) -> Array:
+    """Return the variance (M, 3) of the slow error: a share of what positions claim."""
+    variance = np.diagonal(recording.aid_R, axis1=1, axis2=2)
+    return np.where(np.isfinite(variance), model.slow_share * variance, 0.0)
 
 
-def scaled_covariances(recording: Recording, position_scale: float, velocity_scale: float) -> Array:
+def scaled_covariances(recording: Recording, model: Model) -> Array:
     """
     Return the covariances (M, 3, 3) that measurements claim, times a factor by their kind.
 
@@ -204,53 +217,40 @@ def scaled_covariances(recording: Recording, position_scale: float, velocity_sca
     their scatter: what is known of the one says nothing about the other.
     """
     is_position = recording.aid_kind == POSITION
-    factor = np.where(is_position, position_scale, velocity_scale)
+    factor = np.where(is_position, model.position_scale, model.velocity_scale)
     return np.asarray(recording.aid_R * factor[:, None, None])
 
 
 def run_filter(
     recording: Recording,
     first: FirstState,
-    lever_b: Array,
-    psd: Array,
+    model: Model,
     noise: Array,
-    position_scale: float,
-    velocity_scale: float,
-    gnss_slow: float,
     yaw: float,
     yaw_std: float,
-    velocity_age: float = 0.0,
     keep_states: bool = False,
 ) -> FilterPass:
     """
-    Run the filter over a recording with the given parameters.
+    Run the filter over a recording.
 
     Parameters
     ----------
     recording : Recording
     first : FirstState
         With the clock offset, see `first_state`.
-    lever_b : ndarray, shape (3,)
-        Antenna relative to the IMU [m].
-    psd : ndarray, shape (12,)
-        Diagonal of Qc.
+    model : Model
     noise : ndarray, shape (N, 2)
-        Factors on those of accelerometer and gyroscope, at each sample.
-    position_scale, velocity_scale : float
-        Factors on the covariances of the measurements.
-    gnss_slow : float
-        Variance of the slow error of positions, as a share of that they claim.
+        Factors on the noise densities of accelerometer and gyroscope, at each sample, by the
+        model's powers of the loudness.
     yaw, yaw_std : float
         Heading at the start, from north, and its standard deviation [rad].
-    velocity_age : float
-        Added to the stamps of velocities, besides the clock offset [s].
     keep_states : bool
         Keep the state after each measurement, and what it says of the clock offset.
     """
-    nav = initial_state(first, lever_b, yaw, yaw_std)
-    nav[PSD] = psd
+    nav = initial_state(first, model.lever_b, yaw, yaw_std)
+    nav[PSD] = model.psd
     nav[SENSITIVITY] = initial_sensitivity(first.velocity, np.zeros(3))
-    times = recording.measured_at(first.offset, velocity_age)
+    times = recording.measured_at(first.offset, model.velocity_age)
     order = np.argsort(times, kind="stable")
     M = len(times)
     kept = M if keep_states else 0
@@ -269,9 +269,9 @@ def run_filter(
         times[order],
         recording.aid_kind[order],
         recording.aid[order],
-        scaled_covariances(recording, position_scale, velocity_scale)[order],
-        slow_variance(recording.aid_R, gnss_slow)[order],
-        lever_b,
+        scaled_covariances(recording, model)[order],
+        slow_variance(recording, model)[order],
+        model.lever_b,
         INTERVAL,
         TAIL,
         result.z,
@@ -280,7 +280,7 @@ def run_filter(
         result.states,
         result.clock,
     )
-    if velocity_age == 0.0:
+    if model.velocity_age == 0.0:
         return result
     places = np.argsort(order)
     kept_places = places[:kept]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.calibration.ascent import climb, maximise, settle_offsets
 from hybrid_ins.calibration.drift import Drift, remove_drift
-from hybrid_ins.calibration.filter_pass import FilterPass, Nominal
+from hybrid_ins.calibration.filter_pass import FilterPass, Model, Nominal
 from hybrid_ins.calibration.findings import kept_below
 from hybrid_ins.calibration.innovations import VELOCITY
 from hybrid_ins.calibration.likelihood import (
@@ -38,6 +38,7 @@ from hybrid_ins.calibration.likelihood import (
     YAWS,
     Likelihood,
     Prior,
+    model_by,
     offset_name,
     sums_of_blocks,
 )
@@ -80,6 +81,11 @@ class Fit:
     def sigma(self, name: str) -> float:
         """Return the standard deviation of one parameter."""
         return float(self.std[self.names.index(name)])
+
+    @property
+    def model(self) -> Model:
+        """What the filter runs with."""
+        return model_by(self.value)
 
     def offset(self, recording: int) -> float:
         """Return the clock offset of a recording [s]."""

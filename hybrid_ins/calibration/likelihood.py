@@ -18,7 +18,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any
 
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration.filter_pass import (
     FilterPass,
     FirstState,
+    Model,
     Nominal,
     first_state,
     run_filter,
@@ -74,6 +75,20 @@ def sums_of_blocks(recording: Recording, scores: Array) -> Array:
     sums = np.zeros((block[-1] + 1, scores.shape[1]))
     np.add.at(sums, block, scores)
     return sums
+
+
+def model_by(value: Callable[[str], float]) -> Model:
+    """Return the filter's model by the values of the parameters, of which ``value`` finds one."""
+    noise = value("psd_a"), value("psd_g"), 2.0 * value("walk_a"), 2.0 * value("walk_g")
+    return Model(
+        np.array([value(name) for name in LEVER]),
+        np.repeat(np.exp(noise), 3),
+        (value(FOLLOW[0]), value(FOLLOW[1])),
+        math.exp(value(POSITION_SCALE)),
+        math.exp(value(VELOCITY_SCALE)),
+        math.exp(value(SLOW_SHARE)),
+        value(VELOCITY_AGE),
+    )
 
 
 def offset_name(recording: int, names: Sequence[str]) -> str:
@@ -165,32 +180,10 @@ class Likelihood:
         return self._run(k, x, self.yaws[k], keep_states)
 
     def _run(self, k: int, x: Array, yaw: float, keep_states: bool = False) -> FilterPass:
-        psd = np.repeat(
-            np.exp(
-                [
-                    self.value(x, "psd_a"),
-                    self.value(x, "psd_g"),
-                    2.0 * self.value(x, "walk_a"),
-                    2.0 * self.value(x, "walk_g"),
-                ]
-            ),
-            3,
-        )
-        lever = np.array([self.value(x, name) for name in LEVER])
-        return run_filter(
-            self.recordings[k],
-            self._first_state(k, self.value(x, offset_name(k, self.names))),
-            lever,
-            psd,
-            self._noise(k, *(self.value(x, name) for name in FOLLOW)),
-            math.exp(self.value(x, POSITION_SCALE)),
-            math.exp(self.value(x, VELOCITY_SCALE)),
-            math.exp(self.value(x, SLOW_SHARE)),
-            yaw,
-            YAW_STD,
-            self.value(x, VELOCITY_AGE),
-            keep_states,
-        )
+        model = model_by(partial(self.value, x))
+        first = self._first_state(k, self.value(x, offset_name(k, self.names)))
+        noise = self._noise(k, *model.follow)
+        return run_filter(self.recordings[k], first, model, noise, yaw, YAW_STD, keep_states)
 
     def coarse(self, grid: Array) -> Array:
         """Return the log-likelihood (recordings, G) over clock offsets, averaged over headings."""
@@ -214,13 +207,12 @@ class Likelihood:
         nominal = self.nominal
         psd = np.repeat([COARSE_PSD_A, COARSE_PSD_G, nominal.walk_a**2, nominal.walk_g**2], 3)
         yaws = np.arange(YAWS) * 2.0 * np.pi / YAWS
-        noise = recording.noise(0.0, 0.0)
+        model = Model(nominal.lever_b, psd)
+        noise = recording.noise(*model.follow)
 
         def run(start: tuple[FirstState, float]) -> FilterPass:
             first, yaw = start
-            return run_filter(
-                recording, first, nominal.lever_b, psd, noise, 1.0, 1.0, 0.0, yaw, COARSE_YAW_STD
-            )
+            return run_filter(recording, first, model, noise, yaw, COARSE_YAW_STD)
 
         starts = product((first_state(recording, o, nominal) for o in grid), yaws)
         found = [np.sum(p.log_likelihood) for p in self._in_parallel(run, starts)]

@@ -13,7 +13,6 @@ References
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +30,7 @@ from hybrid_ins.calibration.filter_pass import (
 )
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.innovations import POSITION
-from hybrid_ins.calibration.likelihood import (
-    FOLLOW,
-    POSITION_SCALE,
-    SLOW_SHARE,
-    VELOCITY_AGE,
-    VELOCITY_SCALE,
-    YAW_STD,
-)
+from hybrid_ins.calibration.likelihood import YAW_STD
 from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
@@ -65,40 +57,35 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
     passed : FilterPass
         Of the filter with the fitted parameters; its weights of outliers are kept.
     """
-    recording, offset = fitted.recordings[k], fitted.offset(k)
-    lever_b = np.array([fitted.value(f"lever_{axis}") for axis in "xyz"])
-    logs = [fitted.value(name) for name in ("psd_a", "psd_g", "walk_a", "walk_g")]
-    psd = np.repeat(np.exp(np.array(logs) * [1.0, 1.0, 2.0, 2.0]), 3)
+    recording, offset, model = fitted.recordings[k], fitted.offset(k), fitted.model
     first = first_state(recording, offset, nominal)
-    nav = initial_state(first, lever_b, fitted.yaws[k], YAW_STD)
+    nav = initial_state(first, model.lever_b, fitted.yaws[k], YAW_STD)
     t_ns = TIME_ZERO_NS + np.rint(recording.t * 1e9).astype(np.int64)
     samples = as_samples(t_ns, recording.samples[:, :3], recording.samples[:, 3:])
     start = SmootherStart(
         int(samples["t_ns"][first.sample]),
         recording.samples[first.sample],
         NavState.from_flat(nav),
-        psd,
+        model.psd,
     )
-    times = recording.measured_at(offset, fitted.value(VELOCITY_AGE))
+    times = recording.measured_at(offset, model.velocity_age)
     stamps = TIME_ZERO_NS + np.rint(times * 1e9).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
     fused = order[np.isfinite(passed.nis[order])]
-    scale = math.exp(fitted.value(POSITION_SCALE))
-    R = scaled_covariances(recording, scale, math.exp(fitted.value(VELOCITY_SCALE)))
-    slow = slow_variance(recording.aid_R, math.exp(fitted.value(SLOW_SHARE)))
+    R, slow = scaled_covariances(recording, model), slow_variance(recording, model)
     last_ns = start.t_ns
-    noise = recording.noise(*map(fitted.value, FOLLOW))
+    noise = recording.noise(*model.follow)
     sample = np.searchsorted(recording.t[:-1], times)
     updates = []
     for row in fused:
-        there = psd * np.repeat([*noise[sample[row]], 1.0, 1.0], 3)
+        there = model.psd * np.repeat([*noise[sample[row]], 1.0, 1.0], 3)
         make = PositionFix if recording.aid_kind[row] == POSITION else VelocityFix
-        measurement = make(int(stamps[row]), recording.aid[row], R[row], lever_b)
+        measurement = make(int(stamps[row]), recording.aid[row], R[row], model.lever_b)
         size = float(np.isfinite(recording.aid[row]).sum())
         outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
         split = None
         if recording.aid_kind[row] == POSITION:
-            split = Split(scale, slow[row], (int(stamps[row]) - last_ns) * 1e-9)
+            split = Split(model.position_scale, slow[row], (int(stamps[row]) - last_ns) * 1e-9)
             last_ns = int(stamps[row])
         updates.append(Update(int(stamps[row]), there, measurement, outlying, split=split))
     gap_ns = round(LONG_STEP * recording.period * 1e9)
