@@ -20,7 +20,7 @@ from hybrid_ins.core.imu_axes.explanation import (
     BETTER,
     FITS,
     MUCH_BETTER,
-    Comparison,
+    ComparedMotion,
     explain,
     hypotheses,
     is_noise,
@@ -58,14 +58,14 @@ class MotionComparison:
 
     Attributes
     ----------
-    fitting : list of Comparison
+    fitting : list of ComparedMotion
         The motions that the readings fit as given.
     """
 
     def __init__(self, mount: Array, arm: Array, antenna: FarAntenna) -> None:
         self._mount, self._arm, self._antenna = mount, arm, antenna
-        self.fitting: list[Comparison] = []
-        self._compared: list[Comparison] = []  # those that noise does not hide
+        self.fitting: list[ComparedMotion] = []
+        self._compared: list[ComparedMotion] = []  # those that noise does not hide
         self._tried = 0  # of them, by hypotheses
         self._fits: list[Fit] = []  # by hypotheses, of the last one tried
 
@@ -77,16 +77,15 @@ class MotionComparison:
                 continue
             as_given = fit(motion, as_given)
             yield
-            compared = Comparison(motion, float(np.sum(motion.change_n[:, :2] ** 2)), as_given)
+            compared = ComparedMotion(motion, float(np.sum(motion.change_n[:, :2] ** 2)), as_given)
             if compared.is_hidden:
                 continue
             self._compared.append(compared)
             found = yield from self._judge(compared)
             if isinstance(found, AxesFault) or found is Outcome.DISPUTED:
                 return found
-            if found is Outcome.FITS or any(is_noise(one) for one in self._fits):
-                continue
-            break  # errors that are more than noise only grow with the interval
+            if found is Outcome.UNDECIDED and not any(is_noise(one) for one in self._fits):
+                break  # errors that are more than noise only grow with the interval
         return Outcome.FITS if self.fitting else Outcome.UNDECIDED
 
     def _is_enough(self, motion: Motion) -> bool:
@@ -94,19 +93,24 @@ class MotionComparison:
         alike = sum(len(one.motion.t) == len(motion.t) for one in self._compared)
         return alike == (1 if is_long(motion) else 2)
 
-    def _judge(self, compared: Comparison) -> Generator[None, None, AxesFault | Outcome]:
-        """Return what one motion shows."""
+    def _judge(self, compared: ComparedMotion) -> Generator[None, None, AxesFault | Outcome]:
+        """
+        Return what one motion shows.
+
+        Where the readings do not fit it as given, other axes may explain it; but an IMU's ordinary
+        errors and an antenna elsewhere are tried before the axes are accused.
+        """
         if compared.fits:
             return (yield from self._confirm(compared))
         if not compared.has_turns:
             return AxesFault(AS_GIVEN, self._mount, no_turns=True)
         yield from self._try_hypotheses()
         if self._explain(compared, self._fits) is not None:
-            return (yield from self._accuse(compared))
+            return (yield from self._allow_for_errors(compared))
         far = yield from far_fit(compared.motion, compared.as_given)
         return self._by_antenna(compared, far, Outcome.UNDECIDED)
 
-    def _confirm(self, compared: Comparison) -> Generator[None, None, Outcome]:
+    def _confirm(self, compared: ComparedMotion) -> Generator[None, None, Outcome]:
         """Return whether a motion that fits as given does not fit much better by the antenna."""
         if is_long(compared.motion) and not compared.is_explained:
             far = yield from far_fit(compared.motion, compared.as_given)
@@ -132,8 +136,10 @@ class MotionComparison:
             self._fits = fits
             fits = [one for one in fits if one.left < AS_GOOD * compared.as_given.left]
 
-    def _accuse(self, compared: Comparison) -> Generator[None, None, AxesFault | Outcome]:
-        """Return whether other axes fit better also where an IMU's ordinary errors are allowed."""
+    def _allow_for_errors(
+        self, compared: ComparedMotion
+    ) -> Generator[None, None, AxesFault | Outcome]:
+        """Return what a motion that other axes explain shows where ordinary errors are allowed."""
         motion = compared.motion
         best, others = yield from tolerant_fits(motion, compared.as_given, self._fits)
         compared = replace(compared, as_given=best)
@@ -148,10 +154,10 @@ class MotionComparison:
             fault = self._explain(replace(compared, as_given=far), others)
         return fault or self._by_antenna(compared, far, Outcome.DISPUTED)
 
-    def _explain(self, compared: Comparison, fits: Sequence[Fit]) -> AxesFault | None:
+    def _explain(self, compared: ComparedMotion, fits: Sequence[Fit]) -> AxesFault | None:
         return explain(compared, fits, self._mount, is_first=len(self._compared) == 1)
 
-    def _by_antenna(self, compared: Comparison, far: Fit, otherwise: Outcome) -> Outcome:
+    def _by_antenna(self, compared: ComparedMotion, far: Fit, otherwise: Outcome) -> Outcome:
         """Return that the antenna may be the reason, if only another place of it fits."""
         if not _is_elsewhere(compared, far):
             return otherwise
@@ -159,7 +165,7 @@ class MotionComparison:
         return Outcome.DISPUTED
 
 
-def _is_elsewhere(compared: Comparison, far: Fit) -> bool:
+def _is_elsewhere(compared: ComparedMotion, far: Fit) -> bool:
     """Return whether only an antenna far from the given place lets the readings fit."""
     if not is_far_away(far):
         return False

@@ -27,7 +27,7 @@ AS_GOOD = 2.0  # times more is left over than by the best
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class ComparedMotion:
     """
     A motion, and how the readings fit it with axes and units as given.
 
@@ -95,14 +95,14 @@ def hypotheses(arm: Array) -> list[Fit]:
 
 
 def explain(
-    compared: Comparison, fits: Sequence[Fit], mount: Array, is_first: bool
+    compared: ComparedMotion, fits: Sequence[Fit], mount: Array, is_first: bool
 ) -> AxesFault | None:
     """
     Return the fault if hypotheses fit much better than the readings as given.
 
     Parameters
     ----------
-    compared : Comparison
+    compared : ComparedMotion
     fits : sequence of Fit
         Of the motion, by hypotheses.
     mount : ndarray, shape (3, 3)
@@ -122,7 +122,7 @@ def explain(
     return replace(fault, shown_by=(float(t[0]), float(t[-1])))
 
 
-def _possible(compared: Comparison, fits: Sequence[Fit]) -> list[Fit]:
+def _possible(compared: ComparedMotion, fits: Sequence[Fit]) -> list[Fit]:
     """
     Return the fits without that of rates in degrees, where these are out of the question.
 
@@ -133,7 +133,7 @@ def _possible(compared: Comparison, fits: Sequence[Fit]) -> list[Fit]:
     return [one for one in fits if one.left < most or not _is_slow(one)]
 
 
-def _is_better(best: Fit, compared: Comparison) -> bool:
+def _is_better(best: Fit, compared: ComparedMotion) -> bool:
     """Return whether a hypothesis fits, and so much better than as given that it is no chance."""
     times = max(BETTER, times_by_chance(compared.motion)) if is_noise(best) else MUCH_BETTER
     return best.left <= min(FITS_OTHER * compared.change, compared.as_given.left / times)

@@ -22,7 +22,7 @@ from hybrid_ins.core.imu.health import LEAST_FORCE
 from hybrid_ins.core.imu_axes.antenna import FarAntenna
 from hybrid_ins.core.imu_axes.comparison import AS_GIVEN, MotionComparison, Outcome
 from hybrid_ins.core.imu_axes.course import courses, is_winding, kinds_of, mount_fault
-from hybrid_ins.core.imu_axes.explanation import AS_GOOD, MUCH_BETTER, Comparison, hypothesis_of
+from hybrid_ins.core.imu_axes.explanation import AS_GOOD, MUCH_BETTER, ComparedMotion, hypothesis_of
 from hybrid_ins.core.imu_axes.faults import AxesFault, mount_upright
 from hybrid_ins.core.imu_axes.fit import Motion, fit
 from hybrid_ins.core.imu_axes.motion import WINDOW, MotionWindow
@@ -146,7 +146,7 @@ class ImuAxesCheck:
             return self._by_gravity() or found
         return self._judge_mount(comparison.fitting) if found is Outcome.FITS else found
 
-    def _judge_mount(self, fitting: Sequence[Comparison]) -> AxesFault | Outcome:
+    def _judge_mount(self, fitting: Sequence[ComparedMotion]) -> AxesFault | Outcome:
         """Return what motions that fit as given show of the mount."""
         last = fitting[-1]
         fault = mount_fault(self._mount, last.motion, *AS_GIVEN[0], last.as_given)
@@ -160,12 +160,12 @@ class ImuAxesCheck:
             return Outcome.UNDECIDED
         return fault or Outcome.FITS
 
-    def _may_be_reversed(self, fitting: Comparison) -> bool:
+    def _may_be_reversed(self, fitting: ComparedMotion) -> bool:
         """Return whether a motion that fits as given fits reversed specific force about as well."""
         reversed_force = hypothesis_of(-np.eye(3), np.eye(3), self._arm)
         return fit(fitting.motion, reversed_force).left < MUCH_BETTER * fitting.as_given.left
 
-    def _may_be_as_found(self, fitting: Comparison) -> bool:
+    def _may_be_as_found(self, fitting: ComparedMotion) -> bool:
         """Return whether a motion that fits as given does not contradict an earlier check."""
         found, motion = self._found, fitting.motion
         if found is None or found.at_rest:
