@@ -28,7 +28,7 @@ from tqdm import tqdm
 from hybrid_ins import progress
 from hybrid_ins.bags.formats import A_BAG, METADATA
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import write_text
+from hybrid_ins.output_file import resolved, write_text
 from hybrid_ins.worker_processes import worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -73,11 +73,13 @@ def find_jobs(paths: Sequence[Path], out: Path | None) -> list[Job]:
     Raises
     ------
     InputError
-        There is none, or two would have the same name.
+        There is none, two would have the same name, or `out` is a bag or another file.
     """
+    if out is not None and out.exists() and is_bag(out):
+        raise InputError(f"{out}: is no folder for the results of many bags: name one, last")
     sources: dict[str, Path] = {}
     for path in paths:
-        for bag, name in _bags_below(path, out and out.resolve()):
+        for bag, name in _bags_below(path, out and resolved(out)):
             if name in sources and sources[name].resolve() != bag.resolve():
                 raise InputError(f"{sources[name]} and {bag} would both become {name}: rename one")
             sources[name] = bag
@@ -157,6 +159,7 @@ def run(
     work: Callable[[Job], Row],
     settings: Mapping[str, Any],
     *,
+    output: Callable[[Job], Path] | None = None,
     redo: bool = False,
     workers: int = 1,
     cluster: str | None = None,
@@ -174,6 +177,9 @@ def run(
     settings
         All that the result depends on besides the bag, a value or a mapping each; of files that
         they name the result depends, too.
+    output
+        Where `work` leaves what the record tells of, if it leaves anything: a module's function.
+        A job whose output is gone is done again.
     redo
         Ignore the results of earlier runs.
     workers
@@ -186,7 +192,7 @@ def run(
     InputError
         Some bags failed; all others are done. Or no cluster answers.
     """
-    attempt = partial(_attempt, work, settings, redo)
+    attempt = partial(_attempt, work, settings, output, redo)
     outcomes: list[Outcome] = []
     results = _by_processes(attempt, jobs, workers)
     if cluster is not None:
@@ -250,14 +256,18 @@ def _cell(value: Any) -> str:
 
 
 def _attempt(
-    work: Callable[[Job], Row], settings: Mapping[str, Any], redo: bool, job: Job
+    work: Callable[[Job], Row],
+    settings: Mapping[str, Any],
+    output: Callable[[Job], Path] | None,
+    redo: bool,
+    job: Job,
 ) -> Outcome:
     """Do one job, or return its recorded result; a failure is an outcome, too."""
     progress.hide()
     try:
         mark = made_from(job.source, settings)
         record = {} if redo or job.record is None else _read_record(job.record)
-        if record.get("made from") == mark:
+        if record.get("made from") == mark and (output is None or output(job).exists()):
             return Outcome(job.name, record["row"], kept=True)
         row = work(job)
         if job.record is not None:

@@ -38,9 +38,9 @@ def check_output(
         replaced; or its folder does not exist, or cannot be written.
 
     """
-    target = path.resolve()
+    target = resolved(path)
     for given in inputs:
-        source = given.resolve()
+        source = resolved(given)
         if target == source:
             name = "itself" if str(given) == str(path) else given
             raise InputError(f"{path}: is the input {name}: give the output another name")
@@ -55,6 +55,21 @@ def check_output(
     if not folder and not target.parent.is_dir():
         raise InputError(f"{path}: no such folder")
     _check_folder(path, target)
+
+
+def resolved(path: Path) -> Path:
+    """
+    Return the absolute path that a path leads to, links followed.
+
+    Raises
+    ------
+    InputError
+        Its links lead in a circle.
+    """
+    try:
+        return path.resolve()
+    except RuntimeError:  # of Python before 3.13
+        raise InputError(f"{path}: is a link that leads to itself: give another name") from None
 
 
 def _check_folder(path: Path, target: Path) -> None:

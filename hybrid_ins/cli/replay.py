@@ -89,6 +89,7 @@ def _run(args: argparse.Namespace) -> int:
             jobs,
             replay if args.overwrite else partial(_replay_new, replay, settings),
             settings,
+            output=_target,
             redo=args.overwrite,
             workers=args.jobs,
             cluster=args.dask,

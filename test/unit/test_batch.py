@@ -102,3 +102,32 @@ def test_a_bag_has_its_name_from_within(tmp_path: Path, monkeypatch: pytest.Monk
     assert [job.name for job in jobs] == ["one", "two"]
     monkeypatch.chdir(bags[0] / "deep")
     assert [job.name for job in batch.find_jobs([Path("..")], None)] == ["one"]
+
+
+def test_a_result_whose_output_was_deleted_is_made_again(
+    jobs: list[batch.Job], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN a record whose output is gone WHEN the command is repeated THEN there is one again."""
+    target = tmp_path / "out" / "a.mcap"
+    (tmp_path / "out").mkdir()
+    work = partial(replay._replay_new, partial(written, target), {})
+
+    def run() -> str:
+        assert batch.run(jobs[:1], work, {}, output=replay._target) == 0
+        return capsys.readouterr().out
+
+    assert "finished before" not in run()
+    assert "1 of 1 bags were finished before" in run()
+    target.unlink()
+    assert "finished before" not in run()
+    assert target.read_bytes() == b"estimate"
+
+
+def test_results_do_not_go_into_a_bag_or_a_file(jobs: list[batch.Job], tmp_path: Path) -> None:
+    """GIVEN a forgotten output, so that the last of many bags is it THEN that bag is named."""
+    for last in (jobs[3].source, tmp_path / "folder"):
+        if last.name == "folder":
+            last.mkdir()
+            (last / "metadata.yaml").touch()
+        with pytest.raises(InputError, match=f"^{last}: is no folder for the results of many"):
+            batch.find_jobs([job.source for job in jobs[:3]], last)

@@ -37,6 +37,15 @@ def test_a_name_that_only_begins_alike_is_another_file(bag: Path) -> None:
     check_output(bag.with_name("flight.yaml"), [bag])
 
 
+def test_a_link_that_leads_to_itself_is_named(tmp_path: Path) -> None:
+    (tmp_path / "one").symlink_to(tmp_path / "two")
+    (tmp_path / "two").symlink_to(tmp_path / "one")
+
+    for inputs, out in (([], "one"), ([tmp_path / "one"], "out")):
+        with pytest.raises(InputError, match="one: is a link that leads to itself"):
+            check_output(tmp_path / out, inputs, folder=True)
+
+
 def test_what_exists_is_replaced_only_on_request(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("old")
 
