@@ -76,7 +76,7 @@ def replay_bag(
     topics : InputTopics
         Where the input is.
     overwrite, keep_partial : bool
-        See `BagWriter`.
+        See `BagWriter`. Nothing is kept of a smoothed run, which has no estimate before its end.
     smooth, log
         See `replay`.
 
@@ -87,9 +87,10 @@ def replay_bag(
         is written then.
 
     """
+    keep = keep_partial and not smooth
     with (
         BagReader(source) as bag,
-        BagWriter(target, overwrite, inputs=[source], keep_partial=keep_partial) as out,
+        BagWriter(target, overwrite, inputs=[source], keep_partial=keep) as out,
     ):
         estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
         reporter, waiting = estimator.reporter, estimator.status.waiting_for

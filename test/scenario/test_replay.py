@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
+from hybrid_ins.replay import _Replay
 from hybrid_ins.ros.messages.conversions import stamp_ns
 from tools.robustness.disturbances import Flight, change_stamps
 
@@ -46,6 +48,27 @@ def test_output_has_the_log_time_at_which_it_was_known(
             assert np.abs(log_ns - stamps).max() <= 100_000_000, topic
             inside = np.diff(log_ns[((log_ns - start_ns) * 1e-9 > 16.0)])
             assert inside.max() <= 1_100_000_000, topic
+
+
+@pytest.mark.parametrize("phase", ["filter", "smooth"])
+def test_a_smoothed_run_that_is_interrupted_leaves_nothing(
+    flight: Path, phase: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GIVEN Ctrl-C before the smoother's last state THEN no bag seems to hold smoothed states."""
+    out = tmp_path / "out.mcap"
+    real = getattr(_Replay, phase)
+
+    def interrupted(run: _Replay, *arguments: Any) -> None:
+        real(run, *arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Replay, phase, interrupted)
+
+    assert replay.main([str(flight), str(out), "--smooth"]) == 130
+    assert not list(tmp_path.iterdir())
+    if phase == "filter":  # What a filter found until then is of use.
+        assert replay.main([str(flight), str(out)]) == 130
+        assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
 def test_a_search_for_the_heading_is_published_and_not_scored(flight: Path, tmp_path: Path) -> None:
