@@ -165,8 +165,9 @@ def _signals_raised() -> Iterator[None]:
     """
     Within the block, Ctrl-C raises `KeyboardInterrupt`, and SIGTERM `Terminated`.
 
-    Compiled code calls some functions of numba, and turns what is raised there into a SystemError:
-    a signal that arrives there comes again.
+    Compiled code calls some functions of numba, and turns what is raised there into a SystemError;
+    and Python ignores what is raised where an object ends, as in the callback of a weak reference.
+    A signal that arrives there comes again.
     """
     timers: list[threading.Timer] = []
     raised = {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: Terminated}
@@ -174,9 +175,20 @@ def _signals_raised() -> Iterator[None]:
     def leave(number: int, frame: FrameType | None) -> None:
         if frame is None or frame.f_globals.get("__name__") != CALLED_BY_COMPILED_CODE:
             raise raised[signal.Signals(number)]
+        come_again(number)
+
+    def come_again(number: int) -> None:
         timers.append(threading.Timer(AGAIN, os.kill, (os.getpid(), number)))
         timers[-1].start()
 
+    def notice(unraisable: Any) -> None:
+        number = next((n for n, kind in raised.items() if unraisable.exc_type is kind), None)
+        if number is None:
+            previous_hook(unraisable)
+        else:
+            come_again(number)
+
+    previous_hook = sys.unraisablehook
     previous = {number: signal.getsignal(number) for number in raised}
     if threading.current_thread() is not threading.main_thread():
         previous = {}  # whoever runs us keeps the signals
@@ -184,9 +196,12 @@ def _signals_raised() -> Iterator[None]:
         del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
     for number in previous:
         signal.signal(number, leave)
+    if previous:
+        sys.unraisablehook = notice
     try:
         yield
     finally:
+        sys.unraisablehook = previous_hook
         for timer in timers:
             timer.cancel()
         for number, handler in previous.items():

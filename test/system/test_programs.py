@@ -281,15 +281,36 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 """
 
 
+IGNORED = """
+import os, signal, sys, time, weakref
+from hybrid_ins.cli import program
+
+class Thing:
+    pass
+
+def body(args):
+    thing = Thing()
+    number = signal.Signals[sys.argv[1]]
+    last = weakref.ref(thing, lambda reference: os.kill(os.getpid(), number))
+    del thing
+    time.sleep(30.0)
+
+sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
+"""
+
+
+@pytest.mark.parametrize(
+    "script", [INTERRUPTED, IGNORED], ids=["compiled code", "end of an object"]
+)
 @pytest.mark.parametrize(
     ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
 )
-def test_a_signal_that_compiled_code_would_lose_comes_again(
-    name: str, status: int, said: str
+def test_a_signal_that_would_be_lost_comes_again(
+    name: str, status: int, said: str, script: str
 ) -> None:
-    """GIVEN a signal within what compiled code calls THEN it ends the program right after that."""
+    """GIVEN a signal where nothing can be raised THEN it ends the program right after that."""
     done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, name],
+        [sys.executable, "-c", script, name],
         env=os.environ | ENVIRONMENT,
         capture_output=True,
         text=True,
