@@ -29,7 +29,7 @@ from hybrid_ins import progress
 from hybrid_ins.bags.formats import A_BAG, METADATA
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import resolved, write_text
-from hybrid_ins.worker_processes import worker_processes
+from hybrid_ins.worker_processes import ended_in_order, worker_processes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 CLUSTER_PATIENCE = "10s"
@@ -269,7 +269,8 @@ def _attempt(
         record = {} if redo or job.record is None else _read_record(job.record)
         if record.get("made from") == mark and (output is None or output(job).exists()):
             return Outcome(job.name, record["row"], kept=True)
-        row = work(job)
+        with ended_in_order():
+            row = work(job)
         if job.record is not None:
             job.record.parent.mkdir(parents=True, exist_ok=True)
             write_text(job.record, json.dumps({"made from": mark, "row": row}, indent=1))

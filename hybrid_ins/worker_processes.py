@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
+from hybrid_ins import signals
 from hybrid_ins.errors import InputError
 
 
@@ -21,7 +24,7 @@ def worker_processes(count: int) -> Iterator[Executor]:
     `InputError`.
     """
     context = multiprocessing.get_context("spawn")  # a fork would inherit locks and threads
-    executor = ProcessPoolExecutor(count, context, initializer=_ignore_ctrl_c)
+    executor = ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
     try:
         yield executor
     except BaseException as error:
@@ -37,6 +40,35 @@ def worker_processes(count: int) -> Iterator[Executor]:
         executor.shutdown()
 
 
-def _ignore_ctrl_c() -> None:
-    """Leave Ctrl-C, which reaches all processes of a terminal, to the one that started them."""
+@contextmanager
+def ended_in_order() -> Iterator[None]:
+    """
+    Within the block, SIGTERM first unwinds what such a process has open, and then ends it.
+
+    Elsewhere, as in a thread or in the program's own process, the block is as any other.
+    """
+    if multiprocessing.parent_process() is None:
+        yield
+        return
+    try:
+        with signals.raised(once=True):
+            yield
+    except signals.Terminated:
+        os._exit(128 + signal.SIGTERM)  # an exception would only end this piece of work
+
+
+def _follow_the_parent() -> None:
+    """
+    Leave Ctrl-C, which reaches all processes of a terminal, to the one that started them.
+
+    And end with that one, also where it is killed.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)

@@ -1,6 +1,8 @@
 """The programs: each module parses its options and makes one call."""
 
+import signal
 import sys
+from multiprocessing import current_process
 from pathlib import Path
 from types import TracebackType
 
@@ -14,3 +16,5 @@ def _report(kind: type[BaseException], error: BaseException, trace: TracebackTyp
 
 
 sys.excepthook = _report
+if getattr(current_process(), "_inheriting", False):  # loaded by a process beside the program's
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is the program's to report

@@ -4,30 +4,20 @@ import argparse
 import io
 import logging
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn
 
 from tqdm import tqdm
 
-from hybrid_ins import kernel_cache
+from hybrid_ins import kernel_cache, signals
 from hybrid_ins.errors import InputError
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
-
-CALLED_BY_COMPILED_CODE = "numba.core.serialize"
-AGAIN = 0.01  # s, after which a signal comes again
-
-
-class Terminated(BaseException):
-    """SIGTERM: unwinds like Ctrl-C, so that every open bag is completed."""
 
 
 def parser(name: str, description: str, example: str = "") -> argparse.ArgumentParser:
@@ -81,7 +71,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         redirect_stdout(stdout),
         redirect_stderr(stderr),
         _logging_to_stderr(name),
-        _signals_raised(),
+        signals.raised(),
     ):
         try:
             status = body(args) or 0
@@ -97,7 +87,7 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         except KeyboardInterrupt:
             print(f"{name}: interrupted", file=sys.stderr)
             return EXIT_INTERRUPTED
-        except Terminated:
+        except signals.Terminated:
             print(f"{name}: terminated", file=sys.stderr)
             return EXIT_TERMINATED
 
@@ -158,51 +148,3 @@ def _logging_to_stderr(program_name: str) -> Iterator[None]:
     finally:
         logging.getLogger().removeHandler(handler)
         package.setLevel(level)
-
-
-@contextmanager
-def _signals_raised() -> Iterator[None]:
-    """
-    Within the block, Ctrl-C raises `KeyboardInterrupt`, and SIGTERM `Terminated`.
-
-    Compiled code calls some functions of numba, and turns what is raised there into a SystemError;
-    and Python ignores what is raised where an object ends, as in the callback of a weak reference.
-    A signal that arrives there comes again.
-    """
-    timers: list[threading.Timer] = []
-    raised = {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: Terminated}
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        if frame is None or frame.f_globals.get("__name__") != CALLED_BY_COMPILED_CODE:
-            raise raised[signal.Signals(number)]
-        come_again(number)
-
-    def come_again(number: int) -> None:
-        timers.append(threading.Timer(AGAIN, os.kill, (os.getpid(), number)))
-        timers[-1].start()
-
-    def notice(unraisable: Any) -> None:
-        number = next((n for n, kind in raised.items() if unraisable.exc_type is kind), None)
-        if number is None:
-            previous_hook(unraisable)
-        else:
-            come_again(number)
-
-    previous_hook = sys.unraisablehook
-    previous = {number: signal.getsignal(number) for number in raised}
-    if threading.current_thread() is not threading.main_thread():
-        previous = {}  # whoever runs us keeps the signals
-    elif previous[signal.SIGINT] is not signal.default_int_handler:
-        del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
-    for number in previous:
-        signal.signal(number, leave)
-    if previous:
-        sys.unraisablehook = notice
-    try:
-        yield
-    finally:
-        sys.unraisablehook = previous_hook
-        for timer in timers:
-            timer.cancel()
-        for number, handler in previous.items():
-            signal.signal(number, handler)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 from hybrid_ins.batch import Job, Row
@@ -18,3 +19,13 @@ def written(target: Path, job: Job) -> Row:
     """Return a row after an output was made."""
     target.write_bytes(b"estimate")
     return {"x": 1.0}
+
+
+def unfinished_for_long(started: Path, removed: Path, job: Job) -> Row:
+    """Work until the process is ended; say when that began, and when it was in order."""
+    started.touch()
+    try:
+        time.sleep(60.0)
+    finally:
+        removed.touch()
+    return {}

@@ -281,7 +281,7 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 """
 
 
-IGNORED = """
+ENDING = """
 import os, signal, sys, time, weakref
 from hybrid_ins.cli import program
 
@@ -299,9 +299,7 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 """
 
 
-@pytest.mark.parametrize(
-    "script", [INTERRUPTED, IGNORED], ids=["compiled code", "end of an object"]
-)
+@pytest.mark.parametrize("script", [INTERRUPTED, ENDING], ids=["compiled code", "end of an object"])
 @pytest.mark.parametrize(
     ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
 )

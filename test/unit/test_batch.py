@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 from support.batch_work import killed_at_b, written
+from support.paths import ROOT
 
 from hybrid_ins import batch
 from hybrid_ins.cli import replay
@@ -44,6 +49,61 @@ def test_a_killed_process_of_any_program_is_one_line() -> None:
         worker_processes(1) as executor,
     ):
         executor.submit(os._exit, 1).result()
+
+
+BATCH = """
+import sys
+from functools import partial
+from pathlib import Path
+from support.batch_work import unfinished_for_long
+from hybrid_ins import batch
+from hybrid_ins.cli import program
+
+folder = Path(sys.argv[1])
+
+def body(args):
+    job = batch.Job("a", folder / "a.mcap", None)
+    work = partial(unfinished_for_long, folder / "started", folder / "removed")
+    return batch.run([job], work, {})
+
+if __name__ == "__main__":
+    sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_work_that_is_not_finished_is_removed_with_the_program(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    """GIVEN a bag in work WHEN the program ends THEN its process removes what it has begun."""
+    script = tmp_path / "script.py"
+    script.write_text(BATCH)
+    (tmp_path / "a.mcap").write_bytes(b"bag")
+    search = f"{ROOT}{os.pathsep}{ROOT / 'test'}"
+    process = subprocess.Popen(
+        [sys.executable, script, tmp_path],
+        env=os.environ | {"PYTHONPATH": search},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        assert _appears(tmp_path / "started")
+        process.send_signal(number)
+        assert _appears(tmp_path / "removed")
+        said = process.communicate(timeout=30)[1]  # at the end of all that have its stderr
+    finally:
+        process.kill()
+
+    if number != signal.SIGKILL:
+        assert said in ("ins_test: interrupted\n", "ins_test: terminated\n")
+
+
+def _appears(path: Path) -> bool:
+    until = time.monotonic() + 40.0
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    return path.exists()
 
 
 def test_a_result_depends_on_the_files_that_settings_name(
