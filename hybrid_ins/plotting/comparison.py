@@ -29,6 +29,7 @@ from hybrid_ins.plotting.style import (
     VERMILLION,
     mark_missing,
     require_matplotlib,
+    rounded,
     thin,
     thin_path,
 )
@@ -117,12 +118,12 @@ def _views(runs: Sequence[tuple[str, Run, Result]]) -> list[RunView]:
 def _label(name: str, result: Result) -> str:
     parts = [name]
     if result.prmse is not None:
-        parts.append(f"PRMSE {result.prmse:.3g} m")
+        parts.append(f"PRMSE {rounded(result.prmse, 3)} m")
     for title, consistency in (("NEES", result.nees_position), ("NIS", result.nis_position)):
         if consistency is not None:
-            parts.append(f"{title}/dof {consistency.per_dof:.3g}")
+            parts.append(f"{title}/dof {rounded(consistency.per_dof, 3)}")
     if result.largest_outage_error is not None:
-        parts.append(f"outages: largest {result.largest_outage_error:.3g} m")
+        parts.append(f"outages: largest {rounded(result.largest_outage_error, 3)} m")
     return " · ".join(parts)
 
 

@@ -16,6 +16,7 @@ from hybrid_ins.plotting.style import (
     SKY,
     legend_above,
     mark_missing,
+    rounded,
     thin,
     thin_band,
 )
@@ -87,7 +88,7 @@ def _caption(error: Array, sigma: Array | None, scored: NDArray[np.bool_], unit:
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
         return ": no truth"
-    text = f": RMS {math.sqrt(np.mean(np.sum(rows**2, axis=1))):.2g} {unit}"
+    text = f": RMS {rounded(math.sqrt(np.mean(np.sum(rows**2, axis=1))), 2)} {unit}"
     if sigma is not None:
         known = np.isfinite(sigma[scored]) & np.isfinite(error[scored])
         inside = np.abs(error[scored][known]) <= 3 * sigma[scored][known]

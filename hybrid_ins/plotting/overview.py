@@ -21,7 +21,16 @@ from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.plotting.error_panels import draw_error
 from hybrid_ins.plotting.map_view import draw_height, draw_map
 from hybrid_ins.plotting.sensor_panels import draw_bias, draw_nis, draw_noise
-from hybrid_ins.plotting.style import DPI, MUTED, SHADE, STYLE, fit_width, require_matplotlib, save
+from hybrid_ins.plotting.style import (
+    DPI,
+    MUTED,
+    SHADE,
+    STYLE,
+    fit_width,
+    require_matplotlib,
+    rounded,
+    save,
+)
 from hybrid_ins.plotting.view import RunView
 from hybrid_ins.resources import shortened
 
@@ -90,9 +99,12 @@ def overview(run: Run, result: Result) -> Figure:
 def _headline(run: Run, result: Result) -> str:
     parts = [shortened(run.name, 60)]
     if result.prmse is not None and result.pmae is not None:
-        parts += [f"PRMSE {result.prmse:.3g} m", f"PMAE {result.pmae:.3g} m"]
+        parts += [
+            f"PRMSE {rounded(result.prmse, 3)} m",
+            f"PMAE {rounded(result.pmae, 3)} m",
+        ]
     if result.heading_rmse is not None:
-        parts.append(f"heading RMSE {math.degrees(result.heading_rmse):.2g}°")
+        parts.append(f"heading RMSE {rounded(math.degrees(result.heading_rmse), 2)}°")
     elif not result.heading_known:
         parts.append("heading never known")
     for name, consistency in (
@@ -100,9 +112,12 @@ def _headline(run: Run, result: Result) -> str:
         ("NIS", result.nis_position),
     ):
         if consistency is not None:
-            parts.append(f"{name} {consistency.per_dof:.3g} per dof ({consistency.verdict})")
-    if result.outage_error(50) is not None:
-        parts.append(f"outage end {result.outage_error(50):.2g} m (median)")
+            parts.append(
+                f"{name} {rounded(consistency.per_dof, 3)} per dof ({consistency.verdict})"
+            )
+    outage_error = result.outage_error(50)
+    if outage_error is not None:
+        parts.append(f"outage end {rounded(outage_error, 2)} m (median)")
     return "   ·   ".join(parts)
 
 

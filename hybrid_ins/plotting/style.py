@@ -132,6 +132,11 @@ def fit_width(text: Text, right: float) -> None:
         text.set_fontsize(size)
 
 
+def rounded(value: float, digits: int) -> str:
+    """Return a number as text, rounded to so many digits: 180, where ``.2g`` writes 1.8e+02."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
 def mark_missing(axes: Axes, why: str) -> None:
     """Write into an empty panel why it is empty."""
     axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=MUTED)

@@ -202,6 +202,13 @@ def test_lines_are_broken_where_time_is_missing() -> None:
     assert np.isnan(y[50])
 
 
+@pytest.mark.parametrize(
+    ("value", "text"), [(184.2, "180"), (0.0614, "0.061"), (12345.0, "12000"), (5.01, "5")]
+)
+def test_numbers_of_a_headline_have_no_exponent(value: float, text: str) -> None:
+    assert style.rounded(value, 2) == text
+
+
 @pytest.mark.parametrize(("name", "text"), [("run.jpg", ".png or .svg"), ("run", ".png or .svg")])
 def test_other_formats_are_rejected(tmp_path: Path, name: str, text: str) -> None:
     with pytest.raises(InputError, match=text):
