@@ -40,6 +40,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
 APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
 STATUS_FIX, STATUS_NO_FIX = 0, -1
+NEAR_POLE = 89.9  # deg, beyond which north turns too fast for a filter in NED
 VERTICAL_RATIO = 2.0  # of a velocity's σ: of a receiver that has one number for all directions
 
 
@@ -162,10 +163,11 @@ class GnssInput:
             )
         if abs(height) > 1e6:
             return Refused("gnss: impossible position", f"altitude {height:g} m is not on Earth")
-        if abs(lat) > 89.9:
+        if abs(lat) > NEAR_POLE:
             return Refused(
                 "gnss: impossible position",
-                f"latitude {lat:g}°: NED is singular at the poles",
+                f"latitude {lat:.7g}°: the filter cannot be used at the poles (beyond "
+                f"±{NEAR_POLE:g}°)",
             )
         covariance_enu = self._position_covariance(message)
         sigma = math.sqrt(max(covariance_enu[0, 0], covariance_enu[1, 1]))

@@ -140,6 +140,7 @@ def test_useless_fixes_are_refused_by_name(changes, name) -> None:
         (123.0, 145.0, "check the driver's units"),
         (INF, 45.0, "latitude inf, longitude 45, altitude "),
         (3.2e8, 4.5, "check the driver's units"),
+        (-89.90004, 4.5, "latitude -89.90004°: the filter cannot be used at the poles (beyond ±"),
     ],
 )
 def test_what_is_no_position_is_said_with_the_likely_cause(
