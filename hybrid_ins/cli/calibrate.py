@@ -23,7 +23,7 @@ from hybrid_ins.calibration.report import innovation_line, parameter_file, table
 from hybrid_ins.calibration.trial import Comparison, Trial, compare, run_trial
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import check_output, write_text
+from hybrid_ins.output_file import check_output, resolved, write_text
 from hybrid_ins.parameters.parameter_file import check_replaceable
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.calibration import figure
@@ -55,10 +55,14 @@ EXAMPLE = "ins_calibrate flight1.mcap flight2.mcap --out params.yaml --plot cali
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = program.parser("ins_calibrate", DESCRIPTION, EXAMPLE)
-    parser.add_argument("bags", metavar="BAG", nargs="+", type=Path, help="recordings of one robot")
-    parser.add_argument("--out", metavar="F", type=Path, help="parameter file to write (YAML)")
     parser.add_argument(
-        "--plot", metavar="F", type=Path,
+        "bags", metavar="BAG", nargs="+", type=options.path, help="recordings of one robot"
+    )
+    parser.add_argument(
+        "--out", metavar="F", type=options.path, help="parameter file to write (YAML)"
+    )
+    parser.add_argument(
+        "--plot", metavar="F", type=options.path,
         help="picture to write, .png or .svg: likelihood over offset, innovations before and after",
     )  # fmt: skip
     options.add_parameters(
@@ -93,8 +97,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     return program.run(_body, parser.parse_args(argv))
 
 
+def _check_different(bags: Sequence[Path]) -> None:
+    """Raise `InputError` where a recording is given twice, which would count as two."""
+    known: dict[Path, Path] = {}
+    for bag in bags:
+        place = resolved(bag)
+        if place in known:
+            alias = "" if known[place] == bag else f", as {known[place]}"
+            raise InputError(f"{bag}: is given twice{alias}: give each recording once")
+        known[place] = bag
+
+
 def _body(args: argparse.Namespace) -> int:
     values = options.parameter_values(args)
+    _check_different(args.bags)
     inputs = [*args.bags, *([Path(args.params_file)] if args.params_file else [])]
     if args.out:
         check_output(args.out, inputs, args.overwrite)

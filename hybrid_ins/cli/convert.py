@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -57,10 +56,12 @@ Rows that cannot be used are reported on stderr and left out.""",
         "input",
         metavar="IN",
         nargs="+",
-        type=Path,
+        type=options.path,
         help="logs of an IMU and a receiver, or the directory of a flight's CSV files",
     )
-    p.add_argument("out", metavar="OUT", type=Path, help="bag: a directory, or a file *.mcap")
+    p.add_argument(
+        "out", metavar="OUT", type=options.path, help="bag: a directory, or a file *.mcap"
+    )
     p.add_argument("--imu", type=options.count, default=1, metavar="K", help="which IMU [1]")
     p.add_argument(
         "--gnss-rate",
@@ -86,7 +87,9 @@ Rows that cannot be used are reported on stderr and left out.""",
         metavar=("LAT", "LON", "H"),
         help="of a table of fixes with local coordinates, deg deg m",
     )
-    p.add_argument("--map", type=Path, metavar="FILE", help="column map (YAML) of the dataset")
+    p.add_argument(
+        "--map", type=options.path, metavar="FILE", help="column map (YAML) of the dataset"
+    )
     p.add_argument("--overwrite", action="store_true", help="replace OUT where it exists")
     return p
 

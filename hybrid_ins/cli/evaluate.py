@@ -41,23 +41,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program ``ins_evaluate``."""
     parser = program.parser("ins_evaluate", DESCRIPTION, EXAMPLE)
     parser.add_argument(
-        "estimate", metavar="EST", type=Path, nargs="+",
+        "estimate", metavar="EST", type=options.path, nargs="+",
         help="bag with the filter's output; several, or a folder of bags",
     )  # fmt: skip
-    parser.add_argument("--truth", metavar="BAG", type=Path, help="bag with truth (default EST)")
+    parser.add_argument(
+        "--truth", metavar="BAG", type=options.path, help="bag with truth (default EST)"
+    )
     parser.add_argument("--no-truth", action="store_true", help="evaluate NIS and fixes only")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument(
-        "--plot", metavar="FILE", type=Path,
+        "--plot", metavar="FILE", type=options.path,
         help="write a picture, .png or .svg; of several bags, an overlay of their runs",
     )  # fmt: skip
     parser.add_argument(
-        "--export", metavar="FILE", type=Path, action="append", default=[],
+        "--export", metavar="FILE", type=options.path, action="append", default=[],
         help="write the estimate for other tools, by suffix: .tum, .csv, .kml, .gpx or .geojson; "
         "may be repeated",
     )  # fmt: skip
     parser.add_argument(
-        "--report", metavar="FILE", type=Path,
+        "--report", metavar="FILE", type=options.path,
         help="write an HTML report with questions and answers, picture and table",
     )  # fmt: skip
     parser.add_argument(
@@ -95,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
 
     options.add_batch(parser).add_argument(
-        "--results", metavar="DIR", type=Path,
+        "--results", metavar="DIR", type=options.path,
         help="keep the result of each bag there; the same command again evaluates only new bags",
     )  # fmt: skip
 

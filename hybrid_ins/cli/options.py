@@ -6,6 +6,7 @@ import argparse
 import math
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from hybrid_ins import parameters
@@ -55,6 +56,13 @@ def positive_count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not above zero")
     return value
+
+
+def path(text: str) -> Path:
+    """Read the name of a file or folder; an empty one, of an unset variable, is not this folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("'' is no name of a file or folder")
+    return Path(text)
 
 
 def add_gnss_noise(parser: Any, default: Sequence[float]) -> None:

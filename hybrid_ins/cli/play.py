@@ -10,7 +10,6 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from hybrid_ins.bags.messages import absolute
 from hybrid_ins.cli import options, program
@@ -35,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
         "ins_play flight.mcap --rate 2 --record estimate.mcap",
     )
     add = parser.add_argument
-    add("bag", type=Path, metavar="IN", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add("bag", type=options.path, metavar="IN", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
     add("--rate", type=options.positive, default=1.0, help="bag seconds per second (default 1)")
     add("--topics", nargs="+", metavar="T", help="publish these topics only")
     add(
@@ -69,7 +68,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="S",
         help="wait at most S seconds until every topic has its subscriber (default 10)",
     )
-    add("--record", type=Path, metavar="OUT", help="write what is received: directory or .mcap")
+    add(
+        "--record",
+        type=options.path,
+        metavar="OUT",
+        help="write what is received: directory or .mcap",
+    )
     add(
         "--record-topics",
         nargs="+",

@@ -37,13 +37,13 @@ def _parser() -> argparse.ArgumentParser:
         "input",
         metavar="IN",
         nargs="+",
-        type=Path,
+        type=options.path,
         help="bag with sensor_msgs/Imu and NavSatFix; several, or a folder of bags",
     )
     parser.add_argument(
         "output",
         metavar="OUT",
-        type=Path,
+        type=options.path,
         help="bag to write (directory, or *.mcap file); the folder for several",
     )
     options.add_parameters(parser, "parameter file, the same as the node's")
@@ -59,13 +59,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--plot",
         metavar="FILE",
-        type=Path,
+        type=options.path,
         help="draw the run, with errors where IN holds truth: .png or .svg",
     )
     parser.add_argument(
         "--export",
         metavar="FILE",
-        type=Path,
+        type=options.path,
         action="append",
         default=[],
         help="write the track for other tools, by suffix: .tum, .csv, .kml, .gpx or .geojson; "

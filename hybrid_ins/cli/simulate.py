@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -34,7 +33,9 @@ origin is the first fix, that origin on /truth/datum, and what the filter estima
 Vectors are given in the bag's axes: forward, left, up.""",
         "ins_simulate flight --outage 30 10 --noise-schedule 0:1,20:5,40:1 --seed 3",
     )
-    p.add_argument("out", metavar="OUT", type=Path, help="bag: a directory, or a file *.mcap")
+    p.add_argument(
+        "out", metavar="OUT", type=options.path, help="bag: a directory, or a file *.mcap"
+    )
     motion = p.add_argument_group("motion")
     motion.add_argument("--trajectory", choices=MOTIONS, default="quadrotor", help="[%(default)s]")
     motion.add_argument(

@@ -101,6 +101,10 @@ WRONG = [
     ("ins_evaluate", "bag --skip -1", "--skip"),
     ("ins_evaluate", "bag --plot picture.doc", "picture.doc"),
     ("ins_calibrate", "missing --out OUT", "missing"),
+    ("ins_calibrate", "bag ./bag --out OUT", "bag: is given twice: give each recording once"),
+    ("ins_calibrate", "bag EMPTY --out OUT", "'' is no name of a file or folder"),
+    ("ins_replay", "EMPTY OUT", "'' is no name of a file or folder"),
+    ("ins_evaluate", "EMPTY", "'' is no name of a file or folder"),
     ("ins_calibrate", "text.mcap --out OUT", "text.mcap"),
 ]
 
@@ -120,7 +124,8 @@ def test_wrong_arguments_get_one_clear_line(
     monkeypatch.chdir(files)
     out = tmp_path / "out"
 
-    status = status_of(name, arguments.replace("OUT", str(out)).split())
+    words_given = arguments.replace("OUT", str(out)).split()
+    status = status_of(name, ["" if word == "EMPTY" else word for word in words_given])
 
     printed = capsys.readouterr()
     [last] = printed.err.strip().splitlines()
