@@ -67,7 +67,7 @@ EXTRAS = {
 }
 
 PROGRAMS = {
-    "ins_node": "ros.node",
+    "ins_node": "cli.node",
     "ins_play": "cli.play",
     "ins_convert": "cli.convert",
     "ins_simulate": "cli.simulate",

@@ -386,6 +386,30 @@ def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
     assert done.stderr == "-c: interrupted\n"
 
 
+def test_ctrl_c_while_the_node_is_loaded_is_one_line() -> None:
+    """GIVEN Ctrl-C when the first module of rclpy is asked for THEN there is no traceback."""
+    code = (
+        "import signal, sys; from importlib.abc import MetaPathFinder\n"
+        f"{IGNORED}\n"
+        "class Finder(MetaPathFinder):\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'rclpy': signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "import hybrid_ins.cli.node"
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+    assert done.returncode == -signal.SIGINT
+    assert done.stderr == "-c: interrupted\n"
+
+
 class TestNode:
     """The node is a process of its own: rclpy's context and signals are per process."""
 
