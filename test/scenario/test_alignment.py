@@ -99,6 +99,27 @@ def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
     assert np.all(np.abs(navigator.filter.nav[BIAS_G] - truth) < 4.0 * std)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.006, 0.02])
+def test_a_slow_turn_at_anchor_is_no_gyroscope_bias_when_the_boat_sails(turn: float) -> None:
+    """The heading was off by 150 degrees for minutes, with a claim of 2."""
+    # GIVEN a boat that turns evenly while it stands, and then sails
+    t = time_grid(90.0)
+    speed = 4.0 * np.clip((t - 40.0) / 6.0, 0.0, 1.0)
+    course = turn * np.minimum(t, 38.0) + 0.5 * np.sin(0.1 * np.maximum(t - 60.0, 0.0))
+    yaw = np.stack((0.0 * t, 0.0 * t, course), axis=-1)
+    run = scene(motion_through(t, velocity_of(speed, course, 0.0 * t), yaw, START_LLA))
+    navigator = make_navigator()
+    # WHEN it has sailed for 10 s and longer
+    errors = []
+    for start, stop in ((0.0, 56.0), (56.0, 70.0), (70.0, 90.0)):
+        play(run, navigator, start, stop)
+        error = run.errors(navigator, stop)[2]
+        errors.append((np.degrees(error), error / heading_std(navigator)))
+    # THEN the heading is as good as it says
+    assert max(ratio for _, ratio in errors) < 4.0, errors
+    assert errors[-1][0] < 6.0, errors
+
+
 @pytest.mark.parametrize("heading", np.linspace(-2.9, 3.1, 4))
 @pytest.mark.parametrize("trajectory", [quadrotor_flight, car_drive])
 def test_motion_shows_the_heading(trajectory, heading: float) -> None:

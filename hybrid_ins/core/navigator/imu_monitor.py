@@ -24,6 +24,7 @@ from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY,
 from hybrid_ins.core.navigator.notices import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
+from hybrid_ins.core.navigator.stand_turn import StandTurn
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Standstill
 
@@ -57,6 +58,8 @@ class ImuMonitor:
         What the filters are made of: it knows where the antenna is.
     zero_updates : bool
         Use standing as a measurement.
+    bias_g : ndarray, shape (3,)
+        The gyroscopes' bias that was given [rad/s], b.
 
     Attributes
     ----------
@@ -68,8 +71,9 @@ class ImuMonitor:
         Stamps [ns] between which it may have stood, the last time that it did.
     """
 
-    def __init__(self, parts: FilterParts, zero_updates: bool) -> None:
+    def __init__(self, parts: FilterParts, zero_updates: bool, bias_g: Array) -> None:
         self._parts = parts
+        self._turn = StandTurn(bias_g)
         self._zero_updates = zero_updates
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self.reset()
@@ -109,6 +113,7 @@ class ImuMonitor:
     def discard_biases(self) -> None:
         """Discard them: the filter that estimated them was wrong, or is of another time."""
         self._biases.clear()
+        self._turn.forget()
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Note whether the last fix agreed with the filter."""
@@ -157,6 +162,9 @@ class ImuMonitor:
         calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
         self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
+        taught_wrongly = self._turn.follow(samples, self.may_stand, fixes_move, PERIOD_NS)
+        if taught_wrongly is not None:
+            phases.submit(CovarianceInflation(t_ns, taught_wrongly, self._parts.settings.lever_b))
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(

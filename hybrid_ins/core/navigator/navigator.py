@@ -86,7 +86,7 @@ class Navigator:
     ) -> None:
         self.ring = ImuRing()
         self.stamps = ImuStampCheck(max_gap)
-        self.monitor = ImuMonitor(parts, zero_updates)
+        self.monitor = ImuMonitor(parts, zero_updates, alignment.bias_g)
         self._notices: deque[Notice] = deque()
         self.phases = PhaseMachine(parts, self.ring, self.stamps, self._notices, record)
         self._alignment_settings = alignment
