@@ -297,19 +297,20 @@ class _Replay:
     def smooth(self, record: RunRecord) -> None:
         """Write the smoothed run, after `filter`."""
         # Its kernels are compiled here only: a node that filters does not wait for them.
-        from hybrid_ins.ros.estimator.smoothed import smoothed_run, smoothed_verdicts
+        from hybrid_ins.ros.estimator.smoothed import SmoothedRun
 
-        for log_ns, report in smoothed_verdicts(record, self._verdicts):
-            self._write_report(report, log_ns)
         total = 3 * record.count
         with progress.bar("smooth", total, "sample", unit_scale=True) as bar:
             make_store = partial(RowFile, folder=self._out.folder)
-            for block, reports in smoothed_run(self._estimator, record, make_store, bar.update):
+            smoothed = SmoothedRun(self._estimator, record, make_store, bar.update)
+            for block, reports in smoothed.states():
                 self._write_odometry(*block)
                 for stamp_ns, report in reports:
                     self._write_report(report, stamp_ns)
         for writer in self._odometry:
             writer.flush()
+        for log_ns, report in smoothed.verdicts(self._verdicts):
+            self._write_report(report, log_ns)
 
 
 def _aid(estimator: Estimator, topic: str, message: Message, _log_ns: int) -> None:

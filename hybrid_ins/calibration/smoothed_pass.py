@@ -90,6 +90,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
         updates.append(Update(int(stamps[row]), there, measurement, outlying, split=split))
     gap_ns = round(LONG_STEP * recording.period * 1e9)
     smoother = Smoother(start, samples, updates, INTERVAL, gap_ns, {}, {})
-    t_ns, rows = map(np.concatenate, zip(*smoother.smooth(), strict=True))
+    smoother.run()
+    t_ns, rows = map(np.concatenate, zip(*smoother.states(), strict=True))
     at = np.clip(np.searchsorted(t_ns, stamps), 0, len(t_ns) - 1)
     return replace(passed, states=rows[at])

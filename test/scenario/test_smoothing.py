@@ -17,7 +17,7 @@ from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.replay import replay_bag
-from hybrid_ins.ros.estimator.smoothed import smoothed_run
+from hybrid_ins.ros.estimator.smoothed import SmoothedRun
 from hybrid_ins.row_file import ObjectFile, RowFile
 from tools.paper.runs import Run, Scenario, draw
 
@@ -93,7 +93,7 @@ def smoothed(run: Run, late: float = 0.0, **values: object) -> tuple[np.ndarray,
     """Return stamps and odometry (N, 85) of a run whose fixes come ``late`` [s]."""
     record = RunRecord()
     estimator = through_estimator(run, late, record, **{"gnss.max_delay": 1.0, **values})
-    blocks = [block for block, _ in smoothed_run(estimator, record, RowFile)]
+    blocks = [block for block, _ in SmoothedRun(estimator, record, RowFile).states()]
     return (
         np.concatenate([block.t_ns for block in blocks]),
         np.concatenate([block.in_map for block in blocks]),

@@ -111,7 +111,8 @@ def make(
 
 def gather(smoother: Smoother) -> tuple[NDArray[np.int64], Array]:
     """Return all stamps and smoothed states."""
-    t_ns, rows = map(np.concatenate, zip(*smoother.smooth(), strict=True))
+    smoother.run()
+    t_ns, rows = map(np.concatenate, zip(*smoother.states(), strict=True))
     return t_ns, rows
 
 

@@ -23,7 +23,6 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.navigator.notices import Notice
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.core.smoothing.forward_record import RunRecord
-from hybrid_ins.core.smoothing.hindsight import clock_offsets
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import clock_offset_ns
 from hybrid_ins.dataset.column_map import load_map
@@ -37,7 +36,7 @@ from hybrid_ins.noise_regressor.reader import NoiseReader
 from hybrid_ins.resources import share_path
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
-from hybrid_ins.ros.estimator.smoothed import smoothed_run
+from hybrid_ins.ros.estimator.smoothed import SmoothedRun
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
@@ -211,6 +210,7 @@ def fly(
     rate: Array | None = None,
     told: Callable[[int], Array] | None = None,
     smooth: bool = False,
+    truth_offset: float | None = None,
 ) -> Flown:
     """
     Run the node's estimator over a flight and judge it on epochs that it was not given.
@@ -232,6 +232,8 @@ def fly(
         Gives the levels (6,) at a stamp [ns] in place of the regressor.
     smooth : bool
         Smooth the run, too.
+    truth_offset : float, optional
+        Of the reference's clock [s], for the judgement; the run's own estimate by default.
     """
     values = dict(values)
     if heading is not None:
@@ -282,7 +284,7 @@ def fly(
             flight.truth,
             fix_stamp_ns=aid.stamp_ns,
             verdicts=verdicts,
-            scoring=Scoring(skip=skip),
+            scoring=Scoring(skip=skip, time_offset=truth_offset),
         )
 
     verdicts = Verdicts.of(estimator.rows)
@@ -291,13 +293,12 @@ def fly(
         return Flown(result, estimator)
     # Judged on the same epochs: the time before the filter ran, which it has too, does not count.
     first_ns = int(done[0][0][0])
-    blocks = [block for block, _ in smoothed_run(estimator, record, lambda length: {})]
+    smoothed = SmoothedRun(estimator, record, lambda length: {})
+    blocks = [block for block, _ in smoothed.states()]
     stamps = np.concatenate([block.t_ns for block in blocks])
     odometry = np.concatenate([block.in_map for block in blocks])
     kept = stamps >= first_ns
-    clock = [clock_offsets(stretch) for stretch in record.finish()]
-    offset_ns, offsets = (np.concatenate(column) for column in zip(*clock, strict=True))
-    hindsight = replace(verdicts, time_offset=np.interp(verdicts.stamp_ns, offset_ns, offsets))
+    hindsight = replace(verdicts, time_offset=smoothed.clock_offsets(verdicts.stamp_ns))
     return Flown(result, estimator, judge([stamps[kept]], [odometry[kept]], hindsight))
 
 

@@ -74,6 +74,7 @@ def fly_once(
         offset=values["gnss.time_offset.value"],
         heading=heading,
         smooth=True,
+        truth_offset=found["exact"],
     )
 
 
@@ -121,7 +122,8 @@ def simulation_task(seed: int) -> list[Row]:
     )
     updates = [Update(fix.t_ns, psd, fix) for fix in run.fixes]
     smoother = Smoother(start, run.samples, updates, 0.01 - 1e-6, 40_000_000, {}, {})
-    blocks = [rows for _, rows in smoother.smooth()]
+    smoother.run()
+    blocks = [rows for _, rows in smoother.states()]
     states = np.concatenate(blocks)[run.scored]
     filtered = montecarlo.fly(run, montecarlo.Method("filter", "constant"))
     errors = {
@@ -153,7 +155,6 @@ def draw_separation(path: Path, flown: Flown) -> None:
     before, after = flown.result.errors, flown.smoothed.errors
     assert before is not None and after is not None
     figure, axes = _axes(4, sharex=True)
-    # Each is in the reference's time by its own clock offset; the instants of the IMU are the same.
     b = np.searchsorted(after.stamp_ns, before.stamp_ns - HALF_PERIOD_NS)
     a = np.flatnonzero(b < len(after.stamp_ns))
     a = a[np.abs(after.stamp_ns[b[a]] - before.stamp_ns[a]) < HALF_PERIOD_NS]

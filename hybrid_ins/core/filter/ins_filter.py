@@ -102,8 +102,8 @@ class InsFilter:
         self.nav[SENSITIVITY] = initial_sensitivity(initial.velocity_n, np.zeros(3))
         self.t_ns = t_ns
         self.update = settings.update(noise, gate, t_ns)
-        self._consider_clock = settings.consider_clock
-        self.nav[CLOCK_VARIANCE] = self.clock.missing_variance if self._consider_clock else 0.0
+        self.considers_clock = settings.consider_clock
+        self.nav[CLOCK_VARIANCE] = self.clock.missing_variance if self.considers_clock else 0.0
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
         self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
@@ -235,7 +235,7 @@ class InsFilter:
     def change_settings(self, settings: FilterSettings) -> None:
         """Change ``max_delay``, ``consider_clock``, and what is in `SettingsChange` from now on."""
         self._history.horizon_ns = int(settings.max_delay * 1e9)
-        self._consider_clock = settings.consider_clock
+        self.considers_clock = settings.consider_clock
         change = settings.change_of(self.update, self.t_ns)
         if change is not None:
             self.submit(change)
@@ -257,7 +257,7 @@ class InsFilter:
         self._history.add_event(event)
         propagation.propagate_covariance(self.nav)
         age = _age(event, self.t_ns)
-        outcome = self.update.apply(self.nav, event, age, self._consider_clock, self.ring)
+        outcome = self.update.apply(self.nav, event, age, self.considers_clock, self.ring)
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:

@@ -1,11 +1,11 @@
 """
 The smoother of a recorded stretch: what the forward run decided, with hindsight.
 
-Measurements, decisions and noise are those of the forward run, but for four things that only later
+Measurements, decisions and noise are those of the forward run, but for five things that only later
 data show. Measurements that the gate rejected are fused if they fit after all; where the
 innovations showed that the noise had been too small for a while, it is raised over that while; the
-clock offset of each fix is the one that later fixes confirm; and a heading that had to be found is
-linearised about the one that was found.
+clock offset of each fix is the one that later fixes confirm; a heading that had to be found is
+linearised about the one that was found; and `ConstantErrors` are estimated.
 
 References
 ----------
@@ -32,8 +32,9 @@ from hybrid_ins.core.inertial.rotations import (
 )
 from hybrid_ins.core.inertial.state import N_ERROR, NavState
 from hybrid_ins.core.noise.weights import MEMORY
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
+from hybrid_ins.core.smoothing.constant_errors import ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import Stretch
-from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_STATE, Smoother, Store
 from hybrid_ins.core.update.measurements import GNSS, clock_offset_ns
@@ -52,9 +53,9 @@ def smoother_of(
     stretch: Stretch,
     make_store: Callable[[int], Store],
     progress: Callable[[int], None] = lambda n: None,
-) -> tuple[Smoother, SmoothedLeverArm | None]:
+) -> tuple[Smoother, ConstantErrors]:
     """
-    Return a smoother of a stretch in which a filter ran, and the lever arm that nobody gave.
+    Return a smoother of a stretch in which a filter ran, and the constants that it estimates.
 
     Parameters
     ----------
@@ -67,7 +68,8 @@ def smoother_of(
     """
     last = stretch.filters[-1][0]
     interval, gap_ns = last.covariance_interval, last.long_step_ns
-    start, updates = _plan(stretch.filters)
+    steps, moved = _steps(stretch.filters)
+    start, updates = _plan(stretch.filters, steps, moved)
     samples = stretch.samples
     if stretch.heading_found:
         end = np.searchsorted(samples["t_ns"], stretch.running_ns + HEAD_NS)
@@ -75,9 +77,10 @@ def smoother_of(
         head.run()
         start = _about_heading(start, head.first())
     stores = make_store(N_STATE), make_store(N_ADJOINT)
-    lever_arm = None if _lever_arm_is_given(updates) else SmoothedLeverArm()
-    smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, lever_arm)
-    return smoother, lever_arm
+    constants = ConstantErrors(not _lever_arm_is_given(updates), _clock_prior(last, steps, moved))
+    unknown = None if constants.are_known else constants
+    smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, unknown)
+    return smoother, constants
 
 
 def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
@@ -86,8 +89,12 @@ def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
     return any(lever is not None and lever.any() for lever in levers)
 
 
-def clock_offsets(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
-    """Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s]."""
+def clock_offsets(stretch: Stretch, constant: float) -> tuple[NDArray[np.int64], Array]:
+    """
+    Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s].
+
+    ``constant`` is what `ConstantErrors` has found of them [s].
+    """
     steps, moved = _steps(stretch.filters)
     found = [
         (decided.verdict.measurement, dt)
@@ -96,7 +103,7 @@ def clock_offsets(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
     ]
     offsets_ns = np.array([clock_offset_ns(measurement) for measurement, _ in found], np.int64)
     stamps = np.array([measurement.t_ns for measurement, _ in found], np.int64) - offsets_ns
-    return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found])
+    return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found]) + constant
 
 
 @dataclass(slots=True)
@@ -128,10 +135,21 @@ def _steps(filters: Sequence[tuple[InsFilter, float]]) -> tuple[list[_Step], Arr
     return steps, _clock(steps) if shifted else np.zeros(len(steps))
 
 
-def _plan(filters: Sequence[tuple[InsFilter, float]]) -> tuple[SmootherStart, list[Update]]:
+def _clock_prior(last: InsFilter, steps: Sequence[_Step], moved: Array) -> ClockPrior | None:
+    """Return the prior of what the smoothed clock offsets lack; None where none is estimated."""
+    prior = last.clock.prior
+    if not last.considers_clock or prior is None:
+        return None
+    first = next((k for k, step in enumerate(steps) if _is_gnss(step)), None)
+    offset = 0.0 if first is None else steps[first].applied + moved[first]  # beyond the given one
+    return ClockPrior(-offset, prior.scale)
+
+
+def _plan(
+    filters: Sequence[tuple[InsFilter, float]], steps: Sequence[_Step], moved: Array
+) -> tuple[SmootherStart, list[Update]]:
     """Return what the smoother begins with and does, by hindsight."""
     first = _record(filters[0][0])
-    steps, moved = _steps(filters)
     psd = filters[0][0].noise.process.psd
     first_levels = _raise(steps, first.start)
     updates: list[Update] = []

@@ -43,10 +43,11 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.noise.position_scatter import NO_GROWTH, change_slow_error
 from hybrid_ins.core.smoothing.backward_propagation import run_backward
-from hybrid_ins.core.smoothing.lever_arm import (
+from hybrid_ins.core.smoothing.constant_errors import (
     MOST_PASSES,
+    N_CONSTANTS,
     N_SENSITIVITY,
-    SmoothedLeverArm,
+    ConstantErrors,
 )
 from hybrid_ins.core.smoothing.segments import Segments, SmootherStart, Update
 from hybrid_ins.core.smoothing.step import (
@@ -58,7 +59,7 @@ from hybrid_ins.core.smoothing.step import (
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
 from hybrid_ins.core.update.kalman import innovation
-from hybrid_ins.core.update.measurements import GNSS, Measurement
+from hybrid_ins.core.update.measurements import GNSS
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.void]
@@ -102,9 +103,8 @@ class Smoother:
         Keep (N_STATE,) and (N_ADJOINT,) numbers for each update.
     progress : callable, optional
         Called with the number of samples done, three times for each sample.
-    lever_arm : SmoothedLeverArm, optional
-        Estimated, where it is not known. The covariance of the smoothed positions is then that of
-        the antenna's.
+    constants : ConstantErrors, optional
+        Estimated, and considered in the covariances.
     """
 
     def __init__(
@@ -117,10 +117,10 @@ class Smoother:
         states: Store,
         adjoints: Store,
         progress: Callable[[int], None] = lambda n: None,
-        lever_arm: SmoothedLeverArm | None = None,
+        constants: ConstantErrors | None = None,
     ) -> None:
         self._start = start
-        self._lever_arm = lever_arm
+        self._constants = constants
         self._interval = interval
         self._long_step_ns = long_step_ns
         self._states = states
@@ -128,30 +128,31 @@ class Smoother:
         self._progress = progress
         after = int(np.searchsorted(samples["t_ns"], start.t_ns, side="right"))
         self._before = samples[:after]
-        self._segments = Segments(start, samples[after:], updates, long_step_ns)
-        self._nodes = self._segments.nodes
+        self._after = samples[after:]
+        self._updates = updates
+        self._divide()
         self._spans: dict[int, float] = {}  # s since the last correction, where one inflates
         self._fused: set[int] = set()
 
-    def smooth(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """
-        Yield the smoothed states in order: stamps (n,) [ns] and flat states (n, N_NAV).
-
-        The first ones are `before_start`'s.
-        """
-        self.run()
-        yield from self._output()
-
     def run(self) -> None:
-        """Run forward and backward; `first` is known then, and `smooth` has only to write down."""
+        """Run forward and backward; `first` and `states` are known then."""
         self._forward()
-        if self._lever_arm is not None:
+        if self._constants is not None:
             for _ in range(MOST_PASSES):
-                if self._lever_arm.finish():
+                if self._constants.finish():
                     break
-                self._lever_arm.begin()
+                self._constants.begin()
+                self._divide()
                 self._forward()
         self._backward()
+
+    def _divide(self) -> None:
+        """Divide the stretch at its updates, as they are assumed in this pass."""
+        updates = self._updates
+        if self._constants is not None:
+            updates = sorted(map(self._constants.assumed, updates), key=lambda u: u.t_ns)
+        self._segments = Segments(self._start, self._after, updates, self._long_step_ns)
+        self._nodes = self._segments.nodes
 
     def _forward(self) -> None:
         """Run the filter; keep its state after every update."""
@@ -163,15 +164,15 @@ class Smoother:
         self._corrected_ns = self._start.t_ns
         self._spans.clear()
         self._fused.clear()
-        lever_arm, row = self._lever_arm, np.zeros(N_STATE)
+        constants, row = self._constants, np.zeros(N_STATE)
         for k, node in enumerate(self._nodes):
             row[:N_NAV] = nav[:N_NAV]
-            if lever_arm is not None:
-                row[N_NAV:] = lever_arm.sensitivity.ravel()
+            if constants is not None:
+                row[N_NAV:] = constants.sensitivity.ravel()
             self._states[k] = row.copy()
             steps = self._run(nav, k)
-            if lever_arm is not None:
-                lever_arm.propagate(*steps[2:4])
+            if constants is not None:
+                constants.propagate(*steps[2:4])
             self._progress(self._segments.count(k))
             if node.update is not None:
                 self._apply(nav, k, node.update)
@@ -180,7 +181,7 @@ class Smoother:
         """Apply an update to the flat state of the forward pass."""
         _inflate(nav, update)
         if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
-            measurement = self._assumed(update.measurement)
+            measurement = update.measurement
             z, H, R = measurement.linearise(nav)
             R = R * update.r_scale
             fits = innovation(nav, z, H, R)[1] <= update.threshold
@@ -191,40 +192,37 @@ class Smoother:
                     inflate_to_innovation(nav, z, H, self._spans[k])
                 before = nav.copy()
                 _, K = iterated_update.update(nav, z, H, R)
-                if self._lever_arm is not None:
-                    self._lever_arm.correct(measurement, before, K, R)
+                if self._constants is not None:
+                    self._constants.correct(measurement, before, K, R)
                 if measurement.sensor == GNSS:
                     self._corrected_ns = update.t_ns
         nav[PSD] = update.psd
 
-    def _assumed(self, measurement: Measurement) -> Measurement:
-        return measurement if self._lever_arm is None else self._lever_arm.assumed(measurement)
-
     def _backward(self) -> None:
         """Carry the adjoint from the end to the start; keep it before every update."""
-        adjoint, lever_arm = (np.zeros(N_ERROR), np.zeros((N_ERROR, N_ERROR))), self._lever_arm
-        if lever_arm is not None:
-            lever_arm.begin_adjoint()
+        adjoint, constants = (np.zeros(N_ERROR), np.zeros((N_ERROR, N_ERROR))), self._constants
+        if constants is not None:
+            constants.begin_adjoint()
         for k in range(len(self._nodes) - 1, -1, -1):
             nav, steps = self._again(k)
-            if lever_arm is not None:
-                lever_arm.sensitivity = self._states[k][N_NAV:].reshape(N_ERROR, 3)
-                lever_arm.propagate(*steps[3:5])
+            if constants is not None:
+                constants.sensitivity = self._states[k][N_NAV:].reshape(N_ERROR, N_CONSTANTS)
+                constants.propagate(*steps[3:5])
             if k in self._fused:
                 adjoint = self._through_update(k, nav, *adjoint)
             row = np.zeros(N_ADJOINT)
             row[:N_ERROR] = adjoint[0]
             pack(adjoint[1], row[N_ERROR : N_ERROR + N_PACKED])
-            if lever_arm is not None:
-                row[N_ERROR + N_PACKED :] = lever_arm.smoothed(nav).ravel()
-                lever_arm.propagate_adjoint(*steps[3:5])
+            if constants is not None:
+                row[N_ERROR + N_PACKED :] = constants.smoothed(nav).ravel()
+                constants.propagate_adjoint(*steps[3:5])
             self._adjoints[k] = row
             adjoint = propagation_adjoint(*steps[3:5], *adjoint)
             self._progress(self._segments.count(k))
         self._first_adjoint = adjoint
-        if lever_arm is not None:
-            lever_arm.sensitivity = np.zeros((N_ERROR, 3))
-            self._first_sensitivity = lever_arm.smoothed(self._start.state.to_flat())
+        if constants is not None:
+            constants.sensitivity = np.zeros((N_ERROR, N_CONSTANTS))
+            self._first_sensitivity = constants.smoothed(self._start.state.to_flat())
 
     def _through_update(
         self, k: int, nav: Array, costate: Array, information: Array
@@ -233,21 +231,24 @@ class Smoother:
         update = self._nodes[k].update
         assert update is not None and update.measurement is not None
         _inflate(nav, update)
-        measurement = self._assumed(update.measurement)
-        z, H, R = measurement.linearise(nav)
+        z, H, R = update.measurement.linearise(nav)
         if k in self._spans:
             inflate_to_innovation(nav, z, H, self._spans[k])
-        if self._lever_arm is not None:
-            self._lever_arm.correct_adjoint(measurement, nav, R * update.r_scale)
+        if self._constants is not None:
+            self._constants.correct_adjoint(update.measurement, nav, R * update.r_scale)
         before: tuple[Array, Array] = correction_adjoint(
             nav, z, H, R * update.r_scale, costate, information
         )
         return before
 
-    def _output(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Yield stamps and smoothed states, in blocks."""
+    def states(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
+        """
+        Yield the smoothed states in order and in blocks: stamps (n,) [ns], states (n, N_NAV).
+
+        The first ones are `before_start`'s.
+        """
         waiting = [*self.before_start()]
-        if self._lever_arm is not None:
+        if self._constants is not None:
             sensitivity = self._first_sensitivity
         count = sum(len(t) for t, _ in waiting)
         for k in range(len(self._nodes)):
@@ -255,10 +256,10 @@ class Smoother:
             row = self._adjoints[k]
             packed = row[N_ERROR : N_ERROR + N_PACKED]
             smoothed = smoothed_rows(*steps, row[:N_ERROR].copy(), packed[PLACES])
-            if self._lever_arm is not None and len(smoothed):
-                last = row[N_ERROR + N_PACKED :].reshape(N_ERROR, 3)
+            if self._constants is not None and len(smoothed):
+                last = row[N_ERROR + N_PACKED :].reshape(N_ERROR, N_CONSTANTS)
                 share = np.cumsum(steps[2]) / steps[2].sum()
-                self._lever_arm.consider(smoothed, sensitivity, last, share)
+                self._constants.consider(smoothed, sensitivity, last, share)
                 sensitivity = last
             stamps = self._segments.stamps(k)
             waiting.append((stamps, smoothed[: len(stamps)]))
@@ -286,9 +287,9 @@ class Smoother:
         )
         costate, information = self._first_adjoint
         out: Array = smoothed_rows(*steps, costate, information)
-        if self._lever_arm is not None:
+        if self._constants is not None:
             s = self._first_sensitivity
-            self._lever_arm.consider(out, s, s, np.zeros(1))
+            self._constants.consider(out, s, s, np.zeros(1))
         nav[:N_NAV] = out[0]
         return nav
 

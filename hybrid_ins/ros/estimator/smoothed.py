@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.inertial.state import PSD
+from hybrid_ins.core.smoothing.constant_errors import LEVER, ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.smoothing.hindsight import clock_offsets, smoother_of
-from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
 from hybrid_ins.core.smoothing.smoother import Store
 from hybrid_ins.ros.estimator.estimator import REPORT_NS, Estimator
 from hybrid_ins.ros.estimator.reporter import state_reports
@@ -23,14 +23,9 @@ from hybrid_ins.ros.reporting.reports import OdometryBlock, Report, Status
 Array = NDArray[np.float64]
 
 
-def smoothed_run(
-    estimator: Estimator,
-    record: RunRecord,
-    make_store: Callable[[int], Store],
-    progress: Callable[[int], None] = lambda n: None,
-) -> Iterator[tuple[OdometryBlock, list[tuple[int, Report]]]]:
+class SmoothedRun:
     """
-    Yield the smoothed run in order: odometry, and reports of the same samples with their stamps.
+    A run as it is known in the end.
 
     Parameters
     ----------
@@ -41,37 +36,73 @@ def smoothed_run(
     make_store, progress
         See `hindsight.smoother_of`; ``progress`` is called for each sample three times.
     """
-    source, report_ns = OdometrySource(), 0
-    source.map = estimator.odometry.map
-    frame = estimator.values["base_frame"]
-    for stretch in record.finish():
-        process = stretch.filters[-1][0].noise.process
-        source.restart()
-        smoother, lever_arm = smoother_of(stretch, make_store, progress)
-        arm_b, told = estimator.placement.arm_b, lever_arm is None
-        for t_ns, rows in smoother.smooth():
-            if lever_arm is not None:  # what is known is where the antenna was
-                arm_b = estimator.placement.arm_b - lever_arm.lever_b
-            if not told and lever_arm is not None:
-                told = True
-                _report_lever_arm(estimator, lever_arm)
-            for part in _parts(rows):
-                levels = process.q(rows[part.start, PSD][:6])
-                block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])
-                if block is None:
-                    continue
-                reports: list[tuple[int, Report]] = []
-                for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
-                    if stamp >= report_ns:
-                        report_ns = stamp + REPORT_NS
-                        made = state_reports(stamp, row, levels, arm_b, frame)
-                        reports += [(stamp, report) for report in made]
-                yield block, reports
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        record: RunRecord,
+        make_store: Callable[[int], Store],
+        progress: Callable[[int], None] = lambda n: None,
+    ) -> None:
+        self._estimator = estimator
+        self._record = record
+        self._make_store = make_store
+        self._progress = progress
+        self._clocks: list[tuple[NDArray[np.int64], Array]] = []
+
+    def states(self) -> Iterator[tuple[OdometryBlock, list[tuple[int, Report]]]]:
+        """Yield it in order: odometry, and reports of the same samples with their stamps."""
+        estimator, source, report_ns = self._estimator, OdometrySource(), 0
+        source.map = estimator.odometry.map
+        frame = estimator.values["base_frame"]
+        for stretch in self._record.finish():
+            process = stretch.filters[-1][0].noise.process
+            source.restart()
+            smoother, constants = smoother_of(stretch, self._make_store, self._progress)
+            smoother.run()
+            _report_lever_arm(estimator, constants)
+            self._clocks.append(clock_offsets(stretch, constants.clock_offset))
+            # what is known is where the antenna was
+            arm_b = estimator.placement.arm_b - constants.lever_b
+            for t_ns, rows in smoother.states():
+                for part in _parts(rows):
+                    levels = process.q(rows[part.start, PSD][:6])
+                    block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])
+                    if block is None:
+                        continue
+                    reports: list[tuple[int, Report]] = []
+                    for stamp, row in zip(t_ns[part].tolist(), rows[part], strict=True):
+                        if stamp >= report_ns:
+                            report_ns = stamp + REPORT_NS
+                            made = state_reports(stamp, row, levels, arm_b, frame)
+                            reports += [(stamp, report) for report in made]
+                    yield block, reports
+
+    def clock_offsets(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Return the clock offset [s] of fixes by their stamps [ns], after `states`."""
+        stamps, offsets = (np.concatenate(columns) for columns in zip(*self._clocks, strict=True))
+        order = np.argsort(stamps, kind="stable")
+        return np.interp(stamps_ns, stamps[order], offsets[order])
+
+    def verdicts(self, filtered: Iterable[tuple[int, Report]]) -> Iterator[tuple[int, Report]]:
+        """
+        Yield the filter's verdicts (log time [ns], report) with the clock offset known in the end.
+
+        It says which time of the reference each smoothed state belongs to. After `states`.
+        """
+        for log_ns, report in filtered:
+            if isinstance(report.content, Status):
+                values = dict(report.content.values)
+                offset = self.clock_offsets(np.array([int(values["stamp"])]))[0]
+                values["time_offset"] = f"{offset:.6g}"
+                content = report.content._replace(values=list(values.items()))
+                report = replace(report, content=content)
+            yield log_ns, report
 
 
-def _report_lever_arm(estimator: Estimator, found: SmoothedLeverArm) -> None:
+def _report_lever_arm(estimator: Estimator, found: ConstantErrors) -> None:
     """Say where the antenna is relative to the IMU, if that is not at the IMU."""
-    std = np.sqrt(found.covariance_b.diagonal())
+    std = np.sqrt(found.covariance.diagonal()[LEVER])
     if np.any(np.abs(found.lever_b) > 3.0 * std):
         place = ", ".join(
             f"{name} {value:.3f} ± {sigma:.3f} m"
@@ -85,27 +116,6 @@ def _report_lever_arm(estimator: Estimator, found: SmoothedLeverArm) -> None:
             "gnss.antenna_position nor imu.position says: the track and its covariance are those "
             "of the antenna",
         )
-
-
-def smoothed_verdicts(
-    record: RunRecord, verdicts: Iterable[tuple[int, Report]]
-) -> Iterator[tuple[int, Report]]:
-    """
-    Yield the filter's verdicts (log time [ns], report) with the smoothed clock offset of each fix.
-
-    It says which time of the reference each smoothed state belongs to.
-    """
-    parts = [clock_offsets(stretch) for stretch in record.finish()]
-    stamps, offsets = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    order = np.argsort(stamps, kind="stable")
-    for log_ns, report in verdicts:
-        if len(stamps) and isinstance(report.content, Status):
-            fix_ns = int(dict(report.content.values)["stamp"])
-            offset = float(np.interp(fix_ns, stamps[order], offsets[order]))
-            values = {**dict(report.content.values), "time_offset": f"{offset:.6g}"}
-            content = report.content._replace(values=list(values.items()))
-            report = replace(report, content=content)
-        yield log_ns, report
 
 
 def _parts(rows: Array) -> Iterator[slice]:

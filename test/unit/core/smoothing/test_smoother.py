@@ -33,9 +33,9 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift
+from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.smoothing import hindsight
-from hybrid_ins.core.smoothing.lever_arm import SmoothedLeverArm
+from hybrid_ins.core.smoothing.constant_errors import ConstantErrors
 from hybrid_ins.core.smoothing.segments import Update
 from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_PACKED, N_STATE, Smoother
 from hybrid_ins.core.update.gate import Gate
@@ -270,22 +270,23 @@ def test_state_is_carried_back_before_the_start() -> None:
     assert std == sorted(std, reverse=True)
 
 
-def test_a_lever_arm_that_is_not_given_is_found_and_considered() -> None:
+@pytest.mark.parametrize("clock", [0.0, 0.05])
+def test_a_lever_arm_that_is_not_given_is_found_beside_the_clock(clock: float) -> None:
     errors = []
     for seed in (2, 3):
-        # GIVEN a flight whose antenna is away from the IMU, which nobody said
+        # GIVEN a flight whose antenna is away from the IMU, which nobody said, and stamps of fixes
+        # that are too early
         flight = Flight(seed)
         lever_b = np.array([0.3, -0.2, -0.4])
         scale = curvature_scale(flight.true[0].lla)
         fused = []
         for fix in flight.fixes:
             state = flight.true[round((fix.t_ns - T0_NS) / PERIOD_NS)]
-            fused.append(
-                replace(fix, lla=fix.lla + matrix_from_quat(state.quat_xyzw) @ lever_b / scale)
-            )
-        updates = [Update(f.t_ns, PSD_TRUE, f) for f in fused]
-        found = SmoothedLeverArm()
-        # WHEN it is smoothed, in passes until the lever arm does not move any more
+            lla = fix.lla + matrix_from_quat(state.quat_xyzw) @ lever_b / scale
+            fused.append(replace(fix, lla=lla, t_ns=fix.t_ns - round(clock * 1e9)))
+        updates = [Update(f.t_ns, PSD_TRUE, f) for f in fused if f.t_ns > T0_NS]
+        found = ConstantErrors(lever_arm=True, clock=ClockPrior(0.0, 0.1))
+        # WHEN it is smoothed, in passes until neither moves any more
         smoother = Smoother(
             flight.start,
             flight.samples,
@@ -294,13 +295,14 @@ def test_a_lever_arm_that_is_not_given_is_found_and_considered() -> None:
             LONG_STEP_NS,
             {},
             {},
-            lever_arm=found,
+            constants=found,
         )
         t_ns, rows = gather(smoother)
-        # THEN the lever arm is found, as well as its covariance says
-        e = found.lever_b - lever_b
-        assert e @ np.linalg.solve(found.covariance_b, e) < 16.3  # chi-square, 3, 99.9 %
-        assert np.sqrt(found.covariance_b.diagonal().min()) < 0.25  # m, of 0.5 before
+        # THEN both are found, as well as their covariance says
+        e = found.values - [*lever_b, clock]
+        assert e @ np.linalg.solve(found.covariance, e) < 18.5  # chi-square, 4, 99.9 %
+        assert np.sqrt(found.covariance[:3, :3].diagonal().min()) < 0.25  # m, of 0.5 before
+        assert np.sqrt(found.covariance[3, 3]) < 0.03  # s, of 0.1 before
         for k, nav in zip(range(0, len(t_ns), 50), rows[::50], strict=True):
             # of the antenna's position
             e = difference(flight.true[k].to_flat(), nav)[DP]
@@ -309,6 +311,37 @@ def test_a_lever_arm_that_is_not_given_is_found_and_considered() -> None:
             errors.append(e @ np.linalg.solve(covariance(nav)[DP, DP], e) / 3.0)
     # AND so are the smoothed positions, whose errors it would dominate
     assert 0.3 < np.mean(errors) < 2.0
+
+
+def test_what_a_clock_does_to_smoothed_states_is_what_is_considered() -> None:
+    # GIVEN a flight that is smoothed with a clock offset to be found
+    flight = Flight(2)
+    updates = [Update(f.t_ns, PSD_TRUE, f) for f in flight.fixes]
+    found = ConstantErrors(lever_arm=False, clock=ClockPrior(0.0, 0.1))
+    common = flight.start, flight.samples
+    rest = 0.01 - 1e-6, LONG_STEP_NS, {}, {}
+    smoother = Smoother(*common, updates, *rest, constants=found)
+    rows = gather(smoother)[1]
+
+    def with_offset(offset: float) -> Array:
+        moved = []
+        for update in updates:
+            t_ns = update.t_ns + round((found.clock_offset + offset) * 1e9)
+            assert update.measurement is not None
+            fix: Any = replace(update.measurement, t_ns=t_ns)  # type: ignore[type-var]
+            moved.append(replace(update, t_ns=t_ns, measurement=fix))
+        return gather(Smoother(*common, moved, *rest))[1]
+
+    # WHEN the fixes are valid a little later or earlier
+    before, there, after = (with_offset(offset) for offset in (-0.004, 0.0, 0.004))
+    # THEN the states change by what the covariance of the first run contains
+    for k in range(0, len(rows), 40):
+        change = difference(after[k], before[k]) / 0.008
+        added = covariance(rows[k]) - covariance(there[k])
+        expected = found.covariance[3, 3] * np.outer(change, change)
+        for block in (DP, DV):
+            std = np.sqrt(np.trace(expected[block, block]))
+            assert np.sqrt(np.trace(added[block, block])) == pytest.approx(std, rel=0.2)
 
 
 def smoothing_memory(duration: float) -> int:
@@ -328,7 +361,8 @@ def smoothing_memory(duration: float) -> int:
     tracemalloc.start()
     stores = RowFile(N_STATE), RowFile(N_ADJOINT)
     smoother = Smoother(start, kept.array(), updates, 0.02, LONG_STEP_NS, *stores)
-    count = sum(len(stamps) for stamps, _ in smoother.smooth())
+    smoother.run()
+    count = sum(len(stamps) for stamps, _ in smoother.states())
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert count > 0.99 * duration * 50.0

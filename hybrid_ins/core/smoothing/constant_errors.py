@@ -1,0 +1,228 @@
+"""
+What is constant and not known of a GNSS receiver, estimated by a smoother.
+
+It is the lever arm of the antenna, where nobody gave it, and what the clock offset of the fixes
+still lacks. The filter runs with assumed ones. What is missing of them, c, is small, so that the
+errors of all states are linear in it: e = s c + (what they were without), [1]_. The forward
+sensitivity s moves with the transition matrices and the gains; each innovation, whose own
+sensitivity is h = H s + D, adds information about c. The smoothed states have the sensitivity
+s - P m, where the adjoint m takes h in as lambda takes the innovation in. What remains unknown of
+c adds s V s' to their covariance, [2]_; to that of the antenna's position, which the fixes measure.
+
+Both are estimated at once: on a straight way at a steady speed one is like the other, and on other
+ways each would be drawn by the other. Most clocks are right: what the innovations say of the offset
+is weighed against a `ClockPrior`, and the lever arm follows.
+
+References
+----------
+.. [1] B. Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic
+       Control 14, 1969.
+.. [2] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.state import (
+    ACCELERATION,
+    COVARIANCE,
+    DP,
+    DV,
+    N_ERROR,
+    PACKED_COLUMNS,
+    PACKED_ROWS,
+    QUAT,
+    VELOCITY,
+    covariance,
+)
+from hybrid_ins.core.sensor_errors.clock_offset import MAX_STD
+from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
+from hybrid_ins.core.smoothing.segments import Update
+from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
+
+Array = NDArray[np.float64]
+Fix = PositionFix | VelocityFix  # of the antenna
+
+LEVER, CLOCK = slice(0, 3), 3
+N_CONSTANTS = 4
+LEVER_STD = 0.5  # m, of each component before anything is measured
+SETTLED = 0.1  # standard deviations by which the last pass may still have moved them
+MOST_PASSES = 5
+N_SENSITIVITY = N_CONSTANTS * N_ERROR
+_STEP = 1e-3  # m, of the differences; the innovation is linear in the lever arm
+
+
+class ConstantErrors:
+    """
+    Estimate of the antenna's position relative to the IMU and of the clock offset of fixes.
+
+    It takes several passes of a smoother.
+
+    Parameters
+    ----------
+    lever_arm : bool
+        The lever arm is not given: it is estimated.
+    clock : ClockPrior, optional
+        Of what the clock offset lacks, which is estimated then.
+
+    Attributes
+    ----------
+    values : ndarray, shape (4,)
+        Assumed in this pass: lever arm [m], b, and what is added to the stamps of fixes [s].
+    covariance : ndarray, shape (4, 4)
+        Of their errors, after a pass.
+    sensitivity : ndarray, shape (15, 4)
+        Of the forward state's error to what is missing.
+    """
+
+    def __init__(self, lever_arm: bool, clock: ClockPrior | None) -> None:
+        self.values = np.zeros(N_CONSTANTS)
+        self.covariance = np.zeros((N_CONSTANTS, N_CONSTANTS))
+        self._clock = clock
+        self._unknown = np.flatnonzero([lever_arm] * 3 + [clock is not None])
+        self._std = np.array([LEVER_STD] * 3 + [MAX_STD])[self._unknown]
+        self.begin()
+
+    @property
+    def are_known(self) -> bool:
+        """Nothing is estimated."""
+        return not len(self._unknown)
+
+    @property
+    def lever_b(self) -> Array:
+        """The antenna's position relative to the IMU beyond what was given [m], b."""
+        return self.values[LEVER]
+
+    @property
+    def clock_offset(self) -> float:
+        """What is to be added to the stamps of fixes [s]."""
+        return self.values.item(CLOCK)
+
+    def begin(self) -> None:
+        """Begin a pass."""
+        self.sensitivity = np.zeros((N_ERROR, N_CONSTANTS))
+        self._information = np.zeros((N_CONSTANTS, N_CONSTANTS))
+        self._gradient = np.zeros(N_CONSTANTS)
+        self.begin_adjoint()
+
+    def begin_adjoint(self) -> None:
+        """Begin the backward part of a pass."""
+        self._adjoint = np.zeros((N_ERROR, N_CONSTANTS))
+
+    def assumed(self, update: Update) -> Update:
+        """Return an update with the constants of this pass, where its measurement has them."""
+        fix = update.measurement
+        if not isinstance(fix, Fix):
+            return update
+        t_ns = fix.t_ns + round(self.clock_offset * 1e9)
+        return replace(update, t_ns=t_ns, measurement=replace(_moved(fix, self.lever_b), t_ns=t_ns))
+
+    def propagate(self, F: Array, lengths: Array) -> None:
+        """Propagate the sensitivity over covariance steps: (m, 225), (m,) [s]."""
+        for A, length in zip(F.reshape(-1, N_ERROR, N_ERROR), lengths.tolist(), strict=True):
+            self.sensitivity = self.sensitivity + length * (A @ self.sensitivity)
+
+    def correct(self, measurement: Measurement, before: Array, K: Array, R: Array) -> None:
+        """
+        Add a measurement's information on the constants; correct the sensitivity by its gain.
+
+        Parameters
+        ----------
+        measurement : Measurement
+            As it is `assumed` in this pass.
+        before : ndarray, shape (N_FLAT,)
+            Flat state before it.
+        K, R : ndarray, shape (15, m), (m, m)
+            Gain, and the covariance with which it was fused.
+        """
+        z, H, h = self._linearised(measurement, before)
+        weighted = np.linalg.solve(H @ covariance(before) @ H.T + R, h)
+        self._information += weighted.T @ h
+        self._gradient += weighted.T @ z
+        self.sensitivity = self.sensitivity - K @ h
+
+    def finish(self) -> bool:
+        """Move the constants after the forward part; return whether they had settled before."""
+        unknown, before = self._unknown, self.values[self._unknown]
+        information = self._information[np.ix_(unknown, unknown)] + np.diag(self._std**-2.0)
+        P = np.asarray(np.linalg.inv(information))
+        values = before + P @ (self._gradient[unknown] - before / self._std**2)
+        if self._clock is not None:
+            values, P = _with_prior(values, P, self._clock)
+        step = values - before
+        self.covariance[np.ix_(unknown, unknown)] = P
+        if step @ np.linalg.solve(P, step) < SETTLED**2:
+            return True
+        self.values[unknown] = values
+        return False
+
+    def correct_adjoint(self, measurement: Measurement, before: Array, R: Array) -> None:
+        """Carry the adjoint back through a measurement; ``sensitivity`` is that before it."""
+        _, H, h = self._linearised(measurement, before)
+        P = covariance(before)
+        S = H @ P @ H.T + R
+        K = np.linalg.solve(S, H @ P).T
+        m = self._adjoint
+        self._adjoint = m - H.T @ (K.T @ m) + H.T @ np.linalg.solve(S, h)
+
+    def propagate_adjoint(self, F: Array, lengths: Array) -> None:
+        """Carry the adjoint back over covariance steps, see `propagate`."""
+        steps = zip(F.reshape(-1, N_ERROR, N_ERROR)[::-1], lengths[::-1].tolist(), strict=True)
+        for A, length in steps:
+            self._adjoint = self._adjoint + length * (A.T @ self._adjoint)
+
+    def smoothed(self, nav: Array) -> Array:
+        """
+        Return the sensitivity (15, 4) of the smoothed state, ``nav`` being the forward one.
+
+        That of the position is the antenna's, which is moved by the lever arm itself.
+        """
+        s = self.sensitivity - covariance(nav) @ self._adjoint
+        s[DP, LEVER] += matrix_from_quat(nav[QUAT])
+        return np.asarray(s)
+
+    def consider(self, rows: Array, first: Array, last: Array, share: Array) -> None:
+        """
+        Add what is not known of the constants to the covariances of smoothed states.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (n, N_NAV)
+            Flat states, changed.
+        first, last : ndarray, shape (15, 4)
+            `smoothed` before and behind them.
+        share : ndarray, shape (n,)
+            Where each is between the two, 0 to 1.
+        """
+        s = first + share[:, None, None] * (last - first)
+        added = s @ self.covariance @ s.transpose(0, 2, 1)
+        rows[:, COVARIANCE] += added[:, PACKED_ROWS, PACKED_COLUMNS]
+
+    def _linearised(self, measurement: Measurement, nav: Array) -> tuple[Array, Array, Array]:
+        """Return innovation, measurement matrix, and the innovation's sensitivity (m, 4)."""
+        z, H, _ = measurement.linearise(nav)
+        h = H @ self.sensitivity
+        if isinstance(measurement, Fix):
+            for i, step in enumerate(_STEP * np.eye(3)):
+                h[:, i] += (z - _moved(measurement, step).linearise(nav)[0]) / _STEP
+            h[:, CLOCK] += H[:, DP] @ nav[VELOCITY] + H[:, DV] @ nav[ACCELERATION]
+        return z, H, h
+
+
+def _with_prior(values: Array, P: Array, prior: ClockPrior) -> tuple[Array, Array]:
+    """Return estimate and covariance with the prior of the clock offset, their last component."""
+    offset, variance = values[-1].item(), P[-1, -1].item()
+    mean, left = prior.posterior(offset, variance, offset, variance, variance)
+    gain = P[:, -1] / variance
+    return values + gain * (mean - offset), P - (variance - left) * np.outer(gain, gain)
+
+
+def _moved(fix: Fix, by_b: Array) -> Fix:
+    """Return a fix with the antenna's lever arm changed by ``by_b``."""
+    return replace(fix, lever_b=fix.lever_b + by_b)
