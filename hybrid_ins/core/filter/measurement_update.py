@@ -42,6 +42,7 @@ from hybrid_ins.core.inertial.state import (
     ACCELERATION,
     AGE_SENSITIVITY,
     ANTENNA_VARIANCE,
+    ATTITUDE_COVARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
     JUMP_VARIANCE,
@@ -49,7 +50,6 @@ from hybrid_ins.core.inertial.state import (
     N_NAV,
     PSD,
     QUAT,
-    SCALE_COVARIANCE,
     SENSITIVITY,
     SLOW_VARIANCE,
     VELOCITY,
@@ -192,7 +192,7 @@ class MeasurementUpdate:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
-        nav[SCALE_COVARIANCE] = self.scale_errors.considered
+        nav[ATTITUDE_COVARIANCE] = self.scale_errors.considered + self.lever_arm.of_attitude
         nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 

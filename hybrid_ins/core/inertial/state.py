@@ -55,9 +55,9 @@ SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `
 JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
 # m², NED, of a position that refers to an antenna in another place: `sensor_errors.lever_arm`
 ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
-# rad², NED, upper triangle row by row, of an attitude by an IMU's scale errors: `scale_errors`
-SCALE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
-MEAN_RATE = slice(SCALE_COVARIANCE.stop, SCALE_COVARIANCE.stop + 3)  # rad/s, b, measured, recent
+# rad², NED, upper triangle row by row, of an attitude: by an IMU's scale errors and that antenna
+ATTITUDE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
+MEAN_RATE = slice(ATTITUDE_COVARIANCE.stop, ATTITUDE_COVARIANCE.stop + 3)  # rad/s, b, recent mean
 HEADING_DOUBT = MEAN_RATE.stop  # rad², of a heading that may be another: `heading_check`
 N_NAV = HEADING_DOUBT + 1
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
@@ -91,8 +91,8 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     Write the covariance that is reported, (15, 15).
 
     P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, what
-    an antenna in another place does to the position, and to the attitude an IMU's scale errors and
-    the other headings that it may have.
+    an antenna in another place does to the position and the attitude, and to the latter an IMU's
+    scale errors and the other headings that it may have.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -102,7 +102,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
                 full[i, j] += variance * s[i] * s[j]
     for i in range(3):
         full[i, i] += nav[SLOW_VARIANCE][i] + nav[JUMP_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
-    k = SCALE_COVARIANCE.start
+    k = ATTITUDE_COVARIANCE.start
     for i in range(6, 9):
         for j in range(i, 9):
             full[i, j] += nav[k]
@@ -173,6 +173,6 @@ def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
     variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE] + nav[ANTENNA_VARIANCE]
-    variance[EPS] += nav[SCALE_COVARIANCE][[0, 3, 5]]
+    variance[EPS] += nav[ATTITUDE_COVARIANCE][[0, 3, 5]]
     variance[8] += nav[HEADING_DOUBT]
     return np.sqrt(variance)

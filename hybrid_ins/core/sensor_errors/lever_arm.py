@@ -12,9 +12,10 @@ The estimate is a regression of the innovations on h, with the clock offset of t
 of velocities beside it: straight ahead one is like the other. The state is not corrected by it: who
 says where the antenna is decides what the odometry is of. But an error that is probable is
 *considered*: the mean square of C_nb dl is added to the covariance of the position that is
-reported. It is told once it is certain, and corrected by `LeverArmObserver.shift` where nobody has
-said where the antenna is. The antenna is the vehicle's: what one filter has found is the prior of
-the next. A lever arm that was not given but found from motion is considered from the start on.
+reported, that of s dl to the covariance of the attitude. It is told once it is certain, and
+corrected by `LeverArmObserver.shift` where nobody has said where the antenna is. The antenna is the
+vehicle's: what one filter has found is the prior of the next. A lever arm that was not given but
+found from motion is considered from the start on.
 
 Where the noise factors rise by what a lever arm does, the attitude follows each turn, and the
 estimate is too short and no less certain. What the first seconds show of an antenna that nobody has
@@ -45,7 +46,6 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_G,
     COVARIANCE,
-    DP,
     DV,
     EPS,
     HEADING_VARIANCE,
@@ -59,10 +59,10 @@ from hybrid_ins.core.noise.multiple_model_step import mean_system
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.sensor_errors.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
 from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
+from hybrid_ins.core.sensor_errors.turned_sensitivities import turn_sensitivities
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight
 from hybrid_ins.core.update.linalg import factorise, mean_square, regress, whiten
-from hybrid_ins.core.update.measurements import turned
 
 Array = NDArray[np.float64]
 
@@ -148,6 +148,23 @@ class LeverArmObserver(ShallowCopy):
         if nav[HEADING_VARIANCE] > MAX_HEADING_STD**2:
             variance[:2] = variance[:2].sum()
         return variance
+
+    @property
+    def of_attitude(self) -> Array:
+        """
+        Return what is added to the covariance of the reported attitude, (6,) [rad²], NED.
+
+        A vehicle that turns on the spot shows heading and place of its antenna together only: what
+        is not known of one that was found is not known of the heading.
+        """
+        values = self._values
+        if not (self._is_found or values[CONSIDERED].any()):
+            return np.zeros(6)
+        s = values[SENSITIVITIES].reshape(N_ERROR, 3)[EPS]
+        P = values[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)[ERROR, ERROR]
+        square = _variance_factor(values) * P + np.outer(values[ERROR], values[ERROR])
+        found: Array = (s @ square @ s.T)[np.triu_indices(3)]
+        return found
 
     @property
     def has_begun(self) -> bool:
@@ -337,23 +354,7 @@ def observe_lever_arm(  # type: ignore[no-untyped-def]
     for i in range(3):
         values[LAST_VELOCITY][i] = after[VELOCITY][i]
     rotation(after[QUAT], values[LAST_C])
-    _turn(s, C, values[LAST_C])
-
-
-@register_jitable
-def _turn(s, before, after):  # type: ignore[no-untyped-def]
-    """
-    Turn the sensitivities of position, velocity and attitude with a corrected attitude.
-
-    What a lever arm does to the state turns with the vehicle, not with what is known of its
-    attitude: otherwise the correction of a heading would be taken for a turn.
-    """
-    change = np.empty(9)  # C_after C_before'
-    for i in range(3):
-        change[i::3] = turned(after, before[3 * i : 3 * i + 3])
-    for j in range(3):
-        for part in (DP, DV, EPS):
-            s[part, j] = turned(change, s[part, j])
+    turn_sensitivities(s, C, values[LAST_C])
 
 
 @register_jitable

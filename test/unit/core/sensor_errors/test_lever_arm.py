@@ -25,10 +25,12 @@ from hybrid_ins.core.inertial.state import (
     CLOCK_VARIANCE,
     COVARIANCE,
     DV,
+    EPS,
     HEADING_VARIANCE,
     N_ERROR,
     QUAT,
     covariance,
+    total_std,
     unpack_total,
 )
 from hybrid_ins.core.sensor_errors.clock_offset import MAX_STD
@@ -114,7 +116,11 @@ def test_an_error_that_is_certain_is_part_of_the_covariance_that_is_reported() -
     of_error = np.square(C_nb @ found.error_b)
     np.testing.assert_array_less(of_error, np.diag(added)[:3])
     np.testing.assert_allclose(np.diag(added)[:3], of_error, atol=2.0 * np.max(found.std) ** 2)
-    assert not added[3:].any()
+    s = ins.update.lever_arm._values[SENSITIVITIES].reshape(N_ERROR, 3)[EPS]
+    of_attitude = np.square(s @ found.error_b)
+    assert of_attitude.max() > np.radians(0.3) ** 2
+    np.testing.assert_array_less(of_attitude, np.diag(added)[EPS])
+    assert not np.diag(added)[[3, 4, 5, *range(9, N_ERROR)]].any()
 
 
 def test_an_error_is_considered_before_it_is_worth_telling() -> None:
@@ -162,6 +168,20 @@ def test_after_a_correction_what_is_left_is_considered_or_all_of_it(moves_odomet
     begun = LeverArmObserver(found.std).or_earlier(ins.update.lever_arm)
     later = np.sqrt(np.max(begun.considered(ins.nav)))
     assert later < 0.8 * distance if moves_odometry else later > 0.9 * distance
+
+
+def test_what_is_not_known_of_a_place_that_was_found_is_not_known_of_the_attitude() -> None:
+    ins = filtered(draw(FLIGHT, 1), -np.array([0.9, -0.3, 0.5]))
+
+    ins.submit(AntennaShift(ins.t_ns, ins.lever_arm.error_b, True))
+
+    left = ins.lever_arm
+    s = ins.update.lever_arm._values[SENSITIVITIES].reshape(N_ERROR, 3)[EPS]
+    V = (1.44 * ins.update.lever_arm._values[P_PARAMETERS].reshape(5, 5))[2:, 2:]
+    of_place = np.diag(s @ (V + np.outer(left.error_b, left.error_b)) @ s.T)
+    assert of_place.max() > np.radians(0.1) ** 2
+    added = np.square(total_std(ins.nav)) - np.diag(covariance(ins.nav))
+    np.testing.assert_array_less(0.99 * of_place, added[EPS])
 
 
 @pytest.mark.parametrize("is_placed", [True, False])
