@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
+from hybrid_ins.core.alignment.clock_search import ClockSearch
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.navigator import phase_machine
+from hybrid_ins.core.navigator.clock_comparison import Comparison
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.vehicles import judge
@@ -69,6 +72,20 @@ def test_where_nothing_is_placed_the_odometry_remains_that_of_the_antenna(drive:
     assert ends.of_antenna < 0.15 and ends.heading < 1.5
     assert ends.horizontal == pytest.approx(1.2, abs=0.2)
     assert 0.7 < ends.std < 2.5
+
+
+def test_a_search_for_the_clock_offset_that_never_ends_does_not_delay_it(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GIVEN a clock that the motion does not show, as that of a slow vehicle, THEN it is moved."""
+    monkeypatch.setattr(ClockSearch, "_is_known", lambda search: False)
+    monkeypatch.setattr(phase_machine, "compare", lambda running, search: Comparison.NOTHING)
+
+    ends = Ends(drive, {})
+
+    phase = ends.estimator.navigator.phase
+    assert phase.bank is not None and phase.bank.clock_open
+    assert ends.missing < 0.5 and ends.of_antenna < 0.15 and ends.heading < 1.5
 
 
 def test_an_antenna_that_was_placed_stays(drive: Drive) -> None:

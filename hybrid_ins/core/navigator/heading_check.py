@@ -54,6 +54,7 @@ class HeadingCheck(NamedTuple):
 
     doubt: float  # rad², that its variance lacks while other headings are more probable
     corrected: HeadingCorrected | None = None  # the motion excludes it, and shows this
+    probability: float = 0.0  # of it, once a motion has shown anything
 
 
 def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
@@ -79,6 +80,11 @@ def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
     probability = float(weights[off < max(GROSS, SIGNIFICANT_TURN * std)].sum())
     doubt = float(weights @ off**2) if probability < DOUBTFUL else 0.0
     if probability > EXCLUDED:
-        return HeadingCheck(doubt)
+        return HeadingCheck(doubt, probability=probability)
     mean, sigma = bank.heading()
-    return HeadingCheck(doubt, HeadingCorrected(own, best + mean, sigma))
+    return HeadingCheck(doubt, HeadingCorrected(own, best + mean, sigma), probability)
+
+
+def is_confirmed(running: InsFilter, bank: MultipleModelBank) -> bool:
+    """Return whether the heading of a filter is not in question beside those of others."""
+    return not bank.heading_open or check(running, bank).probability > 1.0 - EXCLUDED

@@ -7,6 +7,7 @@ same antenna as the one before.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 from hybrid_ins.core.filter.events import AntennaFound, ScatterInForce
@@ -26,6 +27,10 @@ class KeptKnowledge:
     def discard_antenna(self) -> None:
         """Discard its place: the filter that runs was wrong, or the sensors are elsewhere."""
         self._antenna, self._is_misled = None, True
+
+    def keep_antenna(self, runs: InsFilter) -> None:
+        """Keep what a filter that goes on has found of it so far, for those beside it."""
+        self._antenna = copy.copy(runs.update.lever_arm)
 
     def on_restart(self, ended: InsFilter | None) -> None:
         """Keep what a filter, or None, has found of the antenna by its end."""

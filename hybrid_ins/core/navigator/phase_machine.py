@@ -224,7 +224,7 @@ class PhaseMachine:
         bank, running = self.phase.bank, self.filter
         if bank is None or running is None or not bank.heading_open:
             return
-        running.nav[HEADING_DOUBT], corrected = check(running, bank)
+        running.nav[HEADING_DOUBT], corrected, _ = check(running, bank)
         if corrected is not None and not self.phase.is_provisional:
             left = bank.take_over(running)
             self._notices.extend([corrected, *(Verdict.rejected(m, "aligning") for m in left)])

@@ -279,6 +279,7 @@ class Estimator:
             self.navigator.check_imu()
             if self._review.run_periodic():
                 self._on_moved_sensors()
+            self._fixes.follow()  # filters of a search that begins know where the antenna is
             self.navigator.continue_search()
             self._handle_notices()
             self.reporter.report_state(t_ns, self.placement.arm_b)

@@ -1,10 +1,10 @@
 """
 An antenna that nobody has placed: it is taken to be where the motion shows it.
 
-`hybrid_ins.core.sensor_errors.lever_arm` estimates that beside the filter which runs. A place that
-was given stays: who says where the antenna is decides what the odometry is of. Where nobody has
-placed the IMU either, the odometry remains that of the antenna, which fixes show; its attitude is
-right.
+`hybrid_ins.core.sensor_errors.lever_arm` estimates that beside the filter which runs. A search for
+the clock offset does not delay it: that of a slow vehicle may never end. A place that was given
+stays: who says where the antenna is decides what the odometry is of. Where nobody has placed the
+IMU either, the odometry remains that of the antenna, which fixes show; its attitude is right.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from hybrid_ins.core.filter.events import AntennaShift
 from hybrid_ins.core.filter.ins_filter import NEVER_NS
+from hybrid_ins.core.navigator.heading_check import is_confirmed
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.ros.reporting.input_log import InputLog
@@ -42,18 +43,22 @@ class AntennaCorrection:
 
     def run_periodic(self) -> bool:
         """Do what is due, some times a second; return whether the antenna was moved."""
-        running, placement = self._navigator.filter, self._placement
+        phases, placement = self._navigator.phases, self._placement
+        running, bank = phases.filter, phases.phase.bank
         if running is None or placement.antenna_is_placed:
             return False
         error_b, std, _, is_certain = running.lever_arm
         if not is_certain or np.linalg.norm(error_b) < LEAST_ERROR:
             return False
-        searches = self._navigator.phase.bank is not None
+        if bank is not None and not (bank.clock_open and is_confirmed(running, bank)):
+            return False  # the heading is still checked
         fix_waits = running.next_event_ns < NEVER_NS  # for the IMU, with the place so far
-        if searches or fix_waits or running.record is not None:  # a smoother finds it by itself
+        if fix_waits or running.record is not None:  # a smoother finds it by itself
             return False
         after_ns, moves_odometry = running.update.corrected_ns + 1, placement.imu_is_placed
         running.submit(AntennaShift(after_ns, error_b, moves_odometry))
+        phases.kept.keep_antenna(running)
+        phases.open_clock(phases.clock_open)  # a search begins anew, from filters that know
         is_first = not placement.antenna_error_b.any()
         placement.move_antenna(error_b, std, moves_odometry)
         if is_first:
