@@ -180,7 +180,7 @@ def test_tilt_by_a_bias_turns_with_a_corrected_heading(turn: float) -> None:
     # GIVEN a vehicle that was levelled with biased accelerometers: S C_nb b is its tilt
     nav = problem(3)[0]
     nav[QUAT] = quat_from_rpy(0.1, -0.2, 0.7)
-    S = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / 9.8
+    S = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / 9.8
     P_b = np.diag((0.01, 0.04, 0.09))
 
     def levelled() -> Array:
