@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from support.scenes import heading_std, make_navigator, play, scene
+from support.scenes import heading_std, make_navigator, play, scene, stamp
 
+from hybrid_ins.core.alignment.alignment import Biases
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, N_HEADINGS
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
@@ -118,6 +119,27 @@ def test_a_slow_turn_at_anchor_is_no_gyroscope_bias_when_the_boat_sails(turn: fl
     # THEN the heading is as good as it says
     assert max(ratio for _, ratio in errors) < 4.0, errors
     assert errors[-1][0] < 6.0, errors
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_bias_that_an_earlier_run_has_found_is_not_doubted_after_a_stand(known: bool) -> None:
+    t = time_grid(34.0)
+    speed = 4.0 * np.clip((t - 20.0) / 6.0, 0.0, 1.0)
+    straight = np.stack((0.0 * t, 0.0 * t, 0.0 * t), axis=-1)
+    run = scene(motion_through(t, velocity_of(speed, 0.0 * t, 0.0 * t), straight, START_LLA))
+    navigator = make_navigator("parameter")
+    if known:
+        bias_g, P = np.array([0.002, -0.003, 0.001]), np.diag(np.repeat((1e-4, 1e-8), 3))
+        earlier = Biases(stamp(0.0), np.zeros(3), bias_g, P)
+        navigator.monitor.remember(earlier)
+        assert navigator.alignment is not None
+        navigator.alignment.remember(earlier)
+
+    play(run, navigator, 0.0, 22.0)
+
+    assert navigator.filter is not None
+    std = np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL][14])
+    assert (std < 0.0004) == known
 
 
 @pytest.mark.parametrize("heading", np.linspace(-2.9, 3.1, 4))

@@ -147,8 +147,7 @@ class MeasurementUpdate:
         twin.__dict__.update(self.__dict__)
         twin.noise, twin.gate = self.noise.__copy__(), self.gate.__copy__()
         twin.clock, twin.scatter = self.clock.__copy__(), self.scatter.__copy__()
-        twin.lever_arm = self.lever_arm.__copy__()
-        twin.scale_errors = self.scale_errors.__copy__()
+        twin.lever_arm, twin.scale_errors = self.lever_arm.__copy__(), self.scale_errors.__copy__()
         return twin
 
     def apply(

@@ -110,6 +110,10 @@ class ImuMonitor:
         """What a filter estimated before any fault of the last checks can have misled it."""
         return self._biases[0] if self._biases else None
 
+    def remember(self, biases: Biases) -> None:
+        """Note what an earlier run has found: while the vehicle stands, other rates are turns."""
+        self._turn.bias_g = biases.gyroscope
+
     def discard_biases(self) -> None:
         """Discard them: the filter that estimated them was wrong, or is of another time."""
         self._biases.clear()

@@ -28,10 +28,15 @@ class StandTurn:
     ----------
     bias_g : ndarray, shape (3,)
         The bias that was given [rad/s], b.
+
+    Attributes
+    ----------
+    bias_g
+        Likewise; what differs from it may be a turn.
     """
 
     def __init__(self, bias_g: Array) -> None:
-        self._bias_g = bias_g
+        self.bias_g = bias_g
         self.forget()
 
     def forget(self) -> None:
@@ -64,7 +69,7 @@ class StandTurn:
         if self._moved_ns >= MOVED_NS:
             return None
         if stands:
-            force, rate = samples["f"].mean(axis=0), samples["w"].mean(axis=0) - self._bias_g
+            force, rate = samples["f"].mean(axis=0), samples["w"].mean(axis=0) - self.bias_g
             down_b = -force / np.linalg.norm(force)
             std_g = SHARE * np.abs((rate @ down_b) * down_b)
             self._std_g, self._stands = np.maximum(self._std_g, std_g), True

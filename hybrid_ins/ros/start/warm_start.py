@@ -162,6 +162,7 @@ class WarmStart:
         if alignment is not self._prepared:
             self._prepared = alignment
             alignment.remember(known.biases)
+            self._estimator.navigator.monitor.remember(known.biases)
         if self._heading_used or not self._uses_heading or self._informed:
             return
         samples = self._estimator.navigator.ring.after(
