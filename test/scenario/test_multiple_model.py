@@ -318,7 +318,7 @@ def test_another_filter_runs_where_the_search_excludes_the_offset_of_the_first()
     bank._log_prior = dict.fromkeys(bank._offsets_ns, 0.0)
     likeliest_ns = bank._offsets_ns[bank._best]
     estimator.navigator.continue_search()
-    estimator._handle_events()
+    estimator._handle_notices()
     # THEN a filter runs at that
     second = estimator.navigator.filter
     assert estimator.navigator.phase.is_provisional and second is not None and second is not first
@@ -340,7 +340,7 @@ def test_the_filter_of_the_likeliest_offset_goes_on_once_that_is_known(
     waits = replace(last, t_ns=estimator.navigator.last_ns + SECOND // 4)
     estimator.navigator.measure(waits)
     estimator.navigator.continue_search()
-    estimator._handle_events()
+    estimator._handle_notices()
     # THEN the search has ended, with its best filter
     phase = estimator.navigator.phase
     assert not phase.is_provisional and phase.bank is None and phase.filter is bank.best

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.earth import radii
@@ -174,6 +175,13 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
     norm = np.sqrt(quat[0] ** 2 + quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
     for i in range(4):
         quat[i] /= norm
+
+
+def attitude_turn(dx: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return T, shape (15, 15), with which `turn_attitude_errors` turns P to T P T'."""
+    T, c, s = np.eye(N_ERROR), np.cos(dx[8]), np.sin(dx[8])
+    T[6:8, 6:8] = ((c, s), (-s, c))
+    return T
 
 
 @kernel()
