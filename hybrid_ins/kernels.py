@@ -151,7 +151,6 @@ def _compile_filter() -> None:
     iterated_update.update(nav, z, H, np.eye(3))
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
-    kalman.turn_attitude_errors(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
     position_scatter.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), 1.0, np.eye(3))
     position_scatter.change_slow_error(nav, np.zeros(3), 0.0, position_scatter.NO_GROWTH)

@@ -30,7 +30,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import (
     sensitivities,
 )
 from hybrid_ins.core.update.iterated_update import update
-from hybrid_ins.core.update.kalman import innovation, turn_attitude_errors
+from hybrid_ins.core.update.kalman import innovation
 from hybrid_ins.core.update.linalg import factorise, whiten
 from hybrid_ins.core.update.measurements import position_model, velocity_model
 
@@ -165,8 +165,7 @@ def _fuse(nav, residual, H, R, is_position, tail, z, S, said):  # type: ignore[n
         scale = (tail + square) / (tail + m)
         R_given *= scale
     if said.shape[0] == 0:
-        dx, _ = update(nav, r, H_given, R_given)
-        turn_attitude_errors(nav, dx)
+        update(nav, r, H_given, R_given)
         return square
     h, _ = sensitivities(nav, H_given)
     root, to_offset = S_given.copy(), h[:, 0].copy()
@@ -174,7 +173,6 @@ def _fuse(nav, residual, H, R, is_position, tail, z, S, said):  # type: ignore[n
     said[INFORMATION] = whiten(root, to_offset) / scale
     dx, K = update(nav, r, H_given, R_given)
     correct_sensitivities(nav, H_given, K, h, dx, is_position)
-    turn_attitude_errors(nav, dx)
     said[OF_NOISE] = noise_information(nav, H_given, K, S_given, is_position) / scale
     return square
 

@@ -35,7 +35,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import (
 )
 from hybrid_ins.core.update.gate import ORDINARY, TAIL_DOF, TAIL_EXPONENT
 from hybrid_ins.core.update.iterated_update import update_and_linearise
-from hybrid_ins.core.update.kalman import innovation_covariance, turn_attitude_errors
+from hybrid_ins.core.update.kalman import innovation_covariance
 from hybrid_ins.core.update.linalg import factorise, whiten
 from hybrid_ins.core.update.measurements import (
     PositionFix,
@@ -178,7 +178,6 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         before[i] = nav[i]
     dx, K, z_x, H_x, x, G = update_and_linearise(nav, z, H, R / weight)
     correct_sensitivities(nav, H, K, h, dx, is_position)
-    turn_attitude_errors(nav, dx)
     result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
     rotation(nav[QUAT], result[ATTITUDE])
     for i in range(N_ERROR):

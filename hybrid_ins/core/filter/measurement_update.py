@@ -75,7 +75,7 @@ from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.gate import Gate, Verdict
 from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
-from hybrid_ins.core.update.kalman import inject, innovation, turn_attitude_errors
+from hybrid_ins.core.update.kalman import inject, innovation
 from hybrid_ins.core.update.measurements import (
     GNSS,
     IMU,
@@ -288,7 +288,6 @@ class MeasurementUpdate:
             dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
-        turn_attitude_errors(nav, dx)
         S = S - of_clock
         correction = Correction(
             measurement.t_ns,

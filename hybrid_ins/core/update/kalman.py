@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.earth import radii
@@ -33,8 +32,6 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.inertial.strapdown import half_rotation
 from hybrid_ins.core.update.linalg import factorise, solve, whiten
-
-LEAST_TURN = 1e-3  # rad, of a heading: a smaller one leaves correlations as they are
 
 
 @kernel()
@@ -175,44 +172,3 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
     norm = np.sqrt(quat[0] ** 2 + quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
     for i in range(4):
         quat[i] /= norm
-
-
-def attitude_turn(dx: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return T, shape (15, 15), with which `turn_attitude_errors` turns P to T P T'."""
-    T, c, s = np.eye(N_ERROR), np.cos(dx[8]), np.sin(dx[8])
-    T[6:8, 6:8] = ((c, s), (-s, c))
-    return T
-
-
-@kernel()
-def turn_attitude_errors(nav, dx):  # type: ignore[no-untyped-def]
-    """
-    Turn the attitude's errors in P with a heading that was corrected.
-
-    Tilt is an error in n, and what makes it, a bias of the accelerometers, is one in b: its
-    correlation with the biases is that of the heading which they were added up with. With another
-    heading the next fixes would seem to tell the two apart, which a vehicle that goes straight on
-    cannot.
-
-    Parameters
-    ----------
-    nav : ndarray, shape (N_FLAT,)
-        Flat state after a correction; its covariance is overwritten.
-    dx : ndarray, shape (15,)
-        The correction.
-    """
-    if abs(dx[8]) < LEAST_TURN:
-        return
-    c, s, P = np.cos(dx[8]), np.sin(dx[8]), np.empty((N_ERROR, N_ERROR))
-    unpack(nav[COVARIANCE], P)
-    for j in range(N_ERROR):
-        north, east = P[6, j], P[7, j]
-        P[6, j], P[7, j] = c * north + s * east, c * east - s * north
-    for i in range(N_ERROR):
-        north, east = P[i, 6], P[i, 7]
-        P[i, 6], P[i, 7] = c * north + s * east, c * east - s * north
-    at = 0
-    for i in range(N_ERROR):
-        for j in range(i, N_ERROR):
-            nav[COVARIANCE][at] = P[i, j]
-            at += 1

@@ -7,25 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from support.analytic_motion import TEL_AVIV, difference
 
-from hybrid_ins.core.inertial.rotations import (
-    left_jacobian,
-    matrix_from_quat,
-    quat_from_rpy,
-    skew,
-)
-from hybrid_ins.core.inertial.state import (
-    B_A,
-    COVARIANCE,
-    DP,
-    DV,
-    EPS,
-    N_ERROR,
-    QUAT,
-    Array,
-    NavState,
-    covariance,
-    pack,
-)
+from hybrid_ins.core.inertial.rotations import left_jacobian, quat_from_rpy, skew
+from hybrid_ins.core.inertial.state import DP, DV, EPS, N_ERROR, Array, NavState, covariance
 from hybrid_ins.core.update import iterated_update, kalman
 
 SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
@@ -173,33 +156,6 @@ def test_state_plus_error_minus_state_is_the_error(seed: int, dx: Array) -> None
     # Small differences of large coordinates: metres to a nanometre and 1e-5 of themselves.
     np.testing.assert_allclose(difference(nav, before)[:6], dx[:6], atol=1e-8)
     np.testing.assert_allclose(difference(nav, before)[6:], dx[6:], atol=1e-12)
-
-
-@pytest.mark.parametrize("turn", [-0.4, 0.02, 1.2])
-def test_tilt_by_a_bias_turns_with_a_corrected_heading(turn: float) -> None:
-    # GIVEN a vehicle that was levelled with biased accelerometers: S C_nb b is its tilt
-    nav = problem(3)[0]
-    nav[QUAT] = quat_from_rpy(0.1, -0.2, 0.7)
-    S = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / 9.8
-    P_b = np.diag((0.01, 0.04, 0.09))
-
-    def levelled() -> Array:
-        tilt = S @ matrix_from_quat(nav[QUAT])
-        P = np.diag(np.repeat((4.0, 1.0, 1e-8, 0.0, 1e-6), 3))
-        P[8, 8] = 0.25
-        P[EPS, EPS] += tilt @ P_b @ tilt.T
-        P[EPS, B_A] = tilt @ P_b
-        P[B_A, EPS], P[B_A, B_A] = P[EPS, B_A].T, P_b
-        return P
-
-    pack(levelled(), nav[COVARIANCE])
-    # WHEN its heading is corrected
-    dx = np.zeros(N_ERROR)
-    dx[8] = turn
-    kalman.inject(nav, dx)
-    kalman.turn_attitude_errors(nav, dx)
-    # THEN its tilt is that of the same bias with the new heading
-    np.testing.assert_allclose(covariance(nav), levelled(), atol=1e-12)
 
 
 def test_zero_error_changes_nothing() -> None:
