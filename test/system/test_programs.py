@@ -371,10 +371,9 @@ def test_a_program_needs_no_standard_streams(closed: tuple[int, ...], tmp_path: 
     assert (tmp_path / "result").read_text() == "result"
 
 
-def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
-    code = "import hybrid_ins.cli, signal; signal.raise_signal(signal.SIGINT)"
-
-    done = subprocess.run(
+def interrupted(code: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code, whose loading a signal interrupts, in a process of its own."""
+    return subprocess.run(
         [sys.executable, "-c", f"import signal\n{IGNORED}\n{code}"],
         env=os.environ | ENVIRONMENT,
         capture_output=True,
@@ -382,28 +381,23 @@ def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
         timeout=60,
     )
 
+
+def test_ctrl_c_while_a_program_is_loaded_is_one_line() -> None:
+    done = interrupted("import hybrid_ins.cli, signal; signal.raise_signal(signal.SIGINT)")
+
     assert done.returncode == -signal.SIGINT
     assert done.stderr == "-c: interrupted\n"
 
 
 def test_ctrl_c_while_the_node_is_loaded_is_one_line() -> None:
     """GIVEN Ctrl-C when the first module of rclpy is asked for THEN there is no traceback."""
-    code = (
-        "import signal, sys; from importlib.abc import MetaPathFinder\n"
-        f"{IGNORED}\n"
+    done = interrupted(
+        "import sys; from importlib.abc import MetaPathFinder\n"
         "class Finder(MetaPathFinder):\n"
         "    def find_spec(self, name, *_):\n"
         "        if name == 'rclpy': signal.raise_signal(signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
         "import hybrid_ins.cli.node"
-    )
-
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=60,
     )
 
     assert done.returncode == -signal.SIGINT

@@ -48,7 +48,7 @@ class SmoothedRun:
         self._record = record
         self._make_store = make_store
         self._progress = progress
-        self._clocks: list[tuple[NDArray[np.int64], Array]] = []
+        self._clocks: list[tuple[NDArray[np.int64], Array]] = []  # of each stretch
 
     def states(self) -> Iterator[tuple[OdometryBlock, list[tuple[int, Report]]]]:
         """Yield it in order: odometry, and reports of the same samples with their stamps."""
@@ -80,9 +80,14 @@ class SmoothedRun:
 
     def clock_offsets(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Return the clock offset [s] of fixes by their stamps [ns], after `states`."""
+        stamps, offsets = self._clock()
+        return np.interp(stamps_ns, stamps, offsets)
+
+    def _clock(self) -> tuple[NDArray[np.int64], Array]:
+        """Return the stamps of all fixes [ns], in order, and their offsets [s]."""
         stamps, offsets = (np.concatenate(columns) for columns in zip(*self._clocks, strict=True))
         order = np.argsort(stamps, kind="stable")
-        return np.interp(stamps_ns, stamps[order], offsets[order])
+        return stamps[order], offsets[order]
 
     def verdicts(self, filtered: Iterable[tuple[int, Report]]) -> Iterator[tuple[int, Report]]:
         """
@@ -90,10 +95,11 @@ class SmoothedRun:
 
         It says which time of the reference each smoothed state belongs to. After `states`.
         """
+        stamps, offsets = self._clock()
         for log_ns, report in filtered:
-            if isinstance(report.content, Status):
+            if len(stamps) and isinstance(report.content, Status):
                 values = dict(report.content.values)
-                offset = self.clock_offsets(np.array([int(values["stamp"])]))[0]
+                offset = float(np.interp(int(values["stamp"]), stamps, offsets))
                 values["time_offset"] = f"{offset:.6g}"
                 content = report.content._replace(values=list(values.items()))
                 report = replace(report, content=content)
