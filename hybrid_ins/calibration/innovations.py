@@ -171,7 +171,7 @@ def _fuse(nav, residual, H, R, is_position, tail, z, S, said):  # type: ignore[n
     root, to_offset = S_given.copy(), h[:, 0].copy()
     factorise(root)
     said[INFORMATION] = whiten(root, to_offset) / scale
-    dx, K = update(nav, r, H_given, R_given)
+    dx, K, _ = update(nav, r, H_given, R_given)
     correct_sensitivities(nav, H_given, K, h, dx, is_position)
     said[OF_NOISE] = noise_information(nav, H_given, K, S_given, is_position) / scale
     return square

@@ -176,7 +176,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]
-    dx, K, z_x, H_x, x, G = update_and_linearise(nav, z, H, R / weight)
+    dx, K, z_x, H_x, x, G, _ = update_and_linearise(nav, z, H, R / weight)
     correct_sensitivities(nav, H, K, h, dx, is_position)
     result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
     rotation(nav[QUAT], result[ATTITUDE])

@@ -285,7 +285,7 @@ class MeasurementUpdate:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
-            dx, K = iterated_update.update(nav, z, H, R / verdict.weight)
+            dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock

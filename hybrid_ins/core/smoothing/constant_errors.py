@@ -147,6 +147,14 @@ class ConstantErrors:
         self._gradient += weighted.T @ z
         self.sensitivity = self.sensitivity - K @ h
 
+    def turn(self, T: Array) -> None:
+        """Turn the sensitivity with the errors: see `kalman.turn_errors`."""
+        self.sensitivity = T @ self.sensitivity
+
+    def turn_adjoint(self, T: Array) -> None:
+        """Carry the adjoint back through `turn`."""
+        self._adjoint = T.T @ self._adjoint
+
     def finish(self) -> bool:
         """Move the constants after the forward part; return whether they had settled before."""
         unknown, before = self._unknown, self.values[self._unknown]

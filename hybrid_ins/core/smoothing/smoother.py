@@ -58,7 +58,7 @@ from hybrid_ins.core.smoothing.step import (
 )
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
-from hybrid_ins.core.update.kalman import innovation
+from hybrid_ins.core.update.kalman import heading_turn, innovation
 from hybrid_ins.core.update.measurements import GNSS
 
 Array = NDArray[np.float64]
@@ -133,6 +133,7 @@ class Smoother:
         self._divide()
         self._spans: dict[int, float] = {}  # s since the last correction, where one inflates
         self._fused: set[int] = set()
+        self._turns: dict[int, Array] = {}  # of the errors with the heading
 
     def run(self) -> None:
         """Run forward and backward; `first` and `states` are known then."""
@@ -164,6 +165,7 @@ class Smoother:
         self._corrected_ns = self._start.t_ns
         self._spans.clear()
         self._fused.clear()
+        self._turns.clear()
         constants, row = self._constants, np.zeros(N_STATE)
         for k, node in enumerate(self._nodes):
             row[:N_NAV] = nav[:N_NAV]
@@ -191,9 +193,13 @@ class Smoother:
                     self._spans[k] = (update.t_ns - self._corrected_ns) * 1e-9
                     inflate_to_innovation(nav, z, H, self._spans[k])
                 before = nav.copy()
-                _, K = iterated_update.update(nav, z, H, R)
+                _, K, turn = iterated_update.update(nav, z, H, R)
                 if self._constants is not None:
                     self._constants.correct(measurement, before, K, R)
+                if turn:
+                    self._turns[k] = T = heading_turn(turn)
+                    if self._constants is not None:
+                        self._constants.turn(T)
                 if measurement.sensor == GNSS:
                     self._corrected_ns = update.t_ns
         nav[PSD] = update.psd
@@ -230,6 +236,11 @@ class Smoother:
         """Return the adjoint before an update, given that after it and the state before it."""
         update = self._nodes[k].update
         assert update is not None and update.measurement is not None
+        if k in self._turns:
+            T = self._turns[k]
+            costate, information = T.T @ costate, T.T @ information @ T
+            if self._constants is not None:
+                self._constants.turn_adjoint(T)
         _inflate(nav, update)
         z, H, R = update.measurement.linearise(nav)
         if k in self._spans:
@@ -276,15 +287,8 @@ class Smoother:
     def _first_flat(self) -> Array:
         nav = np.zeros(N_FLAT)
         nav[:N_NAV] = self._states[0][:N_NAV]
-        row = np.tile(nav[:N_NAV], (1, 1))
-        steps = (
-            nav[:N_NAV],
-            row,
-            np.zeros(1),
-            np.zeros((0, 225)),
-            np.zeros(0),
-            np.zeros(0, np.int64),
-        )
+        no_steps = np.zeros((0, N_ERROR * N_ERROR)), np.zeros(0), np.zeros(0, np.int64)
+        steps = nav[:N_NAV], nav[None, :N_NAV].copy(), np.zeros(1), *no_steps
         costate, information = self._first_adjoint
         out: Array = smoothed_rows(*steps, costate, information)
         if self._constants is not None:

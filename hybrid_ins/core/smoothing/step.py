@@ -143,7 +143,7 @@ def propagation_adjoint(F, lengths, costate, information):  # type: ignore[no-un
 @kernel()
 def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-untyped-def]
     """
-    Carry the adjoint back through `iterated_update.update`; eq. (9)-(12) of [1]_.
+    Carry the adjoint back through `iterated_update.correct`; eq. (9)-(12) of [1]_.
 
     Parameters
     ----------

@@ -7,6 +7,9 @@ two differ by half of φ × δ: nothing while fixes arrive, metres after a minut
 more than the standard deviation of the returning fixes. A correction for which that matters is
 iterated by Gauss and Newton's method, [2]_.
 
+A corrected heading turns the errors about the vertical, `kalman.turn_errors`. The transform
+of an iterated correction has done so by half of the correction.
+
 References
 ----------
 .. [1] A. Barrau, S. Bonnabel, "The invariant extended Kalman filter as a stable observer", IEEE
@@ -24,8 +27,9 @@ from numba.extending import register_jitable
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, N_ERROR, unpack
-from hybrid_ins.core.update.kalman import apply, gain, inject, joseph_update
+from hybrid_ins.core.update.kalman import apply, gain, inject, joseph_update, turn_errors
 
+LEAST_TURN = 1e-3  # rad: after a smaller correction of the heading, errors keep their directions
 NONLINEARITY_LIMIT = 0.03  # of a measurement's standard deviation: a smaller difference is ignored
 MAX_ROTATION = 0.5  # rad, of a correction of attitude: beyond it the iteration may not converge
 CONVERGED = 1e-7  # rad
@@ -46,14 +50,28 @@ def update(nav, z, H, R):  # type: ignore[no-untyped-def]
     -------
     dx, K : ndarray, shape (15,), (15, m)
         The correction that was applied and the gain it came from, eq. (10)-(11) of [3]_.
+    turn : float
+        Angle [rad] by which the errors were turned then, or 0.
     """
-    dx, K, _, _, _, _ = update_and_linearise(nav, z, H, R)
-    return dx, K
+    dx, K, _, _, _, _, turn = update_and_linearise(nav, z, H, R)
+    return dx, K, turn
 
 
 @register_jitable
 def update_and_linearise(nav, z, H, R):  # type: ignore[no-untyped-def]
-    """Return what `update` returns, then what `linearisation` does at the state before."""
+    """Return the correction and its gain, what `linearisation` does at the state before, a turn."""
+    dx, K, z_x, H_x, x, G = correct(nav, z, H, R)
+    turn = dx[8] - np.arctan2(G[6, 7], G[6, 6])
+    if abs(turn) < LEAST_TURN:
+        turn = 0.0
+    else:
+        turn_errors(nav[COVARIANCE], turn)
+    return dx, K, z_x, H_x, x, G, turn
+
+
+@register_jitable
+def correct(nav, z, H, R):  # type: ignore[no-untyped-def]
+    """Correct the flat state, but leave the directions of the errors."""
     dx, K = gain(nav[COVARIANCE], z, H, R)
     if is_nonlinear(nav[COVARIANCE], dx, H, R):
         return _update_by_iteration(nav, z, H, R, dx, K)

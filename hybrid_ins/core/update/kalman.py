@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.earth import radii
@@ -23,6 +24,9 @@ from hybrid_ins.core.inertial.state import (
     BIAS_A,
     BIAS_G,
     COVARIANCE,
+    DP,
+    DV,
+    EPS,
     LLA,
     N_ERROR,
     PLACES,
@@ -32,6 +36,8 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.inertial.strapdown import half_rotation
 from hybrid_ins.core.update.linalg import factorise, solve, whiten
+
+NORTH = (DP.start, DV.start, EPS.start)  # of each error in n, followed by east
 
 
 @kernel()
@@ -172,3 +178,37 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
     norm = np.sqrt(quat[0] ** 2 + quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
     for i in range(4):
         quat[i] /= norm
+
+
+def heading_turn(angle: float) -> NDArray[np.float64]:
+    """Return T, shape (15, 15), with which `turn_errors` turns P to T P T'."""
+    T, c, s = np.eye(N_ERROR), np.cos(angle), np.sin(angle)
+    for north in NORTH:
+        T[north : north + 2, north : north + 2] = ((c, s), (-s, c))
+    return T
+
+
+@register_jitable
+def turn_errors(packed, angle):  # type: ignore[no-untyped-def]
+    """
+    Turn the errors in P about the vertical with a heading that was corrected by ``angle`` [rad].
+
+    What an IMU's biases, errors in b, have added to those of position, velocity and tilt, errors in
+    n, has the directions of the heading by which it was added up. With another heading the next
+    fixes would seem to tell tilt from bias, which a vehicle that goes straight on cannot.
+    """
+    c, s, P = np.cos(angle), np.sin(angle), np.empty((N_ERROR, N_ERROR))
+    unpack(packed, P)
+    for i in NORTH:
+        for j in range(N_ERROR):
+            north, east = P[i, j], P[i + 1, j]
+            P[i, j], P[i + 1, j] = c * north + s * east, c * east - s * north
+    for j in NORTH:
+        for i in range(N_ERROR):
+            north, east = P[i, j], P[i, j + 1]
+            P[i, j], P[i, j + 1] = c * north + s * east, c * east - s * north
+    at = 0
+    for i in range(N_ERROR):
+        for j in range(i, N_ERROR):
+            packed[at] = P[i, j]
+            at += 1

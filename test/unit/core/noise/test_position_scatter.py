@@ -57,7 +57,7 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         offset += rng.normal(0.0, walk, 3)
         z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
         evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
-        dx, _ = iterated_update.update(nav, z, H, share * R)
+        dx, *_ = iterated_update.update(nav, z, H, share * R)
         offset -= dx[DP]
         found.learn(ANY, evidence, k * SECOND // 5)
     return found
@@ -226,7 +226,7 @@ def test_the_slow_error_walks_as_successive_innovations_show(
         offset += rng.normal(0.0, walk, 3)
         z = offset + rng.normal(0.0, 0.1, 3)
         evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
-        dx, _ = iterated_update.update(nav, z, H, split.share * claimed)
+        dx, *_ = iterated_update.update(nav, z, H, split.share * claimed)
         offset -= dx[DP]
         found.learn(split, evidence, k * SECOND // 5)
 

@@ -41,6 +41,7 @@ from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_PACKED, N_STATE, Smo
 from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.inflation import inflate
 from hybrid_ins.core.update.iterated_update import update as correct
+from hybrid_ins.core.update.kalman import heading_turn
 from hybrid_ins.core.update.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.row_file import BlockFile, RowFile
 from tools.field.batch_least_squares import (
@@ -99,7 +100,7 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
     smoother, _, adjoints = make(flight, updates)
     smoother.run()
     nav, last_ns, begin = started(flight.start), T0_NS, 1
-    P_after, P_before, phis, moved = [covariance(nav)], [], [], []
+    P_after, P_before, phis, moved, turns = [covariance(nav)], [], [], [], []
     for update in updates:
         stop = int(np.searchsorted(flight.samples["t_ns"], update.t_ns, side="right"))
         phis.append(advance(nav, flight.samples[begin:stop], last_ns))
@@ -107,8 +108,11 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
         if update.measurement is None:
             inflate(nav, inflated, lever_b)
             moved.append(np.zeros(N_ERROR))
+            turns.append(np.eye(N_ERROR))
         else:
-            moved.append(correct(nav, *update.measurement.linearise(nav))[0])
+            dx, _, turn = correct(nav, *update.measurement.linearise(nav))
+            moved.append(dx)
+            turns.append(heading_turn(turn))
         P_after.append(covariance(nav))
         nav[PSD] = update.psd
         begin, last_ns = stop, update.t_ns
@@ -119,7 +123,7 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
             C = np.linalg.solve(P_after[k + 1], P_before[k]).T
             e, P_s = C @ e, P_before[k] + C @ (P_s - P_after[k + 1]) @ C.T
         else:
-            e = e + moved[k]
+            e, P_s = turns[k].T @ e + moved[k], turns[k].T @ P_s @ turns[k]
         # THEN the adjoint before each update says the same, error and covariance
         costate, information = adjoints[k][:N_ERROR], adjoints[k][N_ERROR:][:N_PACKED][PLACES]
         std = np.sqrt(np.diag(P_before[k]))

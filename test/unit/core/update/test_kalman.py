@@ -7,8 +7,24 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from support.analytic_motion import TEL_AVIV, difference
 
-from hybrid_ins.core.inertial.rotations import left_jacobian, quat_from_rpy, skew
-from hybrid_ins.core.inertial.state import DP, DV, EPS, N_ERROR, Array, NavState, covariance
+from hybrid_ins.core.inertial.rotations import (
+    left_jacobian,
+    matrix_from_quat,
+    quat_from_rpy,
+    skew,
+)
+from hybrid_ins.core.inertial.state import (
+    B_A,
+    COVARIANCE,
+    DP,
+    DV,
+    EPS,
+    N_ERROR,
+    Array,
+    NavState,
+    covariance,
+    pack,
+)
 from hybrid_ins.core.update import iterated_update, kalman
 
 SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
@@ -58,7 +74,7 @@ def test_update_is_the_textbooks(seed: int, m: int) -> None:
     A = np.eye(N_ERROR) - gain @ H
     unit = np.outer(SIGMA, SIGMA)
 
-    dx, K = iterated_update.update(nav, z, H, R)
+    dx, K, *_ = iterated_update.correct(nav, z, H, R)
 
     np.testing.assert_allclose(K / SIGMA[:, None], gain / SIGMA[:, None], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(dx / SIGMA, gain @ z / SIGMA, rtol=1e-8, atol=1e-10)
@@ -118,7 +134,7 @@ def test_correction_after_an_outage_is_the_likeliest_one() -> None:
 
     nav = state.to_flat()
     before = nav.copy()
-    dx, _ = iterated_update.update(nav, z, H, R)
+    dx, *_ = iterated_update.correct(nav, z, H, R)
 
     np.testing.assert_allclose(difference(nav, before), dx, atol=1e-6)
     sigma = np.sqrt(np.diag(expected))
@@ -156,6 +172,49 @@ def test_state_plus_error_minus_state_is_the_error(seed: int, dx: Array) -> None
     # Small differences of large coordinates: metres to a nanometre and 1e-5 of themselves.
     np.testing.assert_allclose(difference(nav, before)[:6], dx[:6], atol=1e-8)
     np.testing.assert_allclose(difference(nav, before)[6:], dx[6:], atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [-0.4, 0.02, 1.2])
+def test_errors_that_biases_make_turn_with_a_corrected_heading(turn: float) -> None:
+    # GIVEN a vehicle that was levelled with biased accelerometers, and dead reckoned with them
+    nav, seconds = problem(3)[0], 7.0
+    S = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / 9.8
+    by_bias = np.zeros((N_ERROR, 3))
+
+    def reckoned(heading: float) -> Array:
+        C = matrix_from_quat(quat_from_rpy(0.1, -0.2, heading))
+        by_bias[DP], by_bias[DV] = 0.5 * seconds**2 * C, seconds * C
+        by_bias[EPS], by_bias[B_A] = S @ C, np.eye(3)
+        P = by_bias @ np.diag((0.01, 0.04, 0.09)) @ by_bias.T
+        return P + np.diag((4.0, 4.0, 9.0, 1.0, 1.0, 2.0, 1e-8, 1e-8, 0.25, *6 * (1e-6,)))
+
+    pack(reckoned(0.7), nav[COVARIANCE])
+    # WHEN its heading is corrected
+    kalman.turn_errors(nav[COVARIANCE], turn)
+    # THEN the errors are those of the same biases with the new heading: ε is true minus estimated
+    np.testing.assert_allclose(covariance(nav), reckoned(0.7 - turn), atol=1e-12)
+
+
+@pytest.mark.parametrize("by_iteration", [False, True])
+def test_an_update_turns_the_errors_by_as_much_as_the_heading(by_iteration: bool) -> None:
+    # GIVEN a fix that corrects the heading, and moves the position so far that it is bent, or not
+    nav, z, H, R = problem(5)
+    z *= 50.0
+    if not by_iteration:
+        H[:, :6] = 0.0
+    packed, turned, plain = nav[COVARIANCE], nav.copy(), nav.copy()
+    linear, _ = kalman.gain(packed, z, H, R)
+    assert iterated_update.is_nonlinear(packed, linear, H, R) == by_iteration
+    # WHEN it is fused
+    dx, _, turn = iterated_update.update(turned, z, H, R)
+    iterated_update.correct(plain, z, H, R)
+    # THEN P is that of the correction, turned by what that has not turned
+    assert abs(dx[8]) > 0.01
+    assert turn == pytest.approx(dx[8] * (0.5 if by_iteration else 1.0), rel=0.05)
+    kalman.turn_errors(plain[COVARIANCE], turn)
+    np.testing.assert_allclose(covariance(turned), covariance(plain), rtol=1e-9, atol=1e-12)
+    T = kalman.heading_turn(turn)
+    assert np.abs(T @ T.T - np.eye(N_ERROR)).max() < 1e-15
 
 
 def test_zero_error_changes_nothing() -> None:
