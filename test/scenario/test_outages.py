@@ -187,8 +187,8 @@ def test_a_ferry_that_sets_off_is_no_stand(monkeypatch: pytest.MonkeyPatch) -> N
     """
     GIVEN a car that stands on a ferry, without fixes since it boarded
     WHEN the ferry sets off as smoothly as its engine runs
-    THEN the stand ends, and errors are far smaller than if it had never been fused, and claims right
-    where they were.
+    THEN the stand ends, and errors are far smaller than if it had never been fused, and claims are
+    right where they were.
     """
     ferry, seeds = ROAD_VEHICLES["car, then on a ferry"], (1, 3, 5, 7, 9)
     fused = []

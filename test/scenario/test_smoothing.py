@@ -7,18 +7,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.runs import through_estimator
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import simulate
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Result, Scoring
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.replay import replay_bag
 from hybrid_ins.ros.estimator.smoothed import SmoothedRun
+from hybrid_ins.ros.messages.conversions import FLIP, SWAP
 from hybrid_ins.row_file import ObjectFile, RowFile
+from hybrid_ins.simulation.motions import car_drive
+from hybrid_ins.simulation.sensors import ImuErrors
 from tools.paper.runs import Run, Scenario, draw
 
 TOPICS = {"imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity"}
@@ -127,6 +132,24 @@ def test_positions_are_smoothed_with_their_scatter_and_the_slow_rest_is_reported
     # AND what is reported holds what the receiver may be off by
     variance = claimed[1000:, [7, 14, 21]]
     assert variance.min() > 0.5 and variance.max() < 1.5
+
+
+@pytest.mark.slow
+def test_a_smoothed_attitude_is_as_uncertain_as_the_scale_errors_of_the_imu_make_it() -> None:
+    # GIVEN cars whose gyroscope reads 1 % too much
+    gnss = {"gnss.time_offset.estimate": False}
+    errors, nees = ImuErrors(gyroscope_scale=0.01), []
+    for seed in (1, 2, 3):
+        run = draw(Scenario("scale", car_drive, 100.0, 180.0, errors=errors), seed)
+        # WHEN they are smoothed
+        t_ns, odometry = smoothed(run, **gnss)
+        # THEN the errors of the attitude are as large as the covariance says
+        at = np.searchsorted(t_ns, run.samples["t_ns"][run.scored][5:])
+        truth = Rotation.from_matrix(SWAP @ matrix_from_quat(run.quat_xyzw[5:]) @ FLIP)
+        error = (truth * Rotation.from_quat(odometry[at, 3:7]).inv()).as_rotvec()
+        P = odometry[at, 7:43].reshape(-1, 6, 6)[:, 3:, 3:]
+        nees.append(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)) / 3.0)
+    assert 0.2 < np.mean(nees) < 1.5  # 2.6 by the smoother alone
 
 
 @pytest.mark.slow

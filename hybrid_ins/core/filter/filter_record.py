@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.filter.events import Event
-from hybrid_ins.core.filter.filter_noise import FilterNoise
-from hybrid_ins.core.filter.measurement_update import Outcome
+from hybrid_ins.core.filter.measurement_update import MeasurementUpdate, Outcome
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
-from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
@@ -41,6 +39,7 @@ class Decided:
     clock_residual: float  # s, to be added to the stamps of fixes
     clock_variance: float  # s²
     clock_drift: float  # s/s
+    attitude_by_scale: Array  # (6,) `ScaleErrorObserver.considered`
 
 
 class FilterRecord:
@@ -70,35 +69,29 @@ class FilterRecord:
         twin.decided, twin.too_old = [*self.decided], [*self.too_old]
         return twin
 
-    def add(
-        self,
-        event: Event,
-        outcome: Outcome,
-        noise: FilterNoise,
-        clock: ClockOffsetObserver,
-    ) -> None:
-        """Append an event that was applied, with noise and clock after it."""
-        self.decided.append(Decided(event, *outcome, noise.levels(), *_of(clock)))
+    def add(self, event: Event, outcome: Outcome, after: MeasurementUpdate) -> None:
+        """Append an event that was applied, with noise, clock and scale errors after it."""
+        self.decided.append(_decided(event, outcome, after))
 
-    def add_too_old(self, verdict: Verdict, noise: FilterNoise, clock: ClockOffsetObserver) -> None:
+    def add_too_old(self, verdict: Verdict, now: MeasurementUpdate) -> None:
         """Append a measurement that was not fused for its age; its verdict holds a threshold."""
-        self.too_old.append(
-            Decided(
-                verdict.measurement,
-                verdict,
-                noise.fix_factor,
-                False,
-                None,
-                noise.levels(),
-                *_of(clock),
-            )
-        )
+        refused = Outcome(verdict, now.noise.fix_factor, False, None)
+        self.too_old.append(_decided(verdict.measurement, refused, now))
 
     def rewind(self, count: int) -> None:
         """Forget all but the first ``count`` events: the others are applied again."""
         del self.decided[count:]
 
 
-def _of(clock: ClockOffsetObserver) -> tuple[float, float, float]:
-    """Return what a `Decided` keeps of a clock."""
-    return clock.residual, clock.sigma**2, clock.drift
+def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate) -> Decided:
+    """Return what is kept of an event, with noise, clock and scale errors as they are."""
+    clock = update.clock
+    return Decided(
+        event,
+        *outcome,
+        levels=update.noise.levels(),
+        clock_residual=clock.residual,
+        clock_variance=clock.sigma**2,
+        clock_drift=clock.drift,
+        attitude_by_scale=update.scale_errors.considered,
+    )

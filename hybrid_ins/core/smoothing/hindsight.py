@@ -106,6 +106,19 @@ def clock_offsets(stretch: Stretch, constant: float) -> tuple[NDArray[np.int64],
     return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found]) + constant
 
 
+def attitude_by_scale(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
+    """
+    Return what scale errors do to the attitude, as it was known while filtering.
+
+    Stamps (n,) [ns] and from each on the mean square (n, 6) [rad²] of
+    `ScaleErrorObserver.considered`. In an outage it is what was known before.
+    """
+    decided = [step.decided for step in _steps(stretch.filters)[0]]
+    known = [one for one in decided if one.attitude_by_scale.any()] or decided[:1]
+    stamps = np.array([one.event.t_ns for one in known], np.int64)
+    return stamps, np.array([one.attitude_by_scale for one in known])
+
+
 @dataclass(slots=True)
 class _Step:
     """What was decided, with the clock offset applied to it and the noise then in force."""

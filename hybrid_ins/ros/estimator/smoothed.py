@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.inertial.state import PSD
+from hybrid_ins.core.inertial.state import ATTITUDE_COVARIANCE, PSD
 from hybrid_ins.core.smoothing.constant_errors import LEVER, ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import RunRecord
-from hybrid_ins.core.smoothing.hindsight import clock_offsets, smoother_of
+from hybrid_ins.core.smoothing.hindsight import attitude_by_scale, clock_offsets, smoother_of
 from hybrid_ins.core.smoothing.smoother import Store
 from hybrid_ins.ros.estimator.estimator import REPORT_NS, Estimator
 from hybrid_ins.ros.estimator.reporter import state_reports
@@ -60,11 +60,14 @@ class SmoothedRun:
             source.restart()
             smoother, constants = smoother_of(stretch, self._make_store, self._progress)
             smoother.run()
+            decided_ns, by_scale = attitude_by_scale(stretch)
             _report_lever_arm(estimator, constants)
             self._clocks.append(clock_offsets(stretch, constants.clock_offset))
             # what is known is where the antenna was
             arm_b = estimator.placement.arm_b - constants.lever_b
             for t_ns, rows in smoother.states():
+                last = np.searchsorted(decided_ns, t_ns, side="right") - 1
+                rows[:, ATTITUDE_COVARIANCE] += by_scale[np.maximum(last, 0)]
                 for part in _parts(rows):
                     levels = process.q(rows[part.start, PSD][:6])
                     block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])

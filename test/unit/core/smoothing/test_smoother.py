@@ -18,6 +18,7 @@ from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_record import FilterRecord
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.filter.measurement_update import Outcome
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, rpy_from_quat
@@ -175,9 +176,12 @@ def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
 def test_a_record_keeps_the_drift_of_the_clock() -> None:
     nothing: Any = SimpleNamespace(measurement=None, levels=lambda: np.ones(6), fix_factor=1.0)
     record, clock = FilterRecord(nothing), ClockOffsetObserver(0.1, drift=ClockDrift(3e-4))
+    update: Any = SimpleNamespace(
+        noise=nothing, clock=clock, scale_errors=SimpleNamespace(considered=np.ones(6))
+    )
 
-    record.add(nothing, (None, 1.0, False, None), nothing, clock)
-    record.add_too_old(nothing, nothing, clock)
+    record.add(nothing, Outcome(None, 1.0, False, None), update)
+    record.add_too_old(nothing, update)
 
     for decided in (record.decided[0], record.too_old[0]):
         assert decided.clock_drift == 3e-4
