@@ -113,10 +113,11 @@ def attitude_by_scale(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
     Stamps (n,) [ns] and from each on the mean square (n, 6) [rad²] of
     `ScaleErrorObserver.considered`. In an outage it is what was known before.
     """
-    decided = [step.decided for step in _steps(stretch.filters)[0]]
-    known = [one for one in decided if one.attitude_by_scale.any()] or decided[:1]
-    stamps = np.array([one.event.t_ns for one in known], np.int64)
-    return stamps, np.array([one.attitude_by_scale for one in known])
+    steps, _ = _steps(stretch.filters)
+    decided = [(step.decided.event.t_ns, step.decided.attitude_by_scale) for step in steps]
+    known = [(t_ns, considered) for t_ns, considered in decided if considered.any()]
+    stamps, squares = zip(*(known or [(0, np.zeros(6))]), strict=True)
+    return np.array(stamps, np.int64), np.array(squares)
 
 
 @dataclass(slots=True)

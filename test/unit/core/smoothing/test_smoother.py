@@ -188,6 +188,27 @@ def test_a_record_keeps_the_drift_of_the_clock() -> None:
         assert decided.clock_variance == pytest.approx(clock.sigma**2)
 
 
+def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -> None:
+    # GIVEN a filter without any event, and one whose P contains them in the third of four
+    def kept(*considered: float) -> Any:
+        decided = [
+            SimpleNamespace(event=SimpleNamespace(t_ns=k), attitude_by_scale=np.full(6, square))
+            for k, square in enumerate(considered, start=1)
+        ]
+        for one in decided:
+            one.levels, one.r_scale = np.ones(6), 1.0
+        record = SimpleNamespace(start=SimpleNamespace(t_ns=0), decided=decided, too_old=[])
+        return SimpleNamespace(filters=[(SimpleNamespace(record=record), 0.0)])
+
+    # THEN nothing is said of that time, and nothing at all of the other filter
+    stamps, squares = hindsight.attitude_by_scale(kept(1.0, 2.0, 0.0, 4.0))
+    assert stamps.tolist() == [1, 2, 4]
+    assert squares[:, 5].tolist() == [1.0, 2.0, 4.0]
+    stamps, squares = hindsight.attitude_by_scale(kept())
+    assert stamps.tolist() == [0]
+    assert not squares.any()
+
+
 @pytest.mark.parametrize("drift", [0.0, 3e-4])
 def test_the_offset_of_a_clock_that_drifts_is_smoothed_along_its_drift(drift: float) -> None:
     """
