@@ -86,6 +86,16 @@ def unpack(packed, full):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
+def pack_upper(full, packed):  # type: ignore[no-untyped-def]
+    """Write the upper triangle ``packed`` (120,) of the symmetric matrix ``full`` (15, 15)."""
+    k = 0
+    for i in range(N_ERROR):
+        for j in range(i, N_ERROR):
+            packed[k] = full[i, j]
+            k += 1
+
+
+@register_jitable
 def unpack_total(nav, full):  # type: ignore[no-untyped-def]
     """
     Write the covariance that is reported, (15, 15).

@@ -49,75 +49,81 @@ CLOCK_JUMP = 5.0  # standard deviations
 MEMORY_NS = int(MEMORY * 1e9)
 
 
-def smoother_of(
-    stretch: Stretch,
-    make_store: Callable[[int], Store],
-    progress: Callable[[int], None] = lambda n: None,
-) -> tuple[Smoother, ConstantErrors]:
+class Hindsight:
     """
-    Return a smoother of a stretch in which a filter ran, and the constants that it estimates.
+    What is known in the end of a stretch in which a filter ran.
 
     Parameters
     ----------
     stretch : Stretch
         Of a `RunRecord`.
-    make_store : callable
-        Given the length of the rows, returns a `Store`.
-    progress : callable
-        See `Smoother`.
     """
-    last = stretch.filters[-1][0]
-    interval, gap_ns = last.covariance_interval, last.long_step_ns
-    steps, moved = _steps(stretch.filters)
-    start, updates = _plan(stretch.filters, steps, moved)
-    samples = stretch.samples
-    if stretch.heading_found:
-        end = np.searchsorted(samples["t_ns"], stretch.running_ns + HEAD_NS)
-        head = Smoother(start, samples[:end], updates, interval, gap_ns, {}, {})
-        head.run()
-        start = _about_heading(start, head.first())
-    stores = make_store(N_STATE), make_store(N_ADJOINT)
-    constants = ConstantErrors(not _lever_arm_is_given(updates), _clock_prior(last, steps, moved))
-    unknown = None if constants.are_known else constants
-    smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, unknown)
-    return smoother, constants
+
+    def __init__(self, stretch: Stretch) -> None:
+        self._stretch = stretch
+        self._steps, self._moved = _steps(stretch.filters)
+
+    def smoother(
+        self, make_store: Callable[[int], Store], progress: Callable[[int], None] = lambda n: None
+    ) -> tuple[Smoother, ConstantErrors]:
+        """
+        Return a smoother of the stretch, and the constants that it estimates.
+
+        Parameters
+        ----------
+        make_store : callable
+            Given the length of the rows, returns a `Store`.
+        progress : callable
+            See `Smoother`.
+        """
+        stretch, last = self._stretch, self._stretch.filters[-1][0]
+        interval, gap_ns = last.covariance_interval, last.long_step_ns
+        start, updates = _plan(stretch.filters, self._steps, self._moved)
+        samples = stretch.samples
+        if stretch.heading_found:
+            end = np.searchsorted(samples["t_ns"], stretch.running_ns + HEAD_NS)
+            head = Smoother(start, samples[:end], updates, interval, gap_ns, {}, {})
+            head.run()
+            start = _about_heading(start, head.first())
+        stores = make_store(N_STATE), make_store(N_ADJOINT)
+        prior = _clock_prior(last, self._steps, self._moved)
+        constants = ConstantErrors(not _lever_arm_is_given(updates), prior)
+        unknown = None if constants.are_known else constants
+        smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, unknown)
+        return smoother, constants
+
+    def clock_offsets(self, constant: float) -> tuple[NDArray[np.int64], Array]:
+        """
+        Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s].
+
+        ``constant`` is what `ConstantErrors` has found of them [s].
+        """
+        found = [
+            (step.decided.verdict.measurement, dt)
+            for step, dt in zip(self._steps, self._moved, strict=True)
+            if step.decided.verdict is not None and step.decided.verdict.measurement.sensor == GNSS
+        ]
+        offsets_ns = np.array([clock_offset_ns(measurement) for measurement, _ in found], np.int64)
+        stamps = np.array([measurement.t_ns for measurement, _ in found], np.int64) - offsets_ns
+        return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found]) + constant
+
+    def attitude_by_scale(self) -> tuple[NDArray[np.int64], Array]:
+        """
+        Return what scale errors do to the attitude, as it was known while filtering.
+
+        Stamps (n,) [ns] and from each on the mean square (n, 6) [rad²] of
+        `ScaleErrorObserver.considered`. In an outage it is what was known before.
+        """
+        decided = [(s.decided.event.t_ns, s.decided.attitude_by_scale) for s in self._steps]
+        known = [(t_ns, considered) for t_ns, considered in decided if considered.any()]
+        stamps, squares = zip(*(known or [(0, np.zeros(6))]), strict=True)
+        return np.array(stamps, np.int64), np.array(squares)
 
 
 def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
     """Return whether any measurement has a lever arm other than zero."""
     levers = (getattr(update.measurement, "lever_b", None) for update in updates)
     return any(lever is not None and lever.any() for lever in levers)
-
-
-def clock_offsets(stretch: Stretch, constant: float) -> tuple[NDArray[np.int64], Array]:
-    """
-    Return the stamps of the fixes by their own clock [ns] and its smoothed offsets [s].
-
-    ``constant`` is what `ConstantErrors` has found of them [s].
-    """
-    steps, moved = _steps(stretch.filters)
-    found = [
-        (decided.verdict.measurement, dt)
-        for decided, dt in zip((step.decided for step in steps), moved, strict=True)
-        if decided.verdict is not None and decided.verdict.measurement.sensor == GNSS
-    ]
-    offsets_ns = np.array([clock_offset_ns(measurement) for measurement, _ in found], np.int64)
-    stamps = np.array([measurement.t_ns for measurement, _ in found], np.int64) - offsets_ns
-    return stamps, offsets_ns * 1e-9 + np.array([dt for _, dt in found]) + constant
-
-
-def attitude_by_scale(stretch: Stretch) -> tuple[NDArray[np.int64], Array]:
-    """
-    Return what scale errors do to the attitude, as it was known while filtering.
-
-    Stamps (n,) [ns] and from each on the mean square (n, 6) [rad²] of
-    `ScaleErrorObserver.considered`. In an outage it is what was known before.
-    """
-    steps, _ = _steps(stretch.filters)
-    decided = [(step.decided.event.t_ns, step.decided.attitude_by_scale) for step in steps]
-    known = [(t_ns, considered) for t_ns, considered in decided if considered.any()]
-    stamps, squares = zip(*(known or [(0, np.zeros(6))]), strict=True)
-    return np.array(stamps, np.int64), np.array(squares)
 
 
 @dataclass(slots=True)

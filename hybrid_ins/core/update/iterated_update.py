@@ -26,7 +26,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, N_ERROR, unpack
+from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, N_ERROR, pack_upper, unpack
 from hybrid_ins.core.update.kalman import apply, gain, inject, joseph_update, turn_errors
 
 LEAST_TURN = 1e-3  # rad: after a smaller correction of the heading, errors keep their directions
@@ -183,12 +183,7 @@ def _update_by_iteration(nav, z, H, R, linear, K_linear):  # type: ignore[no-unt
     # P now refers to the new estimate, about which (δp, δv, ε) and its transform are the same.
     P = np.empty((N_ERROR, N_ERROR))
     unpack(packed, P)
-    P = _transformed(G, _transformed(G, P).T)
-    at = 0
-    for i in range(N_ERROR):
-        for j in range(i, N_ERROR):
-            packed[at] = P[j, i]
-            at += 1
+    pack_upper(_transformed(G, _transformed(G, P).T).T, packed)
     inject(nav, error)
     return error, _transformed(G, K), z_x, H_x, _product(K, z_x), G
 

@@ -32,6 +32,7 @@ from hybrid_ins.core.inertial.state import (
     PLACES,
     QUAT,
     VELOCITY,
+    pack_upper,
     unpack,
 )
 from hybrid_ins.core.inertial.strapdown import half_rotation
@@ -207,8 +208,4 @@ def turn_errors(packed, angle):  # type: ignore[no-untyped-def]
         for i in range(N_ERROR):
             north, east = P[i, j], P[i, j + 1]
             P[i, j], P[i, j + 1] = c * north + s * east, c * east - s * north
-    at = 0
-    for i in range(N_ERROR):
-        for j in range(i, N_ERROR):
-            packed[at] = P[i, j]
-            at += 1
+    pack_upper(P, packed)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.inertial.state import ATTITUDE_COVARIANCE, PSD
 from hybrid_ins.core.smoothing.constant_errors import LEVER, ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import RunRecord
-from hybrid_ins.core.smoothing.hindsight import attitude_by_scale, clock_offsets, smoother_of
+from hybrid_ins.core.smoothing.hindsight import Hindsight
 from hybrid_ins.core.smoothing.smoother import Store
 from hybrid_ins.ros.estimator.estimator import REPORT_NS, Estimator
 from hybrid_ins.ros.estimator.reporter import state_reports
@@ -34,7 +34,7 @@ class SmoothedRun:
     record : RunRecord
         That it filled.
     make_store, progress
-        See `hindsight.smoother_of`; ``progress`` is called for each sample three times.
+        See `Hindsight.smoother`; ``progress`` is called for each sample three times.
     """
 
     def __init__(
@@ -58,11 +58,12 @@ class SmoothedRun:
         for stretch in self._record.finish():
             process = stretch.filters[-1][0].noise.process
             source.restart()
-            smoother, constants = smoother_of(stretch, self._make_store, self._progress)
+            hindsight = Hindsight(stretch)
+            smoother, constants = hindsight.smoother(self._make_store, self._progress)
             smoother.run()
-            decided_ns, by_scale = attitude_by_scale(stretch)
+            decided_ns, by_scale = hindsight.attitude_by_scale()
             _report_lever_arm(estimator, constants)
-            self._clocks.append(clock_offsets(stretch, constants.clock_offset))
+            self._clocks.append(hindsight.clock_offsets(constants.clock_offset))
             # what is known is where the antenna was
             arm_b = estimator.placement.arm_b - constants.lever_b
             for t_ns, rows in smoother.states():

@@ -192,19 +192,22 @@ def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -
     # GIVEN a filter without any event, and one whose P contains them in the third of four
     def kept(*considered: float) -> Any:
         decided = [
-            SimpleNamespace(event=SimpleNamespace(t_ns=k), attitude_by_scale=np.full(6, square))
+            SimpleNamespace(
+                event=SimpleNamespace(t_ns=k),
+                levels=np.ones(6),
+                r_scale=1.0,
+                attitude_by_scale=np.full(6, square),
+            )
             for k, square in enumerate(considered, start=1)
         ]
-        for one in decided:
-            one.levels, one.r_scale = np.ones(6), 1.0
         record = SimpleNamespace(start=SimpleNamespace(t_ns=0), decided=decided, too_old=[])
         return SimpleNamespace(filters=[(SimpleNamespace(record=record), 0.0)])
 
     # THEN nothing is said of that time, and nothing at all of the other filter
-    stamps, squares = hindsight.attitude_by_scale(kept(1.0, 2.0, 0.0, 4.0))
+    stamps, squares = hindsight.Hindsight(kept(1.0, 2.0, 0.0, 4.0)).attitude_by_scale()
     assert stamps.tolist() == [1, 2, 4]
     assert squares[:, 5].tolist() == [1.0, 2.0, 4.0]
-    stamps, squares = hindsight.attitude_by_scale(kept())
+    stamps, squares = hindsight.Hindsight(kept()).attitude_by_scale()
     assert stamps.tolist() == [0]
     assert not squares.any()
 
