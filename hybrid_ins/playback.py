@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,10 @@ from hybrid_ins.ros.messages.interface import PUBLISHED
 ESTIMATES = tuple(absolute(topic.name) for topic in PUBLISHED if topic.name != "/tf")
 NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/tf_static", "/rosout", "/parameter_events")
 
+_CLOCK_END_NS = 2**31 * 10**9  # the seconds of a stamp have 32 bits: January 2038
 _SETTLING = 0.3  # s; a subscriber learns of us a little later than we learn of it
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,15 @@ def play(
         if first_ns > bag.end_ns:
             seconds = (bag.end_ns - bag.start_ns) / 1e9
             raise InputError(f"--start {selection.start:g}: {source} is only {seconds:.1f} s long")
+        if selection.clock and last_ns >= _CLOCK_END_NS:
+            raise InputError(
+                f"{source}: its times are beyond January 2038, where those of /clock end: "
+                "play it with --no-clock, or --duration"
+            )
+        recorded = () if recording is None else map(absolute, recording.topics)
+        unknown = sorted(set(selection.remap) - {*bag.topics, *recorded})
+        if unknown:
+            _log.warning("--remap %s: neither played nor recorded", ", ".join(unknown))
 
         node = stack.enter_context(started_node(ros_args))
         timeline = Timeline(first_ns, selection.rate)

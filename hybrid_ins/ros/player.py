@@ -229,7 +229,7 @@ class Player:
         return "\n".join([*lines, *table(self._counts)])
 
     def _tick_ns(self, timeline: Timeline) -> int:
-        return round(_CLOCK_PERIOD * min(1.0, timeline.rate) * 1e9)
+        return max(round(_CLOCK_PERIOD * min(1.0, timeline.rate) * 1e9), 1)
 
     def _publish_clock(self, bag_ns: int) -> None:
         if self._clock is not None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.player import DEPTH, Timeline, message_type_of, table, wait_until_empty
@@ -87,6 +88,8 @@ class Recorder:
         Topics without a publisher within `patience` seconds are named and left out.
         """
         names = {topic: remap.get(topic, topic) for topic in topics}
+        for name in names.values():
+            validate_full_topic_name(name)
         missing = wait_until_empty(
             lambda: [n for n in names.values() if not self._node.get_publishers_info_by_topic(n)],
             patience,

@@ -297,6 +297,10 @@ def test_wrong_arguments(
             ["--record", "{out}", "--record-topics", "/a//b"],
             "'/a//b': .* must not contain repeated",
         ),
+        (
+            ["--record", "{out}", "--record-topics", "/a b"],
+            "'/a b': .* must not contain characters other",
+        ),
         (["--ros-args", "-r", "imu"], "Couldn't parse remap rule: '-r imu'$"),
         (["--ros-args", "--no-such"], "unknown ROS arguments: .*--no-such"),
     ],
@@ -346,6 +350,25 @@ def test_late_subscribers_get_the_map_s_origin(processes: Processes) -> None:
     assert output.split() == ["TRANSIENT_LOCAL", "VOLATILE"]
 
 
+def test_times_that_the_clock_cannot_tell(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    later = tmp_path / "later.mcap"
+    with BagWriter(later) as bag:
+        bag.write("/imu/data", new_message(IMU), 2**31 * 10**9)
+    assert program.main([str(later), "--wait", "0", "--drain", "0"]) == 2
+    assert "ins_play: error: " in (said := capfd.readouterr().err) and "--no-clock" in said
+    assert program.main([str(later), "--wait", "0", "--drain", "0", "--no-clock"]) == 0
+
+
+def test_a_renamed_topic_that_is_not_there_is_named(
+    flight: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--duration", "0.1", "--wait", "0", "--drain", "0", "--remap"]
+    assert program.main([str(flight), *words, "/imu/dat:=/imu", "/imu/data:=/imu"]) == 0
+    assert "--remap /imu/dat: neither played nor recorded" in capfd.readouterr().err
+
+
 def test_only_truth_in_the_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with BagWriter(tmp_path / "bag.mcap") as bag:
         bag.write("/truth/odometry", new_message("nav_msgs/msg/Odometry"), START_NS)
@@ -364,6 +387,13 @@ def test_without_ros(
 
 
 # --- bag time -------------------------------------------------------------------------------------
+
+
+def test_the_clock_goes_on_at_any_rate(processes: Processes, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        bag.write("/imu/data", new_message(IMU), START_NS)
+    output = play(processes, tmp_path / "bag.mcap", "--rate", "1e-9", "--wait", "0", "--drain", "0")
+    assert "played 1 messages" in output
 
 
 def test_bag_time_never_passes_a_message_that_is_not_out() -> None:
