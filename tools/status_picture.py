@@ -19,6 +19,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from hybrid_ins.cli import options
+from hybrid_ins.cli import program as shell
+from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import check_output
 from tools.processes import Processes, isolated_ros, program
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "status.png"
@@ -32,19 +36,25 @@ COLOURS = {"OK": "#6a9955", "WARN": "#d7ba7d", "ERROR": "#f44747"}
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw the picture and print the text."""
     assert __doc__ is not None
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.status_picture",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = shell.parser("status_picture", __doc__ or "")
+    parser.add_argument(
+        "--flight", type=options.path, required=True, metavar="DIR", help="a flight of that dataset"
     )
     parser.add_argument(
-        "--flight", type=Path, required=True, metavar="DIR", help="a flight of that dataset"
+        "--out", type=options.path, default=PICTURE, metavar="FILE", help="[%(default)s]"
     )
-    parser.add_argument("--out", type=Path, default=PICTURE, metavar="FILE", help="[%(default)s]")
     parser.add_argument(
-        "--after", type=float, default=30.0, metavar="S", help="of the flight [%(default)g s]"
+        "--after",
+        type=options.not_negative,
+        default=30.0,
+        metavar="S",
+        help="of the flight [%(default)g s]",
     )
-    args = parser.parse_args(argv)
+    return shell.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    check_output(args.out, overwrite=True)
     os.environ.update(isolated_ros(), COLUMNS=str(WIDTH), PYTHONUNBUFFERED="1")
     with tempfile.TemporaryDirectory() as folder, Processes() as processes:
         text = status_in_flight(processes, args.flight, args.after, Path(folder))
@@ -56,8 +66,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def status_in_flight(processes: Processes, flight: Path, after: float, folder: Path) -> str:
     """Return the screen of ``ins_status`` some seconds after the playing has begun."""
     bag, calibrated = folder / "flight", folder / "calibrated.yaml"
-    subprocess.run([program("ins_convert"), flight, bag], check=True)
-    subprocess.run([program("ins_calibrate"), bag, "--out", calibrated], check=True)
+    for command in (
+        [program("ins_convert"), flight, bag],
+        [program("ins_calibrate"), bag, "--out", calibrated],
+    ):
+        if subprocess.run(command, check=False).returncode:  # it has said why
+            raise InputError(f"--flight {flight}: cannot be used")
     log, screens = folder / "node.log", folder / "screens.txt"
     with log.open("w") as output:
         node = [program("ins_node"), "--ros-args", "--params-file", calibrated]
@@ -65,7 +79,7 @@ def status_in_flight(processes: Processes, flight: Path, after: float, folder: P
     end = time.monotonic() + PATIENCE
     while "ready" not in log.read_text():
         if time.monotonic() > end:
-            raise SystemExit(f"status_picture: error: no node is ready: {log.read_text()}")
+            raise InputError(f"no node is ready: {log.read_text()}")
         time.sleep(0.1)
     with screens.open("w") as output:
         processes.start([program("ins_status")], output)

@@ -214,6 +214,9 @@ def main() -> int:
     if sys.argv[1:] == [TRACE]:
         _trace()
         return 0
+    if sys.argv[1:]:
+        print(f"structure: error: {sys.argv[1]}: there are no arguments", file=sys.stderr)
+        return 2
     modules = read_modules()
     lines = sum(m.lines for m in modules.values())
     print(f"{len(modules)} files, {lines} lines\n")

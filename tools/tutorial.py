@@ -25,6 +25,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+from hybrid_ins.cli import options
+from hybrid_ins.cli import program as shell
+from hybrid_ins.errors import InputError
 from tools import generate_docs
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,11 +109,16 @@ def last_digit(number: str) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the page, or with ``--check`` print where it differs."""
-    parser = argparse.ArgumentParser(prog="tutorial", description=__doc__.splitlines()[1])
-    parser.add_argument("dataset", type=Path, help="folder of the quadrotor dataset")
+    parser = shell.parser("tutorial", __doc__ or "")
+    parser.add_argument("dataset", type=options.path, help="folder of the quadrotor dataset")
     parser.add_argument("--check", action="store_true", help="write nothing, fail if out of date")
     parser.add_argument("--quick", action="store_true", help=f"use {CALIBRATED.name} as it is")
-    args = parser.parse_args(argv)
+    return shell.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    if not (args.dataset / "Horizontal").is_dir():
+        raise InputError(f"{args.dataset}: holds no Horizontal: is this the quadrotor dataset?")
     page = PAGE.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -19,9 +19,10 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from hybrid_ins import kernels
+from hybrid_ins.cli import options, program
+from hybrid_ins.output_file import check_output
 from tools.benchmark import kernel, node, replay
 from tools.benchmark.table import Section, machine, markdown, plain
 
@@ -37,11 +38,7 @@ SECTIONS: dict[str, Callable[[bool], Section]] = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the sections that are asked for, and write what they gave."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.benchmark.run",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = program.parser("benchmark", __doc__ or "")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -55,9 +52,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         action="store_true",
         help="few and short repetitions: shows that it works, not how fast",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every repetition")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the tables as Markdown")
-    args = parser.parse_args(argv)
+    parser.add_argument("--json", type=options.path, metavar="FILE", help="write every repetition")
+    parser.add_argument(
+        "--report", type=options.path, metavar="FILE", help="write the tables as Markdown"
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    for path in filter(None, (args.json, args.report)):
+        check_output(path, overwrite=True)
     about = machine()
     print(f"{about['processor']}, {about['processors']} processors, load {about['load']}")
     kernels.prepare(print, kernels.OFFLINE)

@@ -317,10 +317,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the data set")
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder to write to [docs]")
     parser.add_argument("--work", type=Path, metavar="DIR", help="folder for finished parts")
-    parser.add_argument("--seeds", type=options.count, default=2, help="draws of the fixes [2]")
-    parser.add_argument("--imus", type=options.count, default=2, help="how many of them [2]")
-    parser.add_argument("--simulations", type=options.count, default=20, help="flights [20]")
-    parser.add_argument("--jobs", type=options.count, default=2, help="processes [2]")
+    parser.add_argument(
+        "--seeds", type=options.positive_count, default=2, help="draws of the fixes [2]"
+    )
+    parser.add_argument(
+        "--imus", type=options.positive_count, default=2, help="how many of them [2]"
+    )
+    parser.add_argument(
+        "--simulations", type=options.positive_count, default=20, help="flights [20]"
+    )
+    parser.add_argument("--jobs", type=options.positive_count, default=2, help="processes [2]")
     return program.run(_body, parser.parse_args(argv))
 
 

@@ -20,8 +20,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.cli import options, program
 from hybrid_ins.noise_regressor.models import NoiseRegressor
-from hybrid_ins.noise_regressor.reader import load_regressor
+from hybrid_ins.noise_regressor.reader import find_regressor
 from hybrid_ins.simulation.motions import (
     START_LLA,
     Motion,
@@ -117,15 +118,17 @@ def table(regressor: NoiseRegressor, seeds: Sequence[int]) -> tuple[str, bool]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a table for each model; fail where one is beyond the limits."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = program.parser("vehicle_levels", __doc__ or "")
     parser.add_argument("--model", nargs="+", default=["plateau", "spectral"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[2, 4, 6])
-    args = parser.parse_args(argv)
+    parser.add_argument("--seeds", nargs="+", type=options.count, default=[2, 4, 6])
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     failed = False
-    for name in args.model:
-        text, good = table(load_regressor(name, lambda level, text: print(text)), args.seeds)
+    regressors = {name: find_regressor(name) for name in args.model}
+    for name, regressor in regressors.items():
+        text, good = table(regressor, args.seeds)
         failed |= not good
         print(f"\n{name}: median, 95 % of estimate over truth; accelerometer; gyroscope\n\n{text}")
     return int(failed)

@@ -22,6 +22,7 @@ from scipy.interpolate import make_interp_spline
 
 from hybrid_ins import kernel_cache, parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.state import DP, LLA, PLACES, SENSITIVITY, covariance
@@ -252,20 +253,25 @@ def _stamps(t: ArrayLike) -> NDArray[np.int64]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the days, and print a line for each; fail where one fails."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    parser = program.parser("endurance", __doc__ or "")
+    parser.add_argument("--hours", type=options.positive, default=24.0)
+    parser.add_argument("--seeds", type=options.positive_count, default=3)
+    parser.add_argument(
+        "--offset", type=options.number, default=0.0, help="of the fixes' clock [s]"
     )
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--offset", type=float, default=0.0, help="of the fixes' clock [s]")
     parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=list(MOTIONS))
     parser.add_argument("--estimate", action="store_true", help="correct the clock offset")
     parser.add_argument("--param", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"))
-    parser.add_argument("--imu-rate", type=float, default=RATE, help="[Hz]")
-    parser.add_argument("--fix-period", type=float, default=1.0, help="[s]")
-    parser.add_argument("--report-period", type=float, default=0.1, help="of the node [s]")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    args = parser.parse_args(argv)
+    parser.add_argument("--imu-rate", type=options.positive, default=RATE, help="[Hz]")
+    parser.add_argument("--fix-period", type=options.positive, default=1.0, help="[s]")
+    parser.add_argument(
+        "--report-period", type=options.positive, default=0.1, help="of the node [s]"
+    )
+    parser.add_argument("--jobs", type=options.positive_count, default=1, help="processes")
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     kernel_cache.enable()
     ros_estimator.REPORT_NS = round(args.report_period * 1e9)
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}

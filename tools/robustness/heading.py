@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.calibration.calibrate import calibrate
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.errors import InputError
+from hybrid_ins.output_file import check_output
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages import conversions
@@ -261,19 +264,28 @@ def summary(group: str, rows: Sequence[Row]) -> tuple[str, bool]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, metavar="DIR", help="quadrotor dataset")
-    parser.add_argument("--imus", type=int, nargs="+", default=[1, 3], metavar="K")
-    parser.add_argument("--simulated", type=int, default=6, metavar="N", help="runs of each kind")
+    parser = program.parser("heading", __doc__ or "")
+    parser.add_argument("--data", type=options.path, metavar="DIR", help="quadrotor dataset")
+    parser.add_argument("--imus", type=options.count, nargs="+", default=[1, 3], metavar="K")
+    parser.add_argument(
+        "--simulated", type=options.count, default=6, metavar="N", help="runs of each kind"
+    )
     parser.add_argument(
         "--offsets",
-        type=Path,
+        type=options.path,
         metavar="FILE",
         help="JSON file that keeps the clock offsets that were found",
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
+    parser.add_argument(
+        "--jobs", type=options.positive_count, default=os.cpu_count() or 1, metavar="N"
+    )
     parser.add_argument("--verbose", action="store_true", help="print every run")
-    args = parser.parse_args(argv)
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    if args.offsets is not None:
+        check_output(args.offsets, overwrite=True)
     cases = [simulated(kind, seed) for kind in KINDS for seed in range(args.simulated)]
     if args.data:
         numbers = [n for session in flights.SESSIONS.values() for n in session]
@@ -290,6 +302,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             if args.offsets:
                 args.offsets.write_text(json.dumps(kept, indent=1))
         cases += [recorded(args.data, n, imu, kept[f"{n}/{imu}"]) for n, imu in keys]
+    if not cases:
+        raise InputError("nothing to run: give --simulated or --data")
     flown = run_parallel(run, [(case,) for case in cases], args.jobs)
     rows = [row for part in progress.track(flown, "runs", len(cases), "run") for row in part]
     print(

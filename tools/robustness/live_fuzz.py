@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins.bags.messages import TYPES, new_message
-from hybrid_ins.cli import simulate
+from hybrid_ins.cli import options, simulate
+from hybrid_ins.cli import program as shell
 from hybrid_ins.ros.aids import aiding_sources
 from hybrid_ins.ros.messages.type_names import FIX, IMU, POSE, TWIST
 from tools.processes import Processes, isolated_ros, program
@@ -138,12 +139,19 @@ class Attacker:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = shell.parser("live_fuzz", __doc__ or "")
     parser.add_argument(
-        "--count", type=int, default=100_000, metavar="N", help="of each kind [%(default)s]"
+        "--count",
+        type=options.positive_count,
+        default=100_000,
+        metavar="N",
+        help="of each kind [%(default)s]",
     )
-    parser.add_argument("--seed", type=int, default=1, help="[%(default)s]")
-    args = parser.parse_args(argv)
+    parser.add_argument("--seed", type=options.count, default=1, help="[%(default)s]")
+    return shell.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     os.environ.update(isolated_ros())
     rng = np.random.default_rng(args.seed)
     with tempfile.TemporaryDirectory() as folder, Processes() as processes:

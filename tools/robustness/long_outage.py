@@ -15,6 +15,7 @@ import numpy as np
 
 from hybrid_ins import kernels, parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.state import covariance
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
@@ -32,9 +33,14 @@ FIX_STD = np.array([0.1, 0.1, 0.2])  # m, north, east, down
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, default=2.0, metavar="H", help="[%(default)s]")
-    args = parser.parse_args(argv)
+    parser = program.parser("long_outage", __doc__ or "")
+    parser.add_argument(
+        "--hours", type=options.positive, default=2.0, metavar="H", help="[%(default)s]"
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     kernels.prepare(print)
     rng = np.random.default_rng(0)
     motion = car_drive(ALIGNING + 1.0, 0)

@@ -30,7 +30,7 @@ from hybrid_ins import parameters, progress
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
-from hybrid_ins.cli import calibrate, convert, evaluate, replay, simulate
+from hybrid_ins.cli import calibrate, convert, evaluate, options, program, replay, simulate
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.resources import share_path
 from tools.processes import isolated_ros
@@ -348,17 +348,24 @@ def empty_bags(files: Files) -> list[tuple[str, str, Callable[[Path], int]]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run them."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program.parser("mutate_files", __doc__ or "")
     parser.add_argument(
-        "--count", type=int, default=400, metavar="N", help="about so many mutations [%(default)s]"
+        "--count",
+        type=options.positive_count,
+        default=400,
+        metavar="N",
+        help="about so many mutations [%(default)s]",
     )
     parser.add_argument(
         "--flight",
-        type=Path,
+        type=options.path,
         metavar="DIR",
         help="flight of the quadrotor dataset, for ins_convert",
     )
-    args = parser.parse_args(argv)
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     progress.hide()
     os.environ.update(isolated_ros())
     outcomes = []

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid_ins import progress
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.state import N_ERROR
 from hybrid_ins.core.update import chi_square
 from hybrid_ins.core.update.gate import Gate
@@ -52,17 +53,24 @@ def fly(kind: str, mode: str, seed: int) -> tuple[list[float], list[float], int,
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=200, metavar="N", help="[%(default)s]")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
+    parser = program.parser("outage", __doc__ or "")
+    parser.add_argument(
+        "--runs", type=options.positive_count, default=200, metavar="N", help="[%(default)s]"
+    )
+    parser.add_argument(
+        "--jobs", type=options.positive_count, default=os.cpu_count() or 1, metavar="N"
+    )
     parser.add_argument(
         "--modes",
         nargs="+",
         default=["learned"],
-        metavar="MODE",
-        help="learned, scaled, oracle [%(default)s]",
+        choices=("learned", "scaled", "oracle"),
+        help="[learned]",
     )
-    args = parser.parse_args(argv)
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     print(
         "| flight, mode | runs | error at the end, median | NEES/15 at the end | after "
         f"{AFTER:g} s | NIS/3 of the first fix | of the first {FIRST} | refused |"

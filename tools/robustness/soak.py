@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.cli import options
+from hybrid_ins.cli import program as shell
 from hybrid_ins.ros.messages.conversions import stamp_ns
 from tools.processes import Processes, isolated_ros, program
 
@@ -36,16 +38,27 @@ def resident(pid: int) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, default=2.0, metavar="H", help="[%(default)s]")
+    parser = shell.parser("soak", __doc__ or "")
     parser.add_argument(
-        "--rate", type=float, default=10.0, metavar="R", help="times real time [%(default)g]"
+        "--hours", type=options.positive, default=2.0, metavar="H", help="[%(default)s]"
     )
-    parser.add_argument("--imu-rate", type=float, default=200.0, metavar="HZ", help="[%(default)g]")
     parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="play this one instead, or make it there"
+        "--rate",
+        type=options.positive,
+        default=10.0,
+        metavar="R",
+        help="times real time [%(default)g]",
     )
-    args = parser.parse_args(argv)
+    parser.add_argument(
+        "--imu-rate", type=options.positive, default=200.0, metavar="HZ", help="[%(default)g]"
+    )
+    parser.add_argument(
+        "--bag", type=options.path, metavar="BAG", help="play this one instead, or make it there"
+    )
+    return shell.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     os.environ.update(isolated_ros())
     with tempfile.TemporaryDirectory() as folder, Processes() as processes:
         bag, out, log = (

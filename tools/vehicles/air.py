@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.ros.messages.trajectory import Array
 from tools.vehicles import drives as vehicle_drives
@@ -152,9 +153,13 @@ def outages(folder: Path) -> Iterator[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("data", type=Path, metavar="DIR", help="folder of the real sets")
-    data = parser.parse_args(argv).data
+    parser = program.parser("air", __doc__ or "")
+    parser.add_argument("data", type=options.path, metavar="DIR", help="folder of the real sets")
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    data = args.data
     print(HEADER)
     print(row("plane_x8", "no sideslip", sideslip(load(data / "plane_x8")), ""))
     for name in ("quad106", "quad_low"):

@@ -8,6 +8,7 @@ declines to write is not used.
 
 from __future__ import annotations
 
+import argparse
 import heapq
 import subprocess
 import sys
@@ -23,13 +24,14 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.flight_bag import UNKNOWN_VARIANCE, Entry, set_vector, stamp
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
+from hybrid_ins.cli import options, program
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.messages.conversions import DIAGONAL
 from hybrid_ins.ros.messages.type_names import FIX, IMU, TWIST
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.parallel import run_parallel
-from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
-from tools.vehicles.evaluate import FEEDS, parser_of_drives
+from tools.vehicles.drives import Drive, from_log, from_simulation, load
+from tools.vehicles.evaluate import FEEDS, check_names, parser_of_drives, real_sets
 from tools.vehicles.judge import Score, score
 
 HEADER = (
@@ -133,20 +135,29 @@ def _error(found: Score) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = parser_of_drives(__doc__)
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
+    parser = parser_of_drives("calibrated", __doc__)
     parser.add_argument(
-        "--keep", type=Path, metavar="DIR", help="folder for what ins_calibrate says and writes"
+        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
     )
-    args = parser.parse_args(argv)
+    parser.add_argument(
+        "--keep",
+        type=options.path,
+        metavar="DIR",
+        help="folder for what ins_calibrate says and writes",
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     if args.keep is not None:
         args.keep.mkdir(parents=True, exist_ok=True)
     wanted: list[tuple[str | Path, int | str]] = [
         (n, seed) for n in VEHICLES for seed in args.seeds
     ]
     if args.data is not None:
-        real = (args.data / name for name in AGE if name != "car_circles")
+        real = (args.data / name for name in real_sets(args.data) if name != "car_circles")
         wanted += [(folder, feed) for folder in real for feed in FEEDS]
+    check_names(args.names, [f"{Path(source).name}, {variant}" for source, variant in wanted])
     runs = [
         (source, variant, args.keep)
         for source, variant in wanted

@@ -15,12 +15,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hybrid_ins import parameters, progress
+from hybrid_ins.cli import options, program
+from hybrid_ins.output_file import check_output
 from hybrid_ins.simulation.sensors import ImuErrors
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
 from tools.parallel import run_parallel
@@ -203,10 +204,14 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign; print a line for each run that is silently wrong, and the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=100, metavar="N")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="[%(default)s]")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
+    parser = program.parser("campaign", __doc__ or "")
+    parser.add_argument("--runs", type=options.positive_count, default=100, metavar="N")
+    parser.add_argument(
+        "--first", type=options.count, default=0, metavar="SEED", help="[%(default)s]"
+    )
+    parser.add_argument(
+        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
+    )
     parser.add_argument(
         "--defects", action="store_true", help="with what real recordings have besides noise"
     )
@@ -221,8 +226,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--unplaced", action="store_true", help="some decimetres from the IMU, and nothing says so"
     )
-    parser.add_argument("--results", type=Path, metavar="FILE", help="also write all rows, JSON")
-    args = parser.parse_args(argv)
+    parser.add_argument(
+        "--results", type=options.path, metavar="FILE", help="also write all rows, JSON"
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    if args.results is not None:
+        check_output(args.results, overwrite=True)
     rows = []
     runs = [
         (seed, args.defects, args.clock_given, args.antenna, args.unplaced)

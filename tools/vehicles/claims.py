@@ -17,11 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial import earth
 from hybrid_ins.simulation.sensors import gauss_markov, in_outage
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
 from tools.parallel import run_parallel
 from tools.vehicles.drives import Drive, from_simulation
+from tools.vehicles.evaluate import check_names
 from tools.vehicles.judge import Score, score
 
 MOTIONS = (
@@ -132,12 +134,18 @@ def one(motion: str, name: str, seed: int) -> tuple[str, str, int, Score, int]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a row for each run, and one for each receiver."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program.parser("claims", __doc__ or "")
     parser.add_argument("receivers", nargs="*", metavar="NAME", help="parts of their names")
     parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, metavar="NAME")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="N")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="[%(default)s]")
-    args = parser.parse_args(argv)
+    parser.add_argument("--seeds", type=options.count, nargs="+", default=[1], metavar="N")
+    parser.add_argument(
+        "--jobs", type=options.positive_count, default=1, metavar="N", help="[%(default)s]"
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
+    check_names(args.receivers, [*RECEIVERS, *RIGHT])
     names = [
         name
         for name in (*RECEIVERS, *RIGHT)

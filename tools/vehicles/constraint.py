@@ -15,9 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import options, program
 from hybrid_ins.ros.aids.vehicle_input import PERIOD_NS
 from hybrid_ins.simulation.vehicles import record
-from tools.vehicles.drives import AGE, Drive, from_simulation, load
+from tools.vehicles.drives import Drive, from_simulation, load
+from tools.vehicles.evaluate import check_names, real_sets
 from tools.vehicles.judge import Judged, run
 from tools.vehicles.outages import every_vehicle
 
@@ -26,12 +28,14 @@ HEADER = "| drive | held | longest [s] | first [s] | evidence at the end |\n" + 
 
 def drives(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> Iterator[Drive]:
     """Generate the drives of the named vehicles, all without a name; then the real sets."""
+    sets = [] if data is None else real_sets(data)
+    check_names(names, [*every_vehicle(), *sets])
     for name, vehicle in every_vehicle().items():
         for seed in seeds:
             if not names or name in names:
                 yield from_simulation(record(vehicle, seed))
-    for name in AGE if data is not None else ():
-        if data is not None and (not names or name in names) and (data / name).is_dir():
+    for name in sets:
+        if data is not None and (not names or name in names):
             yield load(data / name, "all")
 
 
@@ -72,13 +76,16 @@ def row(drive: Drive) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program.parser("constraint", __doc__ or "")
     parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[2], metavar="N")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
-    args = parser.parse_args(argv)
+    parser.add_argument("--seeds", type=options.count, nargs="+", default=[2], metavar="N")
+    parser.add_argument("--data", type=options.path, metavar="DIR", help="folder of the real sets")
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     print(HEADER)
-    for drive in drives(args.names, args.seeds, args.data, args.log):
+    for drive in drives(args.names, args.seeds, args.data):
         print(row(drive), flush=True)
     return 0
 

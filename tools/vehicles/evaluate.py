@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import options, program
+from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
@@ -29,7 +31,19 @@ HEADER = (
 def drives(
     names: Sequence[str], seeds: Sequence[int], data: Path | None, logs: Sequence[Path] = ()
 ) -> Iterator[Drive]:
-    """Generate ``logs``, and the drives with one of ``names`` in theirs; all without both."""
+    """
+    Generate ``logs``, and the drives with one of ``names`` in theirs; all without both.
+
+    Raises
+    ------
+    InputError
+        No drive has such a name, or there is no real set in the folder ``data``.
+    """
+    sets = {} if data is None else {name: data / name for name in real_sets(data)}
+    feeds = [
+        (name, feed) for name in sets for feed in (("all",) if name == "car_circles" else FEEDS)
+    ]
+    check_names(names, [*VEHICLES, *map(", ".join, feeds)])
     for path in logs:
         yield from (from_log(path, feed) for feed in FEEDS)
 
@@ -40,29 +54,46 @@ def drives(
         for seed in seeds:
             if wanted(name):
                 yield from_simulation(record(vehicle, seed))
-    for name in AGE if data is not None else ():
-        for feed in ("all",) if name == "car_circles" else FEEDS:
-            if data is not None and wanted(f"{name}, {feed}") and (data / name).is_dir():
-                yield load(data / name, feed)
+    for name, feed in feeds:
+        if wanted(f"{name}, {feed}"):
+            yield load(sets[name], feed)
 
 
-def parser_of_drives(description: str | None) -> argparse.ArgumentParser:
-    """Return a parser with the options that `drives` needs."""
-    parser = argparse.ArgumentParser(description=description)
+def real_sets(data: Path) -> list[str]:
+    """Return the names of the real sets in a folder; `InputError` where it holds none."""
+    found = [name for name in AGE if (data / name).is_dir()]
+    if not found:
+        raise InputError(f"{data}: holds none of the real sets {', '.join(AGE)}")
+    return found
+
+
+def check_names(parts: Sequence[str], names: Sequence[str]) -> None:
+    """Raise `InputError` where one of the ``parts`` is in no name."""
+    for part in parts:
+        if not any(part in name for name in names):
+            raise InputError(f"{part}: is not part of any name: {'; '.join(names)}")
+
+
+def parser_of_drives(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Return the parser of program ``name`` with the options that `drives` needs."""
+    parser = program.parser(name, description or "")
     parser.add_argument("names", nargs="*", metavar="NAME", help="parts of the drives' names")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4], metavar="N")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets")
+    parser.add_argument("--seeds", type=options.count, nargs="+", default=[2, 4], metavar="N")
+    parser.add_argument("--data", type=options.path, metavar="DIR", help="folder of the real sets")
     parser.add_argument(
-        "--log", type=Path, nargs="+", default=[], metavar="FILE", help="logs of autopilots"
+        "--log", type=options.path, nargs="+", default=[], metavar="FILE", help="logs of autopilots"
     )
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = parser_of_drives(__doc__)
-    parser.add_argument("--params-file", type=Path, metavar="FILE")
-    args = parser.parse_args(argv)
+    parser = parser_of_drives("evaluate", __doc__)
+    parser.add_argument("--params-file", type=options.path, metavar="FILE")
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     values = parameters.defaults()
     if args.params_file is not None:
         values = parameter_file.load(args.params_file)

@@ -9,6 +9,7 @@ dimensions: no filter that runs while the vehicle moves can know them.
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import program
 from tools.vehicles.drives import Drive
 from tools.vehicles.evaluate import drives, parser_of_drives
 from tools.vehicles.judge import Score, score
@@ -90,7 +92,10 @@ def search(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    args = parser_of_drives(__doc__).parse_args(argv)
+    return program.run(_body, parser_of_drives("hindsight", __doc__).parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     print(HEADER)
     starts = list(STARTS)
     for drive in drives(args.names, args.seeds, args.data, args.log):

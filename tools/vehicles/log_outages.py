@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_ins import parameters
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.ros.messages.conversions import SWAP
 from hybrid_ins.ros.messages.trajectory import Array
@@ -95,11 +96,18 @@ def one(path: Path, variant: str, length: float) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("logs", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--length", type=float, default=10.0, metavar="S", help="[%(default)s]")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="[%(default)s]")
-    args = parser.parse_args(argv)
+    parser = program.parser("log_outages", __doc__ or "")
+    parser.add_argument("logs", type=options.path, nargs="+", metavar="FILE")
+    parser.add_argument(
+        "--length", type=options.positive, default=10.0, metavar="S", help="[%(default)s]"
+    )
+    parser.add_argument(
+        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
+    )
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     print(HEADER)
     tasks = [(path, variant, args.length) for path in args.logs for variant in VARIANTS]
     for line in run_parallel(one, tasks, args.jobs):

@@ -21,6 +21,7 @@ from hybrid_ins import parameters
 from hybrid_ins.calibration.calibrate import calibrate
 from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording as Calibrating
+from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.core.sensor_errors.scale_errors import N_SCALE, SHARES
 from hybrid_ins.ros.messages.conversions import SWAP
@@ -228,20 +229,26 @@ def table(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=["road car"], metavar="NAME")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 4, 6, 8], metavar="N")
+    parser = program.parser("outages", __doc__ or "")
+    names = [*every_vehicle(), CHANGING, GUSTY]
+    parser.add_argument(
+        "names", nargs="*", default=["road car"], choices=names, metavar="NAME", help="[road car]"
+    )
+    parser.add_argument("--seeds", type=options.count, nargs="+", default=[2, 4, 6, 8], metavar="N")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS)
-    parser.add_argument("--duration", type=float, default=600.0, metavar="S")
+    parser.add_argument("--duration", type=options.positive, default=600.0, metavar="S")
     parser.add_argument(
         "--scale-errors",
-        type=float,
+        type=options.not_negative,
         default=SCALE_STD,
         metavar="STD",
         help="standard deviation of errors of the IMU's scale factors, twice that of its axes'"
         " directions [%(default)s]",
     )
-    args = parser.parse_args(argv)
+    return program.run(_body, parser.parse_args(argv))
+
+
+def _body(args: argparse.Namespace) -> int:
     print(HEADER)
     for line in table(args.names, args.seeds, args.variants, args.duration, args.scale_errors):
         print(line, flush=True)
