@@ -48,13 +48,16 @@ def check_output(
             raise InputError(f"{path}: lies in the input {given}: choose another folder")
         if target in source.parents:
             raise InputError(f"{path}: contains the input {given}: choose another folder")
-    if path.is_dir() and not folder:
-        raise InputError(f"{path}: is a folder: choose another name")
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists: give --overwrite, or choose another name")
-    if not folder and not target.parent.is_dir():
-        raise InputError(f"{path}: no such folder")
-    _check_folder(path, target)
+    try:
+        if path.is_dir() and not folder:
+            raise InputError(f"{path}: is a folder: choose another name")
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: exists: give --overwrite, or choose another name")
+        if not folder and not target.parent.is_dir():
+            raise InputError(f"{path}: no such folder")
+        _check_folder(target)
+    except OSError as error:
+        raise cannot_be_written(path, error) from None
 
 
 def resolved(path: Path) -> Path:
@@ -72,21 +75,18 @@ def resolved(path: Path) -> Path:
         raise InputError(f"{path}: is a link that leads to itself: give another name") from None
 
 
-def _check_folder(path: Path, target: Path) -> None:
-    """Raise `InputError` where no file can be made beside an output, or in the folder above it."""
+def _check_folder(target: Path) -> None:
+    """Raise `OSError` where no file can be made beside an output, or in the folder above it."""
     if _is_device(target):
         return
     folder = next(parent for parent in target.parents if parent.exists())
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise cannot_be_written(path, error) from None
+    with tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def _is_device(target: Path) -> bool:
     """Return whether there is a device or a pipe, which is written to, not replaced."""
-    return target.exists() and not (target.is_file() or target.is_dir())
+    return os.access(target, os.F_OK) and not (target.is_file() or target.is_dir())
 
 
 def cannot_be_written(path: Path, error: OSError) -> InputError:
@@ -127,10 +127,10 @@ def replacing(path: Path) -> Iterator[Path]:
             raise  # another file's
         raise cannot_be_written(path, error) from None
     finally:
-        if unfinished.is_dir():
-            shutil.rmtree(unfinished, ignore_errors=True)
-        else:
-            with suppress(OSError):  # there was none, or no folder to hold it
+        with suppress(OSError):  # there was none, or no folder to hold it
+            if unfinished.is_dir():
+                shutil.rmtree(unfinished, ignore_errors=True)
+            else:
                 unfinished.unlink()
 
 

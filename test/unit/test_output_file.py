@@ -46,6 +46,25 @@ def test_a_link_that_leads_to_itself_is_named(tmp_path: Path) -> None:
             check_output(tmp_path / out, inputs, folder=True)
 
 
+@pytest.mark.parametrize("name", ["n" * 300, "closed/new"])
+def test_a_place_that_cannot_be_looked_at_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def stat(path: object, *given: object, **options: object) -> os.stat_result:
+        if str(path).startswith(str(tmp_path / "closed/")):  # root may look everywhere
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return looked(path, *given, **options)  # type: ignore[arg-type]
+
+    looked = os.stat
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setattr(os, "stat", stat)
+    with pytest.raises(InputError, match=r"cannot be written \((File name too|Permission)"):
+        check_output(tmp_path / name, overwrite=True)
+    if name.startswith("n"):
+        with pytest.raises(InputError, match="cannot be written"):
+            write_text(tmp_path / name, "text")
+
+
 def test_what_exists_is_replaced_only_on_request(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("old")
 

@@ -9,6 +9,7 @@ these, which is why the heading is not assumed to be better than `HEADING_STD`.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -146,7 +147,7 @@ class WarmStart:
         except InputError as error:
             text = f"state_file: nothing will be saved: {error}"
             self._estimator.inputs.log("warn", text)
-        if not self.path.exists():
+        if not os.access(self.path, os.F_OK):  # nor where it cannot be looked for
             return
         try:
             self._estimator.inputs.log("info", f"state_file: {self.load()}")

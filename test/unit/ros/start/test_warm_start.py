@@ -213,7 +213,7 @@ def test_nothing_can_be_saved_without_a_file_or_a_filter(tmp_path: Path) -> None
         nowhere.warm_start.save()
 
 
-@pytest.mark.parametrize("name", ["none/state.yaml", "a_file/state.yaml", "a_folder"])
+@pytest.mark.parametrize("name", ["none/state.yaml", "a_file/state.yaml", "a_folder", "n" * 300])
 def test_a_file_that_cannot_be_written_is_named_at_the_start_and_when_saving_fails(
     tmp_path: Path, name: str
 ) -> None:
