@@ -98,3 +98,8 @@ def shortened(text: str, length: int = 100) -> str:
     if len(text) <= length:
         return text
     return f"{text[: length // 2]}...{text[-length // 2 :]}"
+
+
+def printable(name: str) -> str:
+    """Return a file's name for texts and pictures, with question marks for what is no UTF-8."""
+    return name.encode(errors="replace").decode()

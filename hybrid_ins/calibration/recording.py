@@ -30,6 +30,7 @@ from hybrid_ins.core.imu.samples import sample_period
 from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.errors import InputError
+from hybrid_ins.resources import printable
 from hybrid_ins.ros.estimator.imu_admission import admitted_readings
 from hybrid_ins.ros.messages import conversions, gps_fix, type_names
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages
@@ -228,7 +229,7 @@ def read_recording(
     if attitude is not None:
         reference = np.asarray((attitude[0] - origin) * 1e-9, float), attitude[1]
     whole = Recording(
-        path.name,
+        printable(path.name),
         t,
         samples,
         np.array([(one.t_ns - origin) * 1e-9 for one in near]),

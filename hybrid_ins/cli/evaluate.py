@@ -24,6 +24,7 @@ from hybrid_ins.output_file import write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.comparison import MOST_RUNS, comparison
 from hybrid_ins.plotting.overview import overview
+from hybrid_ins.resources import printable
 
 DESCRIPTION = """\
 Compare an estimate with the truth: PRMSE and PMAE, velocity and attitude RMSE, consistency of the
@@ -189,7 +190,7 @@ def _evaluate_many(args: argparse.Namespace, topics: Topics, scoring: Scoring) -
     work = partial(_evaluate_one, read, scoring)
     status = batch.run(jobs, work, settings, workers=args.jobs, cluster=args.dask)
     if args.plot is not None:
-        runs = [(job.name, read(job.source)) for job in jobs]
+        runs = [(printable(job.name), read(job.source)) for job in jobs]
         evaluated = [(name, run, evaluate_run(run, scoring)) for name, run in runs]
         style.save(comparison(evaluated), args.plot)
         print(f"picture: {args.plot}")

@@ -17,6 +17,7 @@ from hybrid_ins.bags.messages import absolute
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.run import Fixes, Run, SensorErrors, Series, Topics, Verdicts
+from hybrid_ins.resources import printable
 from hybrid_ins.ros.messages import type_names
 from hybrid_ins.ros.messages.conversions import stamp_ns as ns_of
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, trajectory_from_odometry
@@ -84,7 +85,7 @@ def read_run(
             f"in {truth_frames[0]!r}: the frames are assumed to be the same"
         )
     return Run(
-        Path(estimate_path).name,
+        printable(Path(estimate_path).name),
         estimate,
         truth,
         fixes,

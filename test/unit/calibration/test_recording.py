@@ -1,6 +1,7 @@
 """What is read from a bag for calibration, and which recordings are refused with the reason."""
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,13 @@ def test_fixes_of_another_clock_are_named(tmp_path: Path, ahead: float, words: s
     with pytest.raises(InputError, match=words) as raised:
         read_recording(disturbed, values)
     assert "use_receive_time" not in str(raised.value)  # a bag's stamps are what they are
+
+
+def test_a_name_that_is_no_utf_8_can_be_written_to_the_parameters(tmp_path: Path) -> None:
+    bag = tmp_path / os.fsdecode(b"caf\xe9.mcap")
+    assert simulate.main([str(bag), "--duration", "12", "--imu-rate", "50"]) == 0
+
+    assert read_recording(bag, parameters.defaults()).name == "caf?.mcap"
 
 
 def test_fixes_that_a_driver_repeats_are_read_once(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """ins_evaluate: what it reads, prints, writes and refuses."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -220,6 +221,20 @@ def test_a_closed_pipe_does_not_lose_picture_report_and_track(
         assert main([str(estimate_bag), "--no-truth", *(p for o in options for p in o)]) == 0
 
     assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_a_name_that_is_no_utf_8_is_drawn_and_written(
+    estimate_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    odd = estimate_bag.rename(tmp_path / os.fsdecode(b"caf\xe9"))
+
+    files = [tmp_path / name for name in ("run.png", "run.html", "two.png")]
+    run_program(capsys, 0, odd, "--no-truth", "--plot", files[0], "--report", files[1])
+    run_program(capsys, 0, odd, odd, "--no-truth", "--plot", files[2], "--jobs", "1")
+
+    assert all(file.stat().st_size > 1000 for file in files)
+    assert "caf?" in files[1].read_text(encoding="utf-8")
 
 
 def test_files_are_replaced_only_on_request_and_never_the_input(
