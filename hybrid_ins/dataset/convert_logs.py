@@ -26,7 +26,12 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.dataset.logs.clock_match import clock_offset
 from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
-from hybrid_ins.dataset.logs.plausibility import check_clocks, check_imu, check_velocity
+from hybrid_ins.dataset.logs.plausibility import (
+    check_clocks,
+    check_imu,
+    check_positions,
+    check_velocity,
+)
 from hybrid_ins.dataset.logs.series import EstimateLog, GnssLog, ImuLog
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import SWAP, datum_fix, set_place
@@ -94,6 +99,7 @@ def convert_logs(
         raise InputError(f"{imu.path} and {gnss.path} have no time in common: check --time-offset")
     if time_offset is None and not remarks and imu.is_dated and gnss.is_dated:
         check_clocks(imu, gnss)
+    check_positions(gnss)
     check_velocity(gnss)
     imu = check_imu(imu, gnss)
     if not gnss.is_dated:

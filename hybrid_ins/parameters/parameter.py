@@ -95,7 +95,7 @@ class Parameter:
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
             return self.unit
         zero = "0 or " if self.or_zero else ""
-        return f"{zero}{self.low:g} … {self.high:g} {self.unit}".rstrip()
+        return f"{zero}{_exact(self.low)} … {_exact(self.high)} {self.unit}".rstrip()
 
     def _wanted(self) -> str:
         if isinstance(self.default, bool):
@@ -128,3 +128,9 @@ class Parameter:
     def _refusal(self, value: object, wanted: str) -> InputError:
         shown = shortened(repr(value), 60)
         return InputError(f"parameter {self.name}: {shown} is not {wanted} ({self.text})")
+
+
+def _exact(bound: float) -> str:
+    """Return a bound as short as it can be without another value: 0.999… is not 1."""
+    short = f"{bound:g}"
+    return short if float(short) == bound else repr(bound)

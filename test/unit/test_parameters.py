@@ -73,6 +73,7 @@ class TestValues:
             ("map_frame", "m" * 5_000_000, "a text of at most 255 characters"),
             ("noise.model", "x\0y", "a text of at most"),
             ("gnss.patience", -1.0, "in the range 0 … 3600 s"),
+            ("gnss.gate_probability", 1.0, "1.0 is not in the range 0.5 … 0.999999999999"),
         ],
     )
     def test_what_is_wanted_is_said(self, name: str, value: object, wanted: str) -> None:

@@ -97,13 +97,15 @@ CODES = {  # numbers of a status, by whose they are
 }
 UNIT = (
     r"[\[(].*?[\])]|_(deg|rad|m|cm|mm|s|ms|us|ns|mps|m_s|cm_s|mm_s|kmh|km_h|kph|kn|knots|utc|degrees|"
-    r"meters|metres|seconds)$"
+    r"meters|metres|seconds|ft|feet|ft_s|fps|mph)$"
 )
 SCALES = {  # of a unit in a column's name, to metres or m/s
     r"[\[(_ ]mm(_s|/s|ps)?[\])]?$": 1e-3,
     r"[\[(_ ]cm(_s|/s|ps)?[\])]?$": 1e-2,
     r"[\[(_ ](km_?/?h|kph)[\])]?$": 1.0 / 3.6,
     r"[\[(_ ](kn|kt|kts|knots)[\])]?$": 1852.0 / 3600.0,
+    r"[\[(_ ](ft|feet)(_s|/s)?[\])]?$|[\[(_ ]fps[\])]?$": 0.3048,
+    r"[\[(_ ]mph[\])]?$": 0.44704,
 }
 LETTER = r"([-+]?[\d.]+) ?°? ?([NSEW])"  # of a latitude or longitude
 EARTH = (6.3e6, 6.4e6)  # m, distances of Earth-fixed positions from the centre

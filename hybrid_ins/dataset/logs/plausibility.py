@@ -143,6 +143,19 @@ def mount_yaw(imu: ImuLog, gnss: GnssLog) -> float | None:
     return -math.atan2(match.imag, match.real)
 
 
+def check_positions(gnss: GnssLog) -> None:
+    """Warn where all positions are such that their degrees may be radians."""
+    latitude, longitude = np.abs(np.degrees(gnss.lla[:, :2])).max(axis=0)
+    if latitude < math.pi / 2.0 and longitude < math.pi:
+        _log.warning(
+            "%s: the positions are within %.3g° of latitude 0 and %.3g° of longitude 0: if they "
+            "are radians, name the columns lat_rad and lon_rad",
+            gnss.path,
+            latitude,
+            longitude,
+        )
+
+
 def check_velocity(gnss: GnssLog) -> None:
     """Warn where the receiver's speed is not that of its positions: another unit."""
     if gnss.velocity_n is None or len(gnss.t) < 3:

@@ -19,6 +19,7 @@ from hybrid_ins.dataset.logs import ardupilot, formats, gnss_text, imu_text, nme
 from hybrid_ins.dataset.logs.plausibility import (
     check_clocks,
     check_imu,
+    check_positions,
     check_velocity,
     mount_yaw,
     turn_factor,
@@ -72,6 +73,31 @@ def test_units_in_the_names_of_columns(tmp_path: Path) -> None:
     assert log.velocity_n is not None and log.velocity_covariance_n is not None
     assert log.velocity_n[0, :2] == pytest.approx([0.0, 10.0], abs=1e-9)
     assert log.velocity_covariance_n[0, 0, 0] == pytest.approx(0.25 / 3.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "row"),
+    [
+        ("height [ft],speed (ft/s)", "164.041995,32.808399"),
+        ("height_ft,speed_fps", "164.041995,32.808399"),
+        ("altitude (feet),speed [mph]", "164.041995,22.369363"),
+    ],
+)
+def test_feet_and_miles_per_hour(tmp_path: Path, names: str, row: str) -> None:
+    rows = [f"{t},32.1,34.8,{row},90.0,0.5" for t in (NOON, NOON + 1.0)]
+    log = table(tmp_path / "f", f"time,lat,lon,{names},course,sAcc", *rows)
+    assert log.lla[0, 2] == pytest.approx(50.0)
+    assert log.velocity_n is not None
+    assert log.velocity_n[0, :2] == pytest.approx([0.0, 10.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(("names", "told"), [("lat,lon", True), ("lat_rad,lon_rad", False)])
+def test_degrees_that_may_be_radians_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, names: str, told: bool
+) -> None:
+    rows = [f"{t},0.56,0.61,50.0" for t in (NOON, NOON + 1.0)]
+    check_positions(table(tmp_path / "f", f"time,{names},height", *rows))
+    assert ("lat_rad" in caplog.text) is told
 
 
 @pytest.mark.parametrize(
