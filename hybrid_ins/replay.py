@@ -200,7 +200,8 @@ class _Replay:
             self._carried[velocity_topic] = "/gnss/velocity"
         for name, kind in aiding_sources.TOPICS.items():
             if bag.topics.get(f"/{name}") == kind:
-                self._handlers[f"/{name}"] = partial(_aid, estimator, name)
+                use = partial(estimator.aids.sources.handle, name)
+                self._handlers[f"/{name}"] = partial(self._measure, use)
         if bag.topics.get("/initialpose") == POSE:
             self._handlers["/initialpose"] = lambda message, _: estimator.handle_initial_pose(
                 message
@@ -311,11 +312,6 @@ class _Replay:
             writer.flush()
         for log_ns, report in smoothed.verdicts(self._verdicts):
             self._write_report(report, log_ns)
-
-
-def _aid(estimator: Estimator, topic: str, message: Message, _log_ns: int) -> None:
-    """Give a message of an aiding sensor to the estimator."""
-    estimator.aids.sources.handle(topic, message)
 
 
 class _OdometryWriter:

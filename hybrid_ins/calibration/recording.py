@@ -312,9 +312,9 @@ def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
     for topic, kind in WHEELS.items():
         if bag.topics.get(topic) != kind:
             continue
-        for _, _, message in bag.messages(topic):
+        for _, log_ns, message in bag.messages(topic):
             read = convert.twist if kind == type_names.TWIST else convert.odometry
-            reading = read(message)
+            reading = read(message, received(values, log_ns))
             if not isinstance(reading, Refused):
                 found.append(reading)
     return sorted(found, key=lambda one: one.t_ns)

@@ -197,10 +197,8 @@ class LiveEstimator:
             self._subscribe(GPSFix, "gnss/gpsfix", self._on_gps_fix)
         self._subscribe(TwistWithCovarianceStamped, "gnss/velocity", self._on_velocity)
         for topic, kind in aiding_sources.TOPICS.items():
-            handle = partial(self.estimator.aids.sources.handle, topic)
-            self._subscribe(MESSAGES[kind], topic, partial(self._give, handle))
-        pose = partial(self._give, self.estimator.handle_initial_pose)
-        self._subscribe(PoseWithCovarianceStamped, "initialpose", pose)
+            self._subscribe(MESSAGES[kind], topic, partial(self._on_aiding, topic))
+        self._subscribe(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose)
         node = self._node
         for name, action in (
             ("reset", self._reset),
@@ -318,8 +316,12 @@ class LiveEstimator:
         self.estimator.handle_velocity(message, self._received_ns())
         self._publish_reports()
 
-    def _give(self, handle: Callable[[Any], None], message: Any) -> None:
-        handle(message)
+    def _on_aiding(self, topic: str, message: Any) -> None:
+        self.estimator.aids.sources.handle(topic, message, self._received_ns())
+        self._publish_reports()
+
+    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self.estimator.handle_initial_pose(message)
         self._publish_reports()
 
     def _reset(self) -> str:

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bags import with_unstamped_pressure
 
-from hybrid_ins.bags.reader import BagReader
+from hybrid_ins.bags.reader import BagReader, InputTopics
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
-from hybrid_ins.replay import _Replay
+from hybrid_ins.parameters import check_all
+from hybrid_ins.replay import _Replay, replay_bag
 from hybrid_ins.ros.messages.conversions import stamp_ns
 from tools.robustness.disturbances import Flight, change_stamps
 
@@ -104,6 +106,25 @@ def test_without_stamps_the_time_of_arrival_is_used_where_that_is_asked_for(
     assert (status == 0) is by_receipt
     if by_receipt:
         assert read_run(out).estimate.stamp_ns[-1] > 1_000_000_000_000_000_000
+
+
+def test_aiding_sensors_without_stamps_are_used_by_the_time_of_arrival(
+    flight: Path, tmp_path: Path
+) -> None:
+    # GIVEN a recording with an altimeter whose driver does not stamp
+    unstamped = with_unstamped_pressure(flight, tmp_path / "unstamped.mcap")
+
+    topics: InputTopics = {
+        "imu_topic": "/imu/data", "fix_topic": "/gnss/fix", "velocity_topic": "/gnss/velocity"
+    }  # fmt: skip
+    counts = []
+    for by_receipt in (False, True):
+        values = check_all({"use_receive_time": by_receipt})
+        replayed = replay_bag(unstamped, tmp_path / f"{by_receipt}.mcap", values, topics)
+        counts.append(replayed.estimator.inputs.counts)
+
+    # THEN it is refused, unless the time of arrival is asked for
+    assert [any("aiding" in name for name in one) for one in counts] == [True, False]
 
 
 def test_a_replayed_track_is_exported(

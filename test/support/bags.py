@@ -5,6 +5,7 @@ from pathlib import Path
 from rosbags.typesys import Stores, get_typestore
 
 from hybrid_ins.bags.messages import Message, new_message
+from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.ros.messages.type_names import FIX, IMU
 
@@ -37,4 +38,16 @@ def write_flight(path: Path, count: int = 2000) -> Path:
             bag.write("imu/data", imu_message(k), stamp_ns(k) + 1000)
             if k % 40 == 0:
                 bag.write("/gnss/fix", new_message(FIX), stamp_ns(k) + 2000)
+    return path
+
+
+def with_unstamped_pressure(flight: Path, path: Path) -> Path:
+    """Write a recording again, with an altimeter whose driver does not stamp."""
+    pressure = new_message("sensor_msgs/msg/FluidPressure")
+    pressure.fluid_pressure = 101_325.0
+    with BagReader(flight) as bag, BagWriter(path) as out:
+        for topic, log_ns, data in bag.raw("/imu/data", "/gnss/fix"):
+            out.write_raw(topic, bag.topics[topic], data, log_ns)
+            if topic == "/gnss/fix":
+                out.write("/aiding/pressure", pressure, log_ns)
     return path

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bags import with_unstamped_pressure
 from support.ros_nodes import ENVIRONMENT, HEADING, Client, start_node, start_player, until
 
 from hybrid_ins import parameters
@@ -100,6 +101,20 @@ def test_live_odometry_is_that_of_the_replay(
         assert np.linalg.norm(away) < 0.01
         assert np.linalg.norm(rotvec_from_quat(turn)) < math.radians(0.1)
         assert np.allclose(a.pose.covariance, b.pose.covariance, rtol=0.05, atol=1e-6)
+
+
+@pytest.mark.parametrize("by_receipt", [True, False])
+def test_aiding_sensors_are_dated_by_receipt_where_that_is_asked_for(
+    flight: Path, tmp_path: Path, by_receipt: bool
+) -> None:
+    bag, log = with_unstamped_pressure(flight, tmp_path / "unstamped.mcap"), tmp_path / "node.log"
+    with Processes() as processes:
+        start_node(processes, log, "-p", f"use_receive_time:={by_receipt}".lower())
+        player = start_player(processes, bag, tmp_path / "out.mcap", RATE)
+        text, _ = player.communicate(timeout=90)
+
+    assert player.returncode == 0, text
+    assert ("aiding/pressure: header.stamp is zero" in log.read_text()) is not by_receipt
 
 
 def test_every_topic_is_published_with_its_frames(

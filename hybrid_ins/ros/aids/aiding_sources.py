@@ -96,18 +96,18 @@ class AidingSources:
         self._states.clear()
         self._quiet_until_ns.clear()
 
-    def handle(self, topic: str, message: Message) -> None:
-        """Use a message of one of the ``TOPICS``."""
+    def handle(self, topic: str, message: Message, received_ns: int | None = None) -> None:
+        """Use a message of one of the ``TOPICS``; ``received_ns`` replaces its stamp if given."""
         messages = self._messages
         sensor: AidingSensor
-        convert: Callable[[Message], Measurement | Refused]
+        convert: Callable[[Message, int | None], Measurement | Refused]
         sensor, convert = {
             "aiding/velocity": (self._velocity, messages.twist),
             "aiding/odometry": (self._velocity, messages.odometry),
             "aiding/heading": (self._heading, messages.heading),
             "aiding/pressure": (self._height, messages.pressure),
         }[topic]
-        reading = convert(message)
+        reading = convert(message, received_ns)
         if isinstance(reading, BodyVelocity):
             text = substituted(message, messages.velocity_std_min)
             if text:

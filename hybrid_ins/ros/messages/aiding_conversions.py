@@ -33,7 +33,7 @@ SEA_LEVEL, EXPONENT, SCALE_HEIGHT = 101325.0, 0.190263, 44330.8  # Pa, -, m: sta
 @dataclass(frozen=True, slots=True)
 class AidingMessages:
     """
-    How messages of aiding sensors become measurements.
+    How messages of aiding sensors become measurements; ``received_ns`` replaces stamps if given.
 
     Attributes
     ----------
@@ -66,16 +66,18 @@ class AidingMessages:
             values["aiding.height_std_min"],
         )
 
-    def twist(self, message: Message) -> BodyVelocity | Refused:
+    def twist(self, message: Message, received_ns: int | None = None) -> BodyVelocity | Refused:
         """Convert a geometry_msgs/TwistWithCovarianceStamped in the base frame."""
-        return self._velocity(message, message.header.frame_id)
+        return self._velocity(message, message.header.frame_id, received_ns)
 
-    def odometry(self, message: Message) -> BodyVelocity | Refused:
+    def odometry(self, message: Message, received_ns: int | None = None) -> BodyVelocity | Refused:
         """Convert the twist of a nav_msgs/Odometry, which is in its child frame."""
-        return self._velocity(message, message.child_frame_id)
+        return self._velocity(message, message.child_frame_id, received_ns)
 
-    def _velocity(self, message: Message, frame: str) -> BodyVelocity | Refused:
-        t_ns = stamp_ns(message.header.stamp)
+    def _velocity(
+        self, message: Message, frame: str, received_ns: int | None
+    ) -> BodyVelocity | Refused:
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return zero_stamp("aiding")
         if frame not in ("", self.base_frame):
@@ -103,9 +105,9 @@ class AidingMessages:
         velocity[~given] = np.nan
         return BodyVelocity(t_ns, velocity * np.diag(FLIP), FLIP @ covariance @ FLIP, self.point_b)
 
-    def heading(self, message: Message) -> Heading | Refused:
+    def heading(self, message: Message, received_ns: int | None = None) -> Heading | Refused:
         """Convert the orientation of a sensor_msgs/Imu, ENU, in the axes of the base frame."""
-        t_ns = stamp_ns(message.header.stamp)
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return zero_stamp("aiding")
         q = message.orientation
@@ -118,9 +120,11 @@ class AidingMessages:
             variance = 0.0
         return Heading(t_ns, yaw, max(variance, self.heading_std_min**2))
 
-    def pressure(self, message: Message) -> BarometricHeight | Refused:
+    def pressure(
+        self, message: Message, received_ns: int | None = None
+    ) -> BarometricHeight | Refused:
         """Convert a sensor_msgs/FluidPressure; the height is that of the standard atmosphere."""
-        t_ns = stamp_ns(message.header.stamp)
+        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
         if t_ns <= 0:
             return zero_stamp("aiding")
         pressure = float(message.fluid_pressure)

@@ -69,3 +69,23 @@ def test_why_no_axis_is_usable_is_said_with_the_remedy(
     assert isinstance(refused, Refused)
     assert "a variance has to be above 0 and below 100 (m/s)²" in refused.text
     assert "let the driver set twist.covariance" in refused.text
+
+
+@pytest.mark.parametrize(
+    ("read", "kind"),
+    [
+        (MESSAGES.twist, "geometry_msgs/msg/TwistWithCovarianceStamped"),
+        (MESSAGES.odometry, "nav_msgs/msg/Odometry"),
+        (MESSAGES.heading, "sensor_msgs/msg/Imu"),
+        (MESSAGES.pressure, "sensor_msgs/msg/FluidPressure"),
+    ],
+)
+def test_the_time_of_arrival_replaces_a_stamp_where_it_is_given(read: Any, kind: str) -> None:
+    message = new_message(kind)
+    if kind.endswith("FluidPressure"):
+        message.fluid_pressure = 101_325.0
+    elif kind.endswith("Imu"):
+        message.orientation.w = 1.0
+
+    assert isinstance(read(message), Refused)  # its stamp is zero
+    assert read(message, 5).t_ns == 5
