@@ -17,7 +17,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.interface import PUBLISHED
 
 ESTIMATES = tuple(absolute(topic.name) for topic in PUBLISHED if topic.name != "/tf")
-NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/tf_static", "/rosout", "/parameter_events")
+NOT_PLAYED = (*ESTIMATES, "/clock", "/tf", "/rosout", "/parameter_events")
 
 _CLOCK_END_NS = 2**31 * 10**9  # the seconds of a stamp have 32 bits: January 2038
 _SETTLING = 0.3  # s; a subscriber learns of us a little later than we learn of it
@@ -124,7 +124,12 @@ def play(
             if recorder is not None:
                 recorder.check()
 
-        messages = (m for m in bag.raw(*topics) if first_ns <= m[1] <= last_ns)
+        # What is latched, such as /tf_static, holds although it was published before the start.
+        messages = (
+            (topic, max(log_ns, first_ns), data)
+            for topic, log_ns, data in bag.raw(*topics)
+            if log_ns <= last_ns and (log_ns >= first_ns or topic in LATCHED)
+        )
         player.play(messages, timeline, last_ns, check)
         player.drain(timeline, selection.drain, check)
         report(player.report(selection.rate))

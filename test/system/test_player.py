@@ -369,6 +369,28 @@ def test_a_renamed_topic_that_is_not_there_is_named(
     assert "--remap /imu/dat: neither played nor recorded" in capfd.readouterr().err
 
 
+def test_what_is_latched_before_the_start_is_played(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN a bag that begins with /tf_static WHEN it is played from later THEN that holds."""
+    imu, transforms = new_message(IMU), new_message("tf2_msgs/msg/TFMessage")
+    with BagWriter(tmp_path / "bag.mcap") as bag:
+        bag.write("/tf_static", transforms, START_NS)
+        bag.write("/truth/datum", new_message("sensor_msgs/msg/NavSatFix"), START_NS)
+        for k in range(5):
+            bag.write("/imu/data", imu, START_NS + k * 1_000_000_000)
+    given = [str(tmp_path / "bag.mcap"), "--start", "3.5", "--wait", "0", "--drain", "0"]
+
+    assert program.main([*given, "--topics", "/imu/data", "/truth/datum"]) == 0
+    played = re.findall(r"(/\S+) +(\d+)$", capfd.readouterr().out, re.MULTILINE)
+    assert dict(played) == {"/imu/data": "1", "/truth/datum": "1"}
+    assert program.main(given) == 0
+    said = capfd.readouterr()
+    assert re.search("/tf_static +1$", said.out, re.MULTILINE) or (  # the wheels have no tf2_msgs
+        "/tf_static is left out: tf2_msgs/msg/TFMessage is not installed" in said.err
+    )
+
+
 def test_only_truth_in_the_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with BagWriter(tmp_path / "bag.mcap") as bag:
         bag.write("/truth/odometry", new_message("nav_msgs/msg/Odometry"), START_NS)
