@@ -92,6 +92,11 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
             return EXIT_TERMINATED
 
 
+def is_read() -> bool:
+    """Return whether somebody may still read what the running program prints."""
+    return bool(getattr(sys.stdout, "is_read", True))
+
+
 class _Output:
     """
     A standard stream that ignores that its reader is gone (``ins_evaluate … | head``).
@@ -104,6 +109,7 @@ class _Output:
         if stream is None:  # Its descriptor is taken, so that no file written later has it.
             stream = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
         self._stream = stream
+        self.is_read = True
 
     def write(self, text: str) -> int:
         return self._unless_closed(self._stream.write, text)
@@ -118,6 +124,7 @@ class _Output:
         try:
             return action(*arguments) or 0
         except BrokenPipeError:
+            self.is_read = False
             nothing = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nothing, self._stream.fileno())  # also what is still buffered
             os.close(nothing)

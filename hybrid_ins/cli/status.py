@@ -60,13 +60,14 @@ def _run(args: argparse.Namespace) -> int:
                 else status.as_text(listener.age, _width())
             )
             return 0 if status.statuses else NOTHING_HEARD
-        while True:
+        while program.is_read():
             listener.listen(REFRESH)
             if args.json:
                 print(json.dumps(status.as_dict()), flush=True)
             else:
                 clear = CLEAR if sys.stdout.isatty() else ""
                 print(f"{clear}{status.as_text(listener.age, _width())}", flush=True)
+        return 0
     finally:
         listener.close()
 

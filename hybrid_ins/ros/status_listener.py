@@ -15,6 +15,7 @@ except ModuleNotFoundError as error:
         raise
     rclpy = None
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros import node_arguments
 from hybrid_ins.ros.output.output_topics import prefix_of
 from hybrid_ins.ros.reporting.reports import Status
 from hybrid_ins.ros.reporting.status_view import NodeStatus
@@ -50,6 +51,7 @@ class StatusListener:
                 'ROS 2 is not installed: source its setup.bash, or pip install "hybrid_ins[ros]"'
             )
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+        from rclpy._rclpy_pybind11 import UnknownROSArgsError
         from rclpy.validate_namespace import validate_namespace
 
         self.status = NodeStatus()
@@ -62,7 +64,9 @@ class StatusListener:
             self._node = rclpy.create_node("ins_status", namespace=namespace)
         except Exception as error:  # rclpy's errors share no public base
             rclpy.try_shutdown()
-            raise InputError(" ".join(str(error).split())) from None
+            unknown = isinstance(error, UnknownROSArgsError)
+            what = "unknown ROS arguments: " if unknown else ""
+            raise InputError(what + node_arguments.reason_of(error)) from None
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._node.create_subscription(DiagnosticStatus, "gnss/verdict", self._on_verdict, 50)
 

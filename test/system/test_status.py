@@ -85,11 +85,28 @@ def test_nothing_heard_is_an_exit_status() -> None:
     assert "is ins_node active" in text
 
 
-def test_a_namespace_that_cannot_be_is_one_line() -> None:
+def test_it_ends_when_nobody_reads_it_any_more(processes: Processes) -> None:
+    """GIVEN ``ins_status --json | head -1`` WHEN the reader has its line THEN both end."""
+    status = processes.start([*STATUS, "--json"], subprocess.PIPE, ENVIRONMENT)
+    assert status.stdout is not None
+    assert status.stdout.readline().startswith("{")
+    status.stdout.close()
+
+    assert status.wait(30.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--namespace", "a b"], "Invalid namespace"),
+        (["--ros-args", "--none"], "unknown ROS arguments: "),
+    ],
+)
+def test_a_wrong_argument_is_one_line(words: list[str], complaint: str) -> None:
     done = subprocess.run(
-        [*STATUS, "--once", "--namespace", "a b"], capture_output=True, text=True, timeout=60
+        [*STATUS, "--once", *words], capture_output=True, text=True, timeout=60, check=False
     )
 
     assert done.returncode == 2
-    assert done.stderr.startswith("ins_status: error: ")
+    assert done.stderr.startswith(f"ins_status: error: {complaint}")
     assert done.stderr.count("\n") == 1
