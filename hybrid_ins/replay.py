@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import kernels, parameters, progress
 from hybrid_ins.bags.messages import TRUTH, Message, new_message
-from hybrid_ins.bags.reader import BagReader, InputTopics, received
+from hybrid_ins.bags.reader import BagReader, InputTopics, has_optional, received
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.errors import InputError
@@ -195,18 +195,18 @@ class _Replay:
         else:
             self._handlers[fix_topic] = partial(self._measure, estimator.handle_fix)
             self._carried[fix_topic] = "/gnss/fix"
-        if bag.topics.get(velocity_topic) == TWIST:
+        if has_optional(bag, velocity_topic, TWIST):
             self._handlers[velocity_topic] = partial(self._measure, estimator.handle_velocity)
             self._carried[velocity_topic] = "/gnss/velocity"
         for name, kind in aiding_sources.TOPICS.items():
-            if bag.topics.get(f"/{name}") == kind:
+            if has_optional(bag, f"/{name}", kind):
                 use = partial(estimator.aids.sources.handle, name)
                 self._handlers[f"/{name}"] = partial(self._measure, use)
-        if bag.topics.get("/initialpose") == POSE:
+        if has_optional(bag, "/initialpose", POSE):
             self._handlers["/initialpose"] = lambda message, _: estimator.handle_initial_pose(
                 message
             )
-        if bag.topics.get("/tf_static") == TRANSFORMS:
+        if has_optional(bag, "/tf_static", TRANSFORMS):
             handle = estimator.handle_static_transforms
             self._handlers["/tf_static"] = lambda message, _: handle(message)
 

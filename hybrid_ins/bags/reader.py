@@ -342,5 +342,13 @@ class BagReader:
             ) from None
 
 
+def has_optional(bag: BagReader, topic: str, type_name: str) -> bool:
+    """Return whether an optional topic is there; one of another type is not used, and named."""
+    found = bag.topics.get(topic)
+    if found not in (None, type_name):
+        _log.warning("%s: %s is %s, not %s: not used", bag.path, topic, found, type_name)
+    return found == type_name
+
+
 def _is_readable(channel: Channel) -> bool:
     return channel.encoding == "cdr" and is_standard(channel.type_name)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
-from hybrid_ins.bags.reader import BagReader, ImuTable, received
+from hybrid_ins.bags.reader import BagReader, ImuTable, has_optional, received
 from hybrid_ins.calibration.admission import (
     FEWEST_SAMPLES,
     check_fixes,
@@ -281,7 +281,7 @@ def _fixes(
         before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
         found.delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
         found.unstated += bool(conversions.missing_covariance(message))
-    if bag.topics.get(velocity_topic) == type_names.TWIST:
+    if has_optional(bag, velocity_topic, type_names.TWIST):
         for _, log_ns, message in bag.messages(velocity_topic):
             velocity = gnss.velocity(message, received(values, log_ns))
             if not isinstance(velocity, Refused):
@@ -310,7 +310,7 @@ def _wheels(bag: BagReader, values: Mapping[str, Any]) -> list[BodyVelocity]:
     convert = AidingMessages.from_parameters(values, arm_b)
     found = []
     for topic, kind in WHEELS.items():
-        if bag.topics.get(topic) != kind:
+        if not has_optional(bag, topic, kind):
             continue
         for _, log_ns, message in bag.messages(topic):
             read = convert.twist if kind == type_names.TWIST else convert.odometry

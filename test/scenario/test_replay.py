@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from support.bags import with_unstamped_pressure
 
+from hybrid_ins.bags.messages import new_message
 from hybrid_ins.bags.reader import BagReader, InputTopics
+from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.parameters import check_all
@@ -125,6 +127,21 @@ def test_aiding_sensors_without_stamps_are_used_by_the_time_of_arrival(
 
     # THEN it is refused, unless the time of arrival is asked for
     assert [any("aiding" in name for name in one) for one in counts] == [True, False]
+
+
+def test_an_optional_topic_of_another_type_is_named(
+    flight: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN velocities as a driver for NMEA publishes them THEN it is said that they are unused."""
+    path = tmp_path / "stamped.mcap"
+    with BagReader(flight) as bag, BagWriter(path) as out:
+        for topic, log_ns, data in bag.raw("/imu/data", "/gnss/fix"):
+            out.write_raw(topic, bag.topics[topic], data, log_ns)
+        out.write("/vel", new_message("geometry_msgs/msg/TwistStamped"), bag.start_ns)
+
+    assert replay.main([str(path), str(tmp_path / "out.mcap"), "--velocity-topic", "/vel"]) == 0
+    told = "/vel is geometry_msgs/msg/TwistStamped, not geometry_msgs/msg/TwistWithCovariance"
+    assert told in capfd.readouterr().err
 
 
 def test_a_replayed_track_is_exported(
