@@ -47,8 +47,10 @@ RANDOM_WALK = 1e-4  # s per sqrt(s), of one clock against the other
 DRIFT_WALK = 1e-6  # s/s per sqrt(s), likewise
 MIN_STD = 1e-3  # s: stamps are no better than that
 MAX_STD = 0.5  # s, of a clock of which nothing is known: fixes that come later are not fused
-VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position
+VELOCITY_AGE_STD = 0.1  # s, of a receiver's velocity against its position, until more is known
+LARGEST_AGE_STD = 1.0  # s
 AGE_TIME = 5.0  # s, in which it changes: receivers filter velocities, it follows the motion
+AGE_MEMORY = 20.0  # s, over which its mean square is averaged
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
 SHARE_TIME = 10.0  # s, over which the share of motion in the information is averaged
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
@@ -65,7 +67,8 @@ P_RESIDUAL, P_DRIFT, P_AGE = 3, 7, 11  # its diagonal
 NIS_SCALE = 12
 INFORMATION, OF_NOISE = 13, 14  # of late, and the part of it that is noise of the IMU
 DRIFT_VARIANCE = 15  # of the prior: walks lead no further from it
-N_CLOCK = 16
+AGE_VARIANCE = 16  # of the age, of which the estimate is one of many
+N_CLOCK = 17
 
 
 class ClockOffsetObserver:
@@ -105,7 +108,7 @@ class ClockOffsetObserver:
         self.values = np.zeros(N_CLOCK)
         self.values[DRIFT], self.values[DRIFT_VARIANCE] = drift.mean, drift.std**2
         self.values[P_RESIDUAL], self.values[P_DRIFT] = std**2, drift.std**2
-        self.values[P_AGE] = VELOCITY_AGE_STD**2
+        self.values[P_AGE] = self.values[AGE_VARIANCE] = VELOCITY_AGE_STD**2
         self.values[NIS_SCALE] = 1.0
         self._start_ns = self._t_ns = 0  # of the first and the last correction
 
@@ -261,12 +264,15 @@ def predict(clock, interval):  # type: ignore[no-untyped-def]
     left = np.exp(-interval / SHARE_TIME)
     clock[INFORMATION] *= left
     clock[OF_NOISE] *= left
+    towards = 1.0 - np.exp(-interval / AGE_MEMORY)
+    variance = clock[AGE_VARIANCE] + towards * (age_mean_square(clock) - clock[AGE_VARIANCE])
+    clock[AGE_VARIANCE] = min(max(variance, VELOCITY_AGE_STD**2), LARGEST_AGE_STD**2)
     left = np.exp(-interval / AGE_TIME)
     clock[AGE] *= left
     for i in range(N_PARAMETERS):
         P[AGE, i] *= left
         P[i, AGE] *= left
-    P[AGE, AGE] += (1.0 - left**2) * VELOCITY_AGE_STD**2
+    P[AGE, AGE] += (1.0 - left**2) * clock[AGE_VARIANCE]
     if P[RESIDUAL, RESIDUAL] > MAX_STD**2:  # correlations and the mean over sigma stay
         share = MAX_STD / np.sqrt(P[RESIDUAL, RESIDUAL])
         clock[RESIDUAL] *= share

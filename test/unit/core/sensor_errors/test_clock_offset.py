@@ -35,6 +35,7 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.sensor_errors.clock_offset import (
     AGE_TIME,
+    AGE_VARIANCE,
     MARGIN,
     MAX_STD,
     MIN_STD,
@@ -316,11 +317,12 @@ def test_rejected_fixes_do_not_inform() -> None:
     assert observer.sigma >= 0.5
 
 
-@pytest.mark.parametrize("age", [-0.12, 0.0, 0.08])
+@pytest.mark.parametrize("age", [-0.6, -0.12, 0.0, 0.08])
 def test_the_age_of_velocities_is_no_offset_of_positions(age: float) -> None:
     """
     GIVEN velocities that are older than positions, which have drawn the state after them
-    THEN the offset is that of the positions, and the age is found beside it.
+    THEN the offset is that of the positions, and the age is found beside it, and that such ages
+        are usual of this receiver.
     """
     offset, rng = 0.05, np.random.default_rng(6)
     observer = ClockOffsetObserver(0.5)
@@ -339,8 +341,10 @@ def test_the_age_of_velocities_is_no_offset_of_positions(age: float) -> None:
     found, sigma = observer.velocity_age
     assert observer.sigma < 0.01
     assert abs(observer.residual - offset) < 3.0 * observer.sigma
-    assert sigma < 0.5 * VELOCITY_AGE_STD
+    usual = max(abs(age), VELOCITY_AGE_STD)
+    assert sigma < 0.5 * usual
     assert abs(found - age) < 3.0 * sigma
+    assert np.sqrt(observer.values[AGE_VARIANCE]) == pytest.approx(usual, rel=0.15)
 
 
 def test_an_age_that_velocities_had_is_forgotten() -> None:
