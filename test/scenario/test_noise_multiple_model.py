@@ -11,7 +11,7 @@ from support.runs import Q, fly, moved
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import quat_from_rotvec, quat_multiply
 from hybrid_ins.core.inertial.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
-from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 from hybrid_ins.simulation.motions import car_drive
 from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw
@@ -145,6 +145,33 @@ def test_stamps_that_scatter_are_found_and_leave_what_is_across_the_motion(std: 
     assert np.median(factors[100:, 2]) < 1.5
     # but one of several hypotheses of a search does not
     assert not fly(replace(run, fixes=tuple(fixes)))[0].noise.stamps_scatter
+
+
+@pytest.mark.parametrize(("lag", "std"), [(0.0, 0.05), (0.5, 0.05), (0.0, 0.5)])
+def test_velocities_that_lag_or_scatter_are_found_beside_right_positions(
+    lag: float, std: float
+) -> None:
+    # GIVEN a car with RTK positions, and velocities that claim 0.05 m/s and are right, or come out
+    # of a filter of half a second, or scatter by ten times as much
+    run, rng = draw(replace(DRIVE, duration=90.0), 2), np.random.default_rng(3)
+    filtered, fixes = run.velocity_n[0], []
+    stamps = run.samples["t_ns"][run.scored].tolist()
+    for t_ns, lla, velocity_n in zip(stamps, run.lla, run.velocity_n, strict=True):
+        filtered = filtered + (velocity_n - filtered) * (0.2 / lag if lag else 1.0)
+        lla = lla + 0.02 * rng.standard_normal(3) / curvature_scale(lla)
+        fixes.append(PositionFix(t_ns, lla, 4e-4 * np.eye(3), np.zeros(3)))
+        measured = filtered + std * rng.standard_normal(3)
+        fixes.append(VelocityFix(t_ns, measured, 25e-4 * np.eye(3), np.zeros(3)))
+    # WHEN the filter runs
+    ins, factors = fly(replace(run, fixes=tuple(fixes)), scatter=True)
+    # THEN that is known, and neither R of positions nor the noise of the IMU is raised for it
+    assert ins.noise.age_std == pytest.approx(lag, abs=0.2)
+    horizontal, vertical = ins.noise.velocity_factors
+    assert (horizontal > 10.0) == (vertical > 10.0) == (std > 0.05)
+    assert np.median(factors[200:, 2]) < 1.5 and np.median(factors[200:, :2]) < 1.5
+    # but one of several hypotheses of a search does not
+    searched = fly(replace(run, fixes=tuple(fixes)))[0].noise
+    assert searched.age_std == 0.0 and searched.velocity_factors == (1.0, 1.0)
 
 
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:

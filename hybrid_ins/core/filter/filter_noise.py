@@ -21,7 +21,7 @@ from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCo
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
 from hybrid_ins.core.update.gate import Verdict
-from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
 Array = NDArray[np.float64]
 
@@ -113,6 +113,24 @@ class FilterNoise:
     def stamp_std(self) -> float:
         """Standard deviation [s] of the stamps of positions that the innovations show; 0: none."""
         return 0.0 if self.factors is None else self.factors.stamp_std
+
+    @property
+    def age_std(self) -> float:
+        """Standard deviation [s] of the age of velocities that the innovations show; 0: none."""
+        return 0.0 if self.factors is None else self.factors.age_std
+
+    def stamp_std_of(self, measurement: Measurement) -> float:
+        """Return that of the two that a measurement has."""
+        return self.age_std if isinstance(measurement, VelocityFix) else self.stamp_std
+
+    @property
+    def velocity_factors(self) -> tuple[float, float]:
+        """Factors on the covariance that velocities claim, horizontally and vertically."""
+        return (1.0, 1.0) if self.factors is None else self.factors.velocity_factors
+
+    def velocity_factors_of(self, measurement: Measurement) -> tuple[float, float] | None:
+        """Return those that are in the covariance of a measurement; None if it is no velocity."""
+        return self.velocity_factors if isinstance(measurement, VelocityFix) else None
 
     @property
     def stamps_scatter(self) -> bool:

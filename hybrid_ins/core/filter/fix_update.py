@@ -102,7 +102,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     fix_factor : float
         On the covariance of fixes.
     stamp_variance : float
-        Of the stamps of positions [s²].
+        Of the stamp of a position, or of the age of a velocity [s²].
     clock : ndarray, shape (N_CLOCK,)
         `ClockOffsetObserver.values`; overwritten.
     interval : float
@@ -115,7 +115,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         Written: NIS and log det of the innovation, and the standard deviations used for the fix,
         all with the variance of the clock offset considered; the fix's weight; the
         `scatter_evidence`; innovation, correction, C_nb after it, S, H and gain; the
-        `iterated_update.linearisation`; and the `stamp_covariance` of a position.
+        `iterated_update.linearisation`; and the covariance by a stamp's error of 1 s.
 
     Returns
     -------
@@ -143,15 +143,16 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval, claimed_growth)
     h, change = sensitivities(nav, H)
-    of_stamp = np.zeros((m, m))
-    if is_position:
-        of_stamp = stamp_covariance(nav[VELOCITY], share_of_motion(clock), m)
-    age = age_mean_square(clock) if variance > 0.0 and not is_position else 0.0
+    of_stamp = stamp_covariance(nav[VELOCITY], share_of_motion(clock), m)
+    if not is_position:
+        of_stamp = np.outer(change, change)
+        if variance > 0.0:
+            stamp_variance = max(stamp_variance, age_mean_square(clock))
     for a in range(m):
         for b in range(m):
             result[OF_STAMP][m * a + b] = of_stamp[a, b]
             of_stamp[a, b] *= stamp_variance
-            R[a, b] += age * change[a] * change[b] + of_stamp[a, b]
+            R[a, b] += of_stamp[a, b]
     S, _ = innovation_covariance(packed, H, R)
     root = np.empty((m, m))
     for a in range(m):
@@ -192,7 +193,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         result[INNOVATION][a], result[LINEAR_Z][a] = z[a], z_x[a]
         for b in range(m):
             result[S_MATRIX][m * a + b] = S[a, b]
-            S[a, b] += (1.0 / weight - 1.0) * R[a, b] - age * change[a] * change[b]
+            S[a, b] += (1.0 / weight - 1.0) * R[a, b] - (0.0 if is_position else of_stamp[a, b])
     observe(clock, interval, z, h, S, noise_information(nav, H, K, S, is_position), True)
     return True
 
@@ -229,7 +230,8 @@ def correction_of(
         ),
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
         fix_factor=noise.fix_factor,
-        stamp_std=noise.stamp_std,
+        stamp_std=noise.stamp_std_of(fix),
         slow_growth=split.claimed_growth,
         claimed_std=split.claimed_std,
+        velocity_factors=noise.velocity_factors_of(fix),
     )

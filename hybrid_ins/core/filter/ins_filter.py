@@ -297,7 +297,7 @@ class InsFilter:
         self._pending = waiting
         self._schedule()
         age = _age(late, self.t_ns)
-        own = [replace(v, age=age) for v in self.verdicts if v.measurement is late]
+        own = [replace(v, age=age) for v in self.verdicts if order(v.measurement) == order(late)]
         self.verdicts = deque((*decided, *own))
         return True
 

@@ -1,8 +1,7 @@
 """
 What an event does to a filter at its own stamp: the measurement update, and other changes.
 
-A measurement is judged by the gate and fused; its innovation then teaches the noise factors, the
-clock offset and the place of the antenna.
+A measurement is judged by the gate and fused; its innovation teaches noise, clock and antenna.
 """
 
 from __future__ import annotations
@@ -179,6 +178,8 @@ class MeasurementUpdate:
                 split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
                 noise.claimed_std, noise.unclaimed_std = split.claimed_std, split.unclaimed_std
                 noise.excess = split.excess
+            elif isinstance(event, VelocityFix):
+                event = event.scaled(*self.noise.velocity_factors)
             fused = self._fuse_ordinary(nav, event, split, age)
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
@@ -223,7 +224,7 @@ class MeasurementUpdate:
             parts.claimed_growth,
             self.scatter.learning,
             noise.fix_factor,
-            noise.stamp_std**2,
+            noise.stamp_std_of(fix) ** 2,
             clock.values,
             clock.interval(fix.t_ns),
             self.gate.ordinary_limit(fix.kind, m, interval),
@@ -269,8 +270,11 @@ class MeasurementUpdate:
         if measurement.sensor == GNSS:
             R = R * fix_factor + by_stamp
             h, change = sensitivities(nav, H)
-            if nav[CLOCK_VARIANCE] > 0.0 and measurement.kind == VelocityFix.kind:
-                of_age = age_mean_square(self.clock.values) * np.outer(change, change)
+            if measurement.kind == VelocityFix.kind:
+                of_stamp, variance = np.outer(change, change), self.noise.age_std**2
+                if nav[CLOCK_VARIANCE] > 0.0:
+                    variance = max(variance, age_mean_square(self.clock.values))
+                of_age = variance * of_stamp
                 R = R + of_age
         else:
             h = H @ np.stack((nav[SENSITIVITY], nav[AGE_SENSITIVITY]), axis=1)
@@ -304,9 +308,10 @@ class MeasurementUpdate:
             linear=linear,
             of_stamp=of_stamp if self.scatter.in_force else None,
             fix_factor=fix_factor,
-            stamp_std=self.noise.stamp_std,
+            stamp_std=self.noise.stamp_std_of(measurement),
             slow_growth=parts.claimed_growth,
             claimed_std=parts.claimed_std,
+            velocity_factors=self.noise.velocity_factors_of(measurement),
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:
@@ -345,7 +350,12 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
     if isinstance(change, NoiseChange):
         own.noise = own.noise.replaced_by(change.noise)
     elif isinstance(change, SettingsChange):
-        _change_settings(own, change)
+        if change.gate is not None:
+            own.gate = own.gate.replaced_by(change.gate)
+        if change.clock_prior is not None:
+            own.clock.prior = change.clock_prior
+        if change.learn_scatter is not None:
+            own.scatter.begin(change.learn_scatter)
     elif isinstance(change, NoiseEstimate):
         own.noise.learn_estimate(change)
     elif isinstance(change, ClockFound):
@@ -371,15 +381,6 @@ def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuR
         own.scale_errors.restart()
     elif isinstance(change, Outage):
         own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)
-
-
-def _change_settings(own: MeasurementUpdate, change: SettingsChange) -> None:
-    if change.gate is not None:
-        own.gate = own.gate.replaced_by(change.gate)
-    if change.clock_prior is not None:
-        own.clock.prior = change.clock_prior
-    if change.learn_scatter is not None:
-        own.scatter.begin(change.learn_scatter)
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

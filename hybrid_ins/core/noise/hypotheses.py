@@ -4,13 +4,15 @@ The hypotheses of `multiple_model`: factors on the noise, and slow errors of fix
 Most are a grid of factors on the noise of accelerometer, gyroscope and fixes. Beside it are those
 of a receiver that claims centimetres whatever solution it has: an R that is far too small, a slow
 error of positions, and both; and of a driver that stamps fixes when they arrive, which is late by a
-time that varies.
+time that varies; and of receivers that filter velocities, which are old, or err for seconds by more
+than they claim.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from hybrid_ins.core.noise.position_scatter import (
     CORRECTED_STD,
@@ -19,6 +21,8 @@ from hybrid_ins.core.noise.position_scatter import (
     UNCORRECTED_STD,
     uncorrected,
 )
+
+Array = NDArray[np.float64]
 
 DECADES = np.array([-1.5, 0.0, 1.0, 2.0, 3.0, 4.0])  # of the factor on the accelerometer's noise
 RATE_DECADES = np.array([-1.5, 0.0, 3.0])  # on the gyroscope's
@@ -40,33 +44,47 @@ SLOW_COST = 3.5  # nats of evidence that a slow error needs
 STAMP_STDS = np.array([0.01, 0.03, 0.1])  # s, of the stamps of fixes
 STAMP_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
 STAMP_COST = 7.0  # nats of evidence that stamps scatter: clock and heading look like it at first
+AGE_STDS = np.array([0.2, 0.6])  # s, of the age of velocities
+VELOCITY_DECADES = np.array([[1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 1.0, 2.0]])  # horizontal, vertical
+BESIDE_VELOCITY = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
+VELOCITY_COST = 4.0  # nats of evidence that velocities are old, or err by more than they claim
+
+# Of one column: decades of the factors on accelerometer, gyroscope and R; standard deviations; and
+# decades of those on R of velocities, horizontally and vertically.
+_ACCELEROMETER, _FIXES, _SLOW, _STAMP, _AGE, _HORIZONTAL, _VERTICAL, _ROWS = 0, 2, 3, 4, 5, 6, 7, 8
+
+
+def _beside(decades: Array, values: dict[int, Array]) -> Array:
+    """Return columns of ``values``, by row, each beside each of the accelerometer's decades."""
+    count = len(next(iter(values.values())))
+    columns = np.zeros((_ROWS, count * len(decades)))
+    columns[_ACCELEROMETER] = np.tile(decades, count)
+    for row, value in values.items():
+        columns[row] = np.repeat(value, len(decades))
+    return columns
+
 
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
-_POOREST = np.zeros((3, BESIDE_POOREST.size))
-_POOREST[0], _POOREST[2] = BESIDE_POOREST, POOREST_DECADE
-_BESIDE_SLOW = np.zeros((3, SLOW_STDS.size * SLOW_DECADES.size))
-_BESIDE_SLOW[0] = np.tile(SLOW_DECADES, SLOW_STDS.size)
-_SLOW_AND_WHITE = np.zeros((3, SLOW_WHITE_STDS.size * SLOW_WHITE_DECADES.size))
-_SLOW_AND_WHITE[2] = np.tile(SLOW_WHITE_DECADES, SLOW_WHITE_STDS.size)
-_BESIDE_STAMPS = np.zeros((3, STAMP_STDS.size * STAMP_DECADES.size))
-_BESIDE_STAMPS[0] = np.tile(STAMP_DECADES, STAMP_STDS.size)
-_DECADES = np.hstack((_GRID, _POOREST, _BESIDE_STAMPS, _BESIDE_SLOW, _SLOW_AND_WHITE))
-_STAMP_STD = np.concatenate(
+_slow_and_white = np.meshgrid(SLOW_WHITE_STDS, SLOW_WHITE_DECADES, indexing="ij")
+_COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_model_step`
     (
-        np.zeros(_GRID.shape[1] + _POOREST.shape[1]),
-        np.repeat(STAMP_STDS, STAMP_DECADES.size),
-        np.zeros(_BESIDE_SLOW.shape[1] + _SLOW_AND_WHITE.shape[1]),
+        np.pad(_GRID, ((0, _ROWS - len(_GRID)), (0, 0))),
+        _beside(BESIDE_POOREST, {_FIXES: np.array([POOREST_DECADE])}),
+        _beside(STAMP_DECADES, {_STAMP: STAMP_STDS}),
+        _beside(STAMP_DECADES, {_AGE: AGE_STDS}),
+        _beside(
+            BESIDE_VELOCITY,
+            {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
+        ),
+        _beside(SLOW_DECADES, {_SLOW: SLOW_STDS}),
+        _beside(
+            np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
+        ),
     )
 )
-_SLOW_STD = np.concatenate(
-    (
-        np.zeros(_GRID.shape[1] + _POOREST.shape[1] + _BESIDE_STAMPS.shape[1]),
-        np.repeat(SLOW_STDS, SLOW_DECADES.size),
-        np.repeat(SLOW_WHITE_STDS, SLOW_WHITE_DECADES.size),
-    )
-)
+_OF_VELOCITY = np.any(_COLUMNS[[_AGE, _VERTICAL]] > 0.0, axis=0)
 _LOG_PRIOR = -sum(
     (
         np.where(
@@ -74,24 +92,26 @@ _LOG_PRIOR = -sum(
             REDUCTION_COST - REDUCTION_DECADE_COST * grid,
             FACTOR_COST * (grid > 0.0) + cost * grid,
         )
-        for grid, cost in zip(_DECADES, DECADE_COST, strict=True)
+        for grid, cost in zip(_COLUMNS[:3], DECADE_COST, strict=True)
     ),
-    SLOW_COST * (_SLOW_STD > 0.0) + STAMP_COST * (_STAMP_STD > 0.0),
+    SLOW_COST * (_COLUMNS[_SLOW] > 0.0)
+    + STAMP_COST * (_COLUMNS[_STAMP] > 0.0)
+    + VELOCITY_COST * _OF_VELOCITY,
 )
 COUNT = len(_LOG_PRIOR)
 
 # What a hypothesis assumes, one per column.
 ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyroscope, R; m²/s, NED
 LOG_FACTORS = slice(6, 9)  # decades
-SLOW_STD, LOG_PRIOR, STAMP_STD = 9, 10, 11  # m; s
+SLOW_STD, STAMP_STD, AGE_STD = 9, 10, 11  # m; s, of a position's stamp and of a velocity's age
+ON_VELOCITY = slice(12, 14)  # decades of the factors on R of velocities
+LOG_PRIOR = 14
 HYPOTHESES = np.vstack(
     (
-        10.0**_DECADES,
-        np.outer(SLOW_AXES, 2.0 * _SLOW_STD**2 / SLOW_TIME),
-        _DECADES,
-        _SLOW_STD,
+        10.0 ** _COLUMNS[:3],
+        np.outer(SLOW_AXES, 2.0 * _COLUMNS[_SLOW] ** 2 / SLOW_TIME),
+        _COLUMNS,
         _LOG_PRIOR,
-        _STAMP_STD,
     )
 )
 

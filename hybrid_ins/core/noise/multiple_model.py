@@ -13,9 +13,10 @@ above the frequencies of motion need not extend down to those that integrate int
 
 A slow error of the fixes that their covariance does not contain (see `position_scatter`) changes
 from fix to fix by more than the IMU saw the vehicle move, and neither grows nor alternates: some
-hypotheses have one of decimetres to metres, as a random walk of position. `weights` weighs
-them. A driver that stamps fixes when they arrive makes errors along the velocity, and no others:
-some hypotheses have stamps that scatter.
+hypotheses have one of decimetres to metres, as a random walk of position. A driver that stamps
+fixes when they arrive makes errors along the velocity, and no others: some have stamps that
+scatter. Velocities that a receiver filters are old, and err along the acceleration, or for seconds:
+some have an age of velocities, or a factor on their R alone. `weights` weighs them.
 
 Each hypothesis is the same filter with other noise: a covariance of its own, and no IMU. The
 running filter's innovations and corrections carry all that its readings showed; a hypothesis only
@@ -42,10 +43,12 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
 from hybrid_ins.core.inertial.strapdown import rotation
 from hybrid_ins.core.noise.hypotheses import (
+    AGE_STD,
     COUNT,
     HYPOTHESES,
     LOG_PRIOR,
     ON_NOISE,
+    ON_VELOCITY,
     SLOW_WALK,
     STAMP_STD,
 )
@@ -80,18 +83,20 @@ WIDTH = COUNT + -COUNT % 16
 WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
+_ROOTS_OF_VELOCITY = 10.0 ** (0.5 * WIDE_HYPOTHESES[ON_VELOCITY][[0, 0, 1]])
+_ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 7)  # in force, see `weights.average`
-LOWEST = slice(7, 11)  # of those that move the state, since it was last corrected
-CLAIMED_STD = 11  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(12, 15), slice(15, 24)  # n, and C_nb, after the last correction
-PENDING_G = slice(24, 24 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
+FACTORS = slice(0, 10)  # in force, see `weights.average`
+LOWEST = slice(10, 17)  # of those that move the state, since it was last corrected
+CLAIMED_STD = 17  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(18, 21), slice(21, 30)  # n, and C_nb, after the last correction
+PENDING_G = slice(30, 30 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
-_START[FACTORS][:3] = 1.0
+_START[FACTORS][[0, 1, 2, 8, 9]] = 1.0
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
@@ -118,17 +123,17 @@ class NoiseMultipleModelBank(ShallowCopy):
         On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
     fix_factor : float
         On the covariance that fixes claim, 1 to 10⁴: receivers claim too small ones, too.
-    slow_std : float
-        Standard deviation of a slow error of the fixes, horizontally [m]; 0: the innovations show
-        none.
-    slow_probability : float
-        Of there being one.
-    stamp_std : float
-        Standard deviation of the stamps of positions [s]; 0: the innovations show none.
-    stamp_probability : float
-        Of their scattering.
+    slow_std, slow_probability : float
+        Standard deviation of a slow error of the fixes, horizontally [m], 0: the innovations show
+        none; and the probability of one.
+    stamp_std, stamp_probability : float
+        The same of the stamps of positions [s].
+    age_std : float
+        Standard deviation of the age of velocities [s]; 0: the innovations show none.
+    velocity_factors : (float, float)
+        On the covariance that velocities claim, horizontally and vertically, beside ``fix_factor``.
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
-        Covariances and offsets of the hypotheses, see `advance`; None before the second fix.
+        Of the hypotheses, see `advance`; None before the second fix.
 
     See Also
     --------
@@ -137,9 +142,9 @@ class NoiseMultipleModelBank(ShallowCopy):
     """
 
     def __init__(self) -> None:
-        self.imu_factors = (1.0, 1.0)
-        self.fix_factor = 1.0
+        self.imu_factors, self.fix_factor = (1.0, 1.0), 1.0
         self.slow_std = self.slow_probability = self.stamp_std = self.stamp_probability = 0.0
+        self.age_std, self.velocity_factors = 0.0, (1.0, 1.0)
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -180,8 +185,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         R : ndarray, shape (m, m)
             With the correction's ``fix_factor``.
         """
-        z, m = correction.z, len(R)
-        found = np.empty(COUNT)
+        z, m, found = correction.z, len(R), np.empty(COUNT)
         for level in _R_LEVELS:
             factor = HYPOTHESES[ON_NOISE][2][level[0]] / correction.fix_factor
             S = correction.S + (factor - 1.0) * R
@@ -217,8 +221,8 @@ class NoiseMultipleModelBank(ShallowCopy):
 
         Notes
         -----
-        After more than ``MAX_INTERVAL`` without a fix the hypotheses start anew with the running
-        filter's covariance, and their likelihoods stay as they were.
+        After more than ``MAX_INTERVAL`` the hypotheses start anew with the running filter's
+        covariance, and their likelihoods stay as they were.
         """
         have_risen = self._update(correction, psd, WIDE_HYPOTHESES, True)
         self._read_factors()
@@ -238,13 +242,16 @@ class NoiseMultipleModelBank(ShallowCopy):
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
         before, T, m = self.estimates, self._time_to(correction), len(correction.z)
+        stamp_stds, roots, in_force = STAMP_STD, _ROOTS_OF_OTHERS, np.ones(m)
+        if (factors := correction.velocity_factors) is not None:
+            stamp_stds, in_force = AGE_STD, np.sqrt([factors[0], factors[0], factors[1]][:m])
+            roots = roots if correction.of_stamp is None else _ROOTS_OF_VELOCITY
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
             T, before = 0.0, np.zeros((N_ROWS, WIDTH))
             before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
             self._values[PENDING_G] = _START[PENDING_G]
-        self.estimates = np.empty((N_ROWS, WIDTH))
-        self._t_ns = correction.t_ns
+        self.estimates, self._t_ns = np.empty((N_ROWS, WIDTH)), correction.t_ns
         have_risen = update_hypotheses(
             hypotheses,
             before,
@@ -258,6 +265,9 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.fix_factor,
             correction.stamp_std**2,
             _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
+            WIDE_HYPOTHESES[stamp_stds],
+            roots[:m],
+            in_force,
             NO_GROWTH if correction.slow_growth is None else correction.slow_growth,
             correction.claimed_std,
             correction.dx,
@@ -270,7 +280,8 @@ class NoiseMultipleModelBank(ShallowCopy):
         found = self._values[FACTORS].tolist()
         self.imu_factors = found[0], found[1]
         self.fix_factor, self.slow_std, self.slow_probability = found[2:5]
-        self.stamp_std, self.stamp_probability = found[5:]
+        self.stamp_std, self.stamp_probability = found[5:7]
+        self.age_std, self.velocity_factors = found[7], (found[8], found[9])
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""
@@ -302,6 +313,9 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fix_factor,
     stamp_variance,
     of_stamp,
+    stamp_stds,
+    roots,
+    roots_in_force,
     slow_growth,
     claimed_std,
     dx,
@@ -316,7 +330,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (12, WIDTH)
+    hypotheses : ndarray, shape (15, WIDTH)
         `HYPOTHESES`, the last one repeated.
     before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.
@@ -326,6 +340,8 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         Time since the last correction [s].
     nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_std, dx
         See `NoiseMultipleModelBank.update`.
+    stamp_stds, roots, roots_in_force : ndarray, shape (WIDTH,), (m, WIDTH), (m,)
+        Standard deviations of the fix's stamp [s]; roots of the factors on rows and columns of R.
     z_x, H_x, x, G_x : ndarray
         `iterated_update.linearisation` of the correction.
     teaches : bool
@@ -343,6 +359,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     for a in range(m):
         for b in range(m):
             R[a, b] -= stamp_variance * of_stamp[a, b]
+            R[a, b] /= fix_factor * roots_in_force[a] * roots_in_force[b]
     if claimed_std > 0.0:
         values[CLAIMED_STD] = claimed_std
     log_likelihood = np.zeros(before.shape[1])
@@ -358,10 +375,11 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         factors,
         walk,
         slow_growth,
-        hypotheses[STAMP_STD],
+        stamp_stds,
         z_x,
         H_x,
-        R / fix_factor,
+        R,
+        roots,
         of_stamp,
         x,
         TAIL_DOF,

@@ -1,9 +1,9 @@
 """
 Prediction and update of many covariances at once: a step of `NoiseMultipleModelBank`.
 
-The hypotheses differ in their noise alone and share transition and measurement. The step is
-written as loops over the hypotheses, which the compiler turns into vector instructions, one for
-each element of transition and measurement that is not zero.
+The hypotheses differ in their noise alone and share transition and measurement. The step is loops
+over them, which the compiler turns into vector instructions, one for each element of transition and
+measurement that is not zero.
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ def advance(  # type: ignore[no-untyped-def]
     z,
     H,
     R,
+    roots,
     of_stamp,
     dx,
     tail_dof,
@@ -103,10 +104,10 @@ def advance(  # type: ignore[no-untyped-def]
     z, H, R : ndarray, shape (m,), (m, 15), (m, m)
         The running filter's innovation, measurement matrix, covariance at factor 1 with a stamp
         that is exact.
-    of_stamp : ndarray, shape (m, m)
-        `stamp_scatter.stamp_covariance`.
-    dx : ndarray, shape (15,)
-        By which the running filter was corrected.
+    roots : ndarray, shape (m, n)
+        Roots of the factors on R's rows and columns.
+    of_stamp, dx : ndarray, shape (m, m), (15,)
+        See `Correction`.
     tail_dof : float
         Degrees of freedom of an innovation.
     log_likelihood : ndarray, shape (n,)
@@ -132,7 +133,7 @@ def advance(  # type: ignore[no-untyped-def]
             for b in range(a + 1):
                 place, r = m * a + b, R[a, b]
                 for h in range(count):
-                    S[a, b, h] = HPHt[place, h] + r_factor[h] * r
+                    S[a, b, h] = HPHt[place, h] + r_factor[h] * roots[a, h] * roots[b, h] * r
                 if of_stamp[a, b] != 0.0:
                     for h in range(count):
                         S[a, b, h] += outlying[h] * stamp_std[h] ** 2 * of_stamp[a, b]
@@ -221,10 +222,7 @@ def _innovations(after, z, H, PHt, HPHt, own):  # type: ignore[no-untyped-def]
     m, count = z.shape[0], after.shape[1]
     values, columns = np.empty((m, PADDED)), np.empty((m, PADDED), np.int64)
     _write_nonzero(H, values, columns)
-    rows = np.empty((m, N_ERROR), np.int64)
-    for a in range(m):
-        for i in range(N_ERROR):
-            rows[a, i] = N_ERROR * a + i
+    rows = np.arange(m * N_ERROR).reshape(m, N_ERROR)
     for a in range(m):
         for i in range(N_ERROR):
             _combine(values, columns, a, PLACES, i, after, PHt, rows[a, i])

@@ -67,15 +67,20 @@ class Correction:
     linear : tuple of ndarray, optional
         Where the correction was found by iteration, `iterated_update.linearisation`.
     of_stamp : ndarray, shape (m, m), optional
-        `stamp_scatter.stamp_covariance` of a position; None where stamps are not to be doubted.
+        Covariance by an error of the stamp of 1 s: `stamp_scatter.stamp_covariance` of a position,
+        that by the acceleration of a velocity; None where neither stamps nor velocities are to be
+        doubted.
     fix_factor : float
         Factor on the covariance of a fix that is in S.
     stamp_std : float
-        Standard deviation of the stamps [s] that is in S, times ``of_stamp``.
+        Standard deviation of the stamp of a position, or of the age of a velocity [s], that is in
+        S, times ``of_stamp``.
     slow_growth : ndarray, shape (3,), optional
         Variance [m²], NED, by which a position's slow error has changed as claimed since the last.
     claimed_std : float
         Standard deviation [m] that a position claims horizontally; 0 of others.
+    velocity_factors : (float, float), optional
+        Of a velocity: factors on its covariance that are in S, horizontally and vertically.
     """
 
     t_ns: int
@@ -96,6 +101,7 @@ class Correction:
     stamp_std: float = 0.0
     slow_growth: Array | None = None
     claimed_std: float = 0.0
+    velocity_factors: tuple[float, float] | None = None
 
 
 class NoiseModel(Protocol):

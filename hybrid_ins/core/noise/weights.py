@@ -19,17 +19,19 @@ import numpy as np
 from numba.extending import register_jitable
 
 from hybrid_ins.core.noise.hypotheses import (
+    AGE_STD,
     COUNT,
     HYPOTHESES,
     LOG_FACTORS,
     LOG_PRIOR,
+    ON_VELOCITY,
     SLOW_STD,
     STAMP_STD,
     smallest_slow_std,
 )
 
 DEAD_BAND = 0.1  # decades that count as none
-IMPROBABLE = 0.1  # probability of a slow error, or of stamps that scatter, that counts as none
+IMPROBABLE = 0.1  # probability of a slow error, of stamps that scatter, or of ages: that of none
 MEMORY = 20.0  # s over which the likelihood of a hypothesis is remembered
 SLOW_MEMORY = 200.0  # s over which that of a family is
 UNLIKELIEST = -50.0  # log-likelihood of a hypothesis, to the best: any may be true from now on
@@ -37,6 +39,7 @@ UNLIKELIEST_FAMILY = -10.0  # of a family: a slow error may begin and end
 AT_START = -7.0  # of families with a slow error: clock and heading may look like one at first
 ANY_CLAIM = 1e-6  # m: of positions beside which any slow error would be found
 EXACT_STAMP = 0.005  # s, of stamps: by less they do hardly any harm
+EXACT_AGE = 0.1  # s, likewise of the age of velocities
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 
 FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
@@ -110,34 +113,46 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """
     Set the factors to the mixture's mean; return whether one has risen much.
 
-    ``factors``, shape (7,): on accelerometer, gyroscope and R; the standard deviation [m] of a slow
-    error, by the mixture's second moment, 0 where it is improbable, and its probability; and the
-    standard deviation of the stamps of fixes [s], likewise.
+    ``factors``, shape (10,): on accelerometer, gyroscope and R; the standard deviation [m] of a
+    slow error, by the mixture's second moment, 0 where it is improbable, and its probability; those
+    of the stamps of positions [s], likewise; the standard deviation of the age of velocities [s],
+    likewise; and the factors on R of velocities, horizontally and vertically.
     """
-    in_question, slow_variance, stamp_variance = np.empty(4), 0.0, 0.0
-    slow_probability, stamp_probability = 0.0, 0.0
     for i in range(3):
-        decades = 0.0
-        for h in range(COUNT):
-            decades += HYPOTHESES[LOG_FACTORS.start + i, h] * weights[h]
-        beyond = max(0.0, abs(decades) - DEAD_BAND)
-        factors[i] = 10.0 ** (beyond if decades > 0.0 else -beyond)
-        in_question[i] = factors[i]
-    for h in range(COUNT):
-        if HYPOTHESES[SLOW_STD, h] > 0.0:
-            slow_probability += weights[h]
-            slow_variance += HYPOTHESES[SLOW_STD, h] ** 2 * weights[h]
-        if HYPOTHESES[STAMP_STD, h] > 0.0:
-            stamp_probability += weights[h]
-            stamp_variance += HYPOTHESES[STAMP_STD, h] ** 2 * weights[h]
-    factors[3] = np.sqrt(slow_variance) if slow_probability > IMPROBABLE else 0.0
-    factors[4] = slow_probability
-    factors[5] = np.sqrt(stamp_variance) if stamp_probability > IMPROBABLE else 0.0
-    factors[6] = stamp_probability
+        factors[i] = _mean_factor(LOG_FACTORS.start + i, weights)
+    factors[3], factors[4] = _std_and_probability(SLOW_STD, weights)
+    factors[5], factors[6] = _std_and_probability(STAMP_STD, weights)
+    factors[7], _ = _std_and_probability(AGE_STD, weights)
+    for i in range(2):
+        factors[8 + i] = _mean_factor(ON_VELOCITY.start + i, weights)
+    in_question, risen = np.empty(7), False
+    in_question[0], in_question[1], in_question[2] = factors[0], factors[1], factors[2]
     in_question[3] = 1.0 + (factors[5] / EXACT_STAMP) ** 2
-    risen = False
-    for i in range(4):
+    in_question[4] = 1.0 + (factors[7] / EXACT_AGE) ** 2
+    in_question[5], in_question[6] = factors[8], factors[9]
+    for i in range(len(in_question)):
         risen |= in_question[i] >= CORRECTION_RATIO * lowest[i]
-    for i in range(4):
+    for i in range(len(in_question)):
         lowest[i] = in_question[i] if risen else min(lowest[i], in_question[i])
     return risen
+
+
+@register_jitable
+def _mean_factor(row, weights):  # type: ignore[no-untyped-def]
+    """Return the mixture's mean of a factor whose decades are a row of `HYPOTHESES`."""
+    decades = 0.0
+    for h in range(COUNT):
+        decades += HYPOTHESES[row, h] * weights[h]
+    beyond = max(0.0, abs(decades) - DEAD_BAND)
+    return 10.0 ** (beyond if decades > 0.0 else -beyond)
+
+
+@register_jitable
+def _std_and_probability(row, weights):  # type: ignore[no-untyped-def]
+    """Return the mixture's standard deviation of a row of `HYPOTHESES`, and the weight of it."""
+    variance, probability = 0.0, 0.0
+    for h in range(COUNT):
+        if HYPOTHESES[row, h] > 0.0:
+            probability += weights[h]
+            variance += HYPOTHESES[row, h] ** 2 * weights[h]
+    return np.sqrt(variance) if probability > IMPROBABLE else 0.0, probability

@@ -15,7 +15,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -190,6 +190,13 @@ class VelocityFix:
         z, H = velocity_model(nav, self.velocity_n, self.lever_b)
         R = self.claimed
         return z[: len(R)], H[: len(R)], R
+
+    def scaled(self, horizontally: float, vertically: float) -> VelocityFix:
+        """Return it with a covariance multiplied by these factors."""
+        if horizontally == vertically == 1.0:
+            return self
+        roots = np.sqrt([horizontally, horizontally, vertically])
+        return replace(self, covariance_n=self.covariance_n * np.outer(roots, roots))
 
 
 @dataclass(frozen=True, slots=True)

@@ -204,6 +204,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             **factors,
             **({"slow_error_of_fixes": running.noise.unclaimed_std} if running else {}),
             **({"stamp_scatter_of_fixes": running.noise.stamp_std} if running else {}),
+            **({"age_of_velocities": running.noise.age_std} if running else {}),
             **({} if running is None else _scale_errors(running.scale_errors)),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
@@ -307,8 +308,11 @@ def _factors(noise: FilterNoise) -> dict[str, float]:
     if noise.factors is None:
         return {}
     accelerometer, gyroscope = noise.imu_factors
+    horizontal, vertical = noise.velocity_factors
     return {
         "factor_accelerometer": accelerometer,
         "factor_gyroscope": gyroscope,
         "factor_fixes": noise.fix_factor * noise.excess,
+        "factor_velocities_horizontal": horizontal,
+        "factor_velocities_vertical": vertical,
     }

@@ -38,12 +38,21 @@ SECOND = 1_000_000_000
 SIGMA = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
 
 
+class OldVelocities(NoiseMultipleModelBank):
+    """Finds, whatever the innovations, that stamps scatter, and that velocities are old and err."""
+
+    def _read_factors(self) -> None:
+        super()._read_factors()
+        self.stamp_std, self.age_std, self.velocity_factors = 0.03, 0.2, (2.0, 8.0)
+
+
 def update(factors: bool) -> MeasurementUpdate:
     process = ProcessNoise(np.full(6, 1e-6), 0.01)
-    bank = NoiseMultipleModelBank() if factors else None
+    bank = OldVelocities() if factors else None
     noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), process, bank)
     gate, clock = Gate({2: 9.0, 3: 11.0}, 3.0), ClockOffsetObserver(0.3)
     scatter, lever_arm = PositionScatter(0.5, learning=True), LeverArmObserver()
+    scatter.in_force = factors
     return MeasurementUpdate(
         noise, gate, clock, scatter, SECOND, lever_arm, ScaleErrorObserver(0.0)
     )
@@ -118,6 +127,8 @@ def test_the_compiled_form_is_the_readable_one(seed: int, factors: bool, conside
         assert one.split is None or one.split.share == pytest.approx(two.split.share, rel=1e-12)
         assert compiled.noise.imu_factors == pytest.approx(readable.noise.imu_factors, rel=1e-9)
         assert compiled.noise.fix_factor == pytest.approx(readable.noise.fix_factor, rel=1e-9)
+        if factors and isinstance(fix, VelocityFix) and one.verdict.accepted:
+            assert one.verdict.sigma[2] > np.sqrt(8.0 * fix.claimed.diagonal()[2])
 
 
 def split_of(fix: PositionFix | VelocityFix) -> Split | None:

@@ -20,7 +20,15 @@ from hybrid_ins.core.inertial.state import (
     NavState,
     covariance,
 )
-from hybrid_ins.core.noise.hypotheses import COUNT, HYPOTHESES, ON_NOISE, SLOW_WALK, STAMP_STD
+from hybrid_ins.core.noise.hypotheses import (
+    AGE_STD,
+    COUNT,
+    HYPOTHESES,
+    ON_NOISE,
+    ON_VELOCITY,
+    SLOW_WALK,
+    STAMP_STD,
+)
 from hybrid_ins.core.noise.multiple_model import (
     LOG_LIKELIHOOD,
     OF_FAMILY,
@@ -79,8 +87,15 @@ def correction_of(
         z, H = position_model(nav, nav[LLA] + away, np.array([0.5, -0.2, 1.0]))
     root = rng.normal(0.0, 0.3, (3, 3))
     is_position = k % 3 != 2
-    of_stamp = stamp_covariance(nav[VELOCITY], 0.7, 3) if is_position else np.zeros((3, 3))
-    R = fix_factor * (root @ root.T + 0.2 * np.eye(3)) + stamp_std**2 * of_stamp
+    acceleration_n = rng.normal(0.0, 2.0, 3)
+    of_stamp = np.outer(acceleration_n, acceleration_n)
+    if is_position:
+        of_stamp = stamp_covariance(nav[VELOCITY], 0.7, 3)
+    velocity_factors = 2.0, 16.0
+    R = fix_factor * (root @ root.T + 0.2 * np.eye(3))
+    if not is_position:
+        R *= scaling_of(velocity_factors)
+    R += stamp_std**2 * of_stamp
     S = H @ covariance(nav) @ H.T + R
     K = covariance(nav) @ H.T @ np.linalg.inv(S)
     fused = k % 4 != 3
@@ -108,7 +123,13 @@ def correction_of(
         stamp_std,
         rng.uniform(0.0, 0.01, 3) if is_position else None,
         0.05 if is_position else 0.0,
+        None if is_position else velocity_factors,
     )
+
+
+def scaling_of(factors: tuple[float, float]) -> Array:
+    roots = np.sqrt([factors[0], factors[0], factors[1]])
+    return np.outer(roots, roots)
 
 
 class Readable:
@@ -116,7 +137,8 @@ class Readable:
 
     def __init__(self, hypothesis: Array, nav: Array) -> None:
         self.factors, self.walk = hypothesis[ON_NOISE], hypothesis[SLOW_WALK]
-        self.stamp_variance = hypothesis[STAMP_STD] ** 2
+        self.stamp_variance, self.age_variance = hypothesis[[STAMP_STD, AGE_STD]] ** 2
+        self.on_velocity = tuple(10.0 ** hypothesis[ON_VELOCITY])
         self.P, self.offset = covariance(nav), np.zeros(N_ERROR)
 
     def predict(self, F: Array, C: Array, T: float, slow_growth: Array) -> None:
@@ -132,10 +154,14 @@ class Readable:
         self.P[:3, :3] += np.diag(np.maximum(slow_growth - T * self.walk, 0.0))
         self.offset = A @ self.offset
 
-    def correct(self, z: Array, H: Array, R: Array, of_stamp: Array, dx: Array, G: Array) -> float:
-        m, weight = len(z), 1.0
-        own = z - H @ self.offset
-        R = self.factors[2] * R + self.stamp_variance * of_stamp
+    def correct(self, correction: Correction, R: Array, linear: tuple[Array, ...]) -> float:
+        (z, H, dx, G), weight = linear, 1.0
+        own, m = z - H @ self.offset, len(z)
+        if correction.velocity_factors is None:
+            R = self.factors[2] * R + self.stamp_variance * correction.of_stamp
+        else:
+            R = self.factors[2] * R * scaling_of(self.on_velocity)
+            R += self.age_variance * correction.of_stamp
         S = H @ self.P @ H.T + R
         nis = own @ np.linalg.solve(S, own)
         log_det = np.linalg.slogdet(S)[1]
@@ -168,16 +194,17 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         readable = readable or [Readable(hypothesis, nav) for hypothesis in HYPOTHESES.T]
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
-        of_stamp = correction.of_stamp
-        R = (R - stamp_std**2 * of_stamp) / fix_factor
+        R = (R - stamp_std**2 * correction.of_stamp) / fix_factor
+        if correction.velocity_factors is not None:
+            R /= scaling_of(correction.velocity_factors)
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
-        z, H, dx, G = correction.linear or plain
-        iterated += not np.array_equal(G, np.eye(N_ERROR))
+        linear = correction.linear or plain
+        iterated += not np.array_equal(linear[3], np.eye(N_ERROR))
         log_likelihood *= np.exp(-T / MEMORY)
         growth = np.zeros(3) if correction.slow_growth is None else correction.slow_growth
         for h, one in enumerate(readable):
             one.predict(F, C, T, growth)
-            log_likelihood[h] += one.correct(z, H, R, of_stamp, dx, G)
+            log_likelihood[h] += one.correct(correction, R, linear)
         for f in range(FAMILIES):
             log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
         log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)

@@ -6,14 +6,17 @@ from scipy.special import logsumexp
 
 from hybrid_ins.core.inertial.state import Array
 from hybrid_ins.core.noise.hypotheses import (
+    AGE_STD,
     COUNT,
     HYPOTHESES,
     LOG_PRIOR,
+    ON_VELOCITY,
     SLOW_STD,
     STAMP_STD,
     smallest_slow_std,
 )
 from hybrid_ins.core.noise.weights import (
+    DEAD_BAND,
     FAMILIES,
     FAMILY,
     FAMILY_STD,
@@ -75,7 +78,7 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     rng = np.random.default_rng(4)
     weights = rng.uniform(size=COUNT)
     weights /= weights.sum()
-    factors, lowest = np.ones(7), np.ones(4)
+    factors, lowest = np.ones(10), np.ones(7)
 
     average(weights, factors, lowest)
     assert factors[3] == pytest.approx(np.sqrt(weights @ SLOW**2))
@@ -86,19 +89,42 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     assert factors[4] == pytest.approx(0.05)
 
 
-def test_scattering_stamps_have_the_second_moment_of_what_is_probable_and_move_the_state() -> None:
-    rng, stamps = np.random.default_rng(4), HYPOTHESES[STAMP_STD]
-    weights = rng.uniform(size=COUNT) * (stamps > 0.0)
+@pytest.mark.parametrize(("row", "place"), [(STAMP_STD, 5), (AGE_STD, 7)])
+def test_stamps_and_ages_have_the_second_moment_of_what_is_probable_and_move_the_state(
+    row: int, place: int
+) -> None:
+    rng, stds = np.random.default_rng(4), HYPOTHESES[row]
+    weights = rng.uniform(size=COUNT) * (stds > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(7), np.ones(4)
+    factors, lowest = np.ones(10), np.ones(7)
 
     assert average(weights, factors, lowest)
-    assert factors[5:] == pytest.approx([np.sqrt(weights @ stamps**2), 1.0])
+    assert factors[place] == pytest.approx(np.sqrt(weights @ stds**2))
     assert not average(weights, factors, lowest)
 
-    weights = np.where(stamps > 0.0, 0.05 * weights, 0.95 / np.sum(stamps == 0.0))
+    weights = np.where(stds > 0.0, 0.05 * weights, 0.95 / np.sum(stds == 0.0))
     average(weights, factors, lowest)
-    assert factors[5:] == pytest.approx([0.0, 0.05])
+    assert factors[place] == 0.0
+
+
+def test_factors_on_velocities_are_the_mean_of_the_decades_and_move_the_state() -> None:
+    weights = np.random.default_rng(4).uniform(size=COUNT) * (HYPOTHESES[ON_VELOCITY][1] > 0.0)
+    weights /= weights.sum()
+    factors, lowest = np.ones(10), np.ones(7)
+
+    assert average(weights, factors, lowest)
+    decades = HYPOTHESES[ON_VELOCITY] @ weights
+    assert 0.0 < decades[0] < decades[1]  # vertical velocities may err alone
+    assert factors[8:] == pytest.approx(10.0 ** (decades - DEAD_BAND))
+    assert not average(weights, factors, lowest)
+
+
+def test_nothing_is_found_of_stamps_and_velocities_before_there_is_evidence() -> None:
+    factors = np.zeros(10)
+
+    assert not average(weighed(np.zeros(COUNT), np.zeros(FAMILIES), 0.3), factors, np.ones(7))
+
+    assert factors[[5, 7, 8, 9]].tolist() == [0.0, 0.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(
