@@ -145,13 +145,18 @@ class _StderrHandler(logging.Handler):
 
 @contextmanager
 def _logging_to_stderr(program_name: str) -> Iterator[None]:
-    """Within the block, print warnings, and this package's notes."""
-    handler, package = _StderrHandler(program_name), logging.getLogger("hybrid_ins")
-    level = package.level
+    """Within the block, print warnings, and this package's notes, in this program's name alone."""
+    root, package = logging.getLogger(), logging.getLogger("hybrid_ins")
+    outer = [handler for handler in root.handlers if isinstance(handler, _StderrHandler)]
+    handler, level = _StderrHandler(program_name), package.level
     package.setLevel(logging.INFO)
-    logging.getLogger().addHandler(handler)
+    for one in outer:
+        root.removeHandler(one)
+    root.addHandler(handler)
     try:
         yield
     finally:
-        logging.getLogger().removeHandler(handler)
+        root.removeHandler(handler)
+        for one in outer:
+            root.addHandler(one)
         package.setLevel(level)

@@ -263,6 +263,32 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 """
 
 
+NESTED = """
+import logging, sys
+from hybrid_ins.cli import program
+
+def said(text):
+    logging.getLogger("hybrid_ins").info(text)
+
+def inner(args):
+    said("inside")
+
+def outer(args):
+    said("before")
+    program.run(inner, program.parser("inner", "").parse_args([]))
+    said("after")
+
+sys.exit(program.run(outer, program.parser("outer", "").parse_args([])))
+"""
+
+
+def test_a_program_within_a_program_speaks_in_its_own_name_alone() -> None:
+    done = subprocess.run([sys.executable, "-c", NESTED], capture_output=True, text=True)
+
+    expected = ["outer: info: before", "inner: info: inside", "outer: info: after"]
+    assert done.stderr.splitlines() == expected
+
+
 INTERRUPTED = """
 import os, signal, sys, time
 from hybrid_ins.cli import program
