@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -9,8 +10,20 @@ from itertools import starmap
 from typing import Any, TypeVar
 
 from hybrid_ins import progress
+from hybrid_ins.cli import options
 
 T = TypeVar("T")
+
+
+def add_jobs(parser: argparse.ArgumentParser, default: int) -> None:
+    """Add the option ``--jobs`` of `run_parallel`."""
+    parser.add_argument(
+        "--jobs",
+        type=options.positive_count,
+        default=default,
+        metavar="N",
+        help="processes [%(default)s]",
+    )
 
 
 def run_parallel(

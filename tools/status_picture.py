@@ -35,7 +35,6 @@ COLOURS = {"OK": "#6a9955", "WARN": "#d7ba7d", "ERROR": "#f44747"}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw the picture and print the text."""
-    assert __doc__ is not None
     parser = shell.parser("status_picture", __doc__ or "")
     parser.add_argument(
         "--flight", type=options.path, required=True, metavar="DIR", help="a flight of that dataset"

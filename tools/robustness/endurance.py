@@ -20,7 +20,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-from hybrid_ins import kernel_cache, parameters
+from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
 from hybrid_ins.cli import options, program
 from hybrid_ins.core.filter.ins_filter import InsFilter
@@ -40,7 +40,7 @@ from hybrid_ins.simulation.motions import (
     quadrotor_flight,
 )
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 from tools.robustness.held_numbers import growing, held_numbers
 
 Array = NDArray[np.float64]
@@ -267,12 +267,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--report-period", type=options.positive, default=0.1, help="of the node [s]"
     )
-    parser.add_argument("--jobs", type=options.positive_count, default=1, help="processes")
+    add_jobs(parser, 1)
     return program.run(_body, parser.parse_args(argv))
 
 
 def _body(args: argparse.Namespace) -> int:
-    kernel_cache.enable()
     ros_estimator.REPORT_NS = round(args.report_period * 1e9)
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}

@@ -35,7 +35,7 @@ from hybrid_ins.ros.messages.trajectory import Trajectory
 from hybrid_ins.simulation.motions import Motion, car_drive, quadrotor_flight
 from hybrid_ins.simulation.sensors import ImuErrors, corrupt, fixes, sample, sample_times
 from tools.field import flights
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 
 Array = NDArray[np.float64]
 
@@ -276,9 +276,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="FILE",
         help="JSON file that keeps the clock offsets that were found",
     )
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=os.cpu_count() or 1, metavar="N"
-    )
+    add_jobs(parser, os.cpu_count() or 1)
     parser.add_argument("--verbose", action="store_true", help="print every run")
     return program.run(_body, parser.parse_args(argv))
 

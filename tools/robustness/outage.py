@@ -23,7 +23,7 @@ from hybrid_ins.simulation.motions import car_drive, quadrotor_flight
 from tools.paper import montecarlo
 from tools.paper.montecarlo import Method
 from tools.paper.runs import Scenario, draw
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 
 OUTAGE = (60.0, 60.0)  # s, start and duration
 FIRST = 5  # fixes after the return
@@ -57,9 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--runs", type=options.positive_count, default=200, metavar="N", help="[%(default)s]"
     )
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=os.cpu_count() or 1, metavar="N"
-    )
+    add_jobs(parser, os.cpu_count() or 1)
     parser.add_argument(
         "--modes",
         nargs="+",

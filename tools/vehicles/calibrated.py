@@ -29,7 +29,7 @@ from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.messages.conversions import DIAGONAL
 from hybrid_ins.ros.messages.type_names import FIX, IMU, TWIST
 from hybrid_ins.simulation.vehicles import VEHICLES, record
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 from tools.vehicles.drives import Drive, from_log, from_simulation, load
 from tools.vehicles.evaluate import FEEDS, check_names, parser_of_drives, real_sets
 from tools.vehicles.judge import Score, score
@@ -136,9 +136,7 @@ def _error(found: Score) -> float:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = parser_of_drives("calibrated", __doc__)
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
-    )
+    add_jobs(parser, 2)
     parser.add_argument(
         "--keep",
         type=options.path,

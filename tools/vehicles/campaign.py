@@ -24,7 +24,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.output_file import check_output
 from hybrid_ins.simulation.sensors import ImuErrors
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Vehicle, record
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 from tools.vehicles import defects
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.judge import score
@@ -209,9 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--first", type=options.count, default=0, metavar="SEED", help="[%(default)s]"
     )
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
-    )
+    add_jobs(parser, 2)
     parser.add_argument(
         "--defects", action="store_true", help="with what real recordings have besides noise"
     )

@@ -21,7 +21,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial import earth
 from hybrid_ins.simulation.sensors import gauss_markov, in_outage
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, Recording, record
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.evaluate import check_names
 from tools.vehicles.judge import Score, score
@@ -138,9 +138,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("receivers", nargs="*", metavar="NAME", help="parts of their names")
     parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, metavar="NAME")
     parser.add_argument("--seeds", type=options.count, nargs="+", default=[1], metavar="N")
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=1, metavar="N", help="[%(default)s]"
-    )
+    add_jobs(parser, 1)
     return program.run(_body, parser.parse_args(argv))
 
 

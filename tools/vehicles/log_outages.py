@@ -22,7 +22,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.earth import LocalFrame
 from hybrid_ins.ros.messages.conversions import SWAP
 from hybrid_ins.ros.messages.trajectory import Array
-from tools.parallel import run_parallel
+from tools.parallel import add_jobs, run_parallel
 from tools.vehicles.drives import Drive, from_log
 from tools.vehicles.judge import at_offset_in_force, run
 
@@ -101,9 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--length", type=options.positive, default=10.0, metavar="S", help="[%(default)s]"
     )
-    parser.add_argument(
-        "--jobs", type=options.positive_count, default=2, metavar="N", help="[%(default)s]"
-    )
+    add_jobs(parser, 2)
     return program.run(_body, parser.parse_args(argv))
 
 

@@ -143,8 +143,9 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval, claimed_growth)
     h, change = sensitivities(nav, H)
-    of_stamp = stamp_covariance(nav[VELOCITY], share_of_motion(clock), m)
-    if not is_position:
+    if is_position:
+        of_stamp = stamp_covariance(nav[VELOCITY], share_of_motion(clock), m)
+    else:
         of_stamp = np.outer(change, change)
         if variance > 0.0:
             stamp_variance = max(stamp_variance, age_mean_square(clock))

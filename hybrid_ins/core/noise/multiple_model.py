@@ -67,6 +67,7 @@ from hybrid_ins.core.noise.weights import (
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight
 from hybrid_ins.core.update.linalg import log_determinant
+from hybrid_ins.core.update.measurements import roots_by_axis
 
 Array = NDArray[np.float64]
 
@@ -82,8 +83,8 @@ for _level in _R_LEVELS:
 WIDTH = COUNT + -COUNT % 16
 WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
-_HYPOTHESES_OF_IMU[2], _HYPOTHESES_OF_IMU[STAMP_STD] = 1.0, 0.0
-_ROOTS_OF_VELOCITY = 10.0 ** (0.5 * WIDE_HYPOTHESES[ON_VELOCITY][[0, 0, 1]])
+_HYPOTHESES_OF_IMU[2] = 1.0
+_ROOTS_OF_VELOCITY = roots_by_axis(*10.0 ** WIDE_HYPOTHESES[ON_VELOCITY])
 _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
 # What is known besides the hypotheses' estimates, as one flat vector.
@@ -244,7 +245,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         before, T, m = self.estimates, self._time_to(correction), len(correction.z)
         stamp_stds, roots, in_force = STAMP_STD, _ROOTS_OF_OTHERS, np.ones(m)
         if (factors := correction.velocity_factors) is not None:
-            stamp_stds, in_force = AGE_STD, np.sqrt([factors[0], factors[0], factors[1]][:m])
+            stamp_stds, in_force = AGE_STD, roots_by_axis(*factors)[:m]
             roots = roots if correction.of_stamp is None else _ROOTS_OF_VELOCITY
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
@@ -278,9 +279,8 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _read_factors(self) -> None:
         found = self._values[FACTORS].tolist()
-        self.imu_factors = found[0], found[1]
-        self.fix_factor, self.slow_std, self.slow_probability = found[2:5]
-        self.stamp_std, self.stamp_probability = found[5:7]
+        self.imu_factors, self.fix_factor = (found[0], found[1]), found[2]
+        self.slow_std, self.slow_probability, self.stamp_std, self.stamp_probability = found[3:7]
         self.age_std, self.velocity_factors = found[7], (found[8], found[9])
 
     def _state_correction(self) -> StateCorrection:

@@ -20,7 +20,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.imu.samples import as_numbers
@@ -195,7 +195,7 @@ class VelocityFix:
         """Return it with a covariance multiplied by these factors."""
         if horizontally == vertically == 1.0:
             return self
-        roots = np.sqrt([horizontally, horizontally, vertically])
+        roots = roots_by_axis(horizontally, vertically)
         return replace(self, covariance_n=self.covariance_n * np.outer(roots, roots))
 
 
@@ -234,6 +234,11 @@ def clock_offset_ns(measurement: Measurement) -> int:
     """Return what was added to the stamp by the sensor's own clock [ns], 0 where there is none."""
     stamp_ns = getattr(measurement, "stamp_ns", None)
     return 0 if stamp_ns is None else measurement.t_ns - stamp_ns
+
+
+def roots_by_axis(horizontally: ArrayLike, vertically: ArrayLike) -> Array:
+    """Return the roots of factors on a covariance, of its rows and columns, (3,) or (3, n)."""
+    return np.sqrt(np.array([horizontally, horizontally, vertically]))
 
 
 def _given(R: Array, measured: Array) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages.conversions import NewMessage, stamp_ns
+from hybrid_ins.ros.messages.conversions import NewMessage, time_of
 from hybrid_ins.ros.messages.gps_fix import (
     TrackCheck,
     fix_type,
@@ -41,12 +41,12 @@ class GpsFixInput:
 
     def note_fix(self, message: Message, received_ns: int | None = None) -> None:
         """Note a NavSatFix on gnss/fix: it goes before a GPSFix, unless it has no stamp."""
-        self._other_ns = _time_of(message, received_ns) or self._other_ns
+        self._other_ns = time_of(message, received_ns) or self._other_ns
 
     def handle(self, message: Message, received_ns: int | None = None) -> list[Message]:
         """Use a message; returns what was made of it: a NavSatFix, a velocity."""
         estimator, inputs = self._estimator, self._estimator.inputs
-        t_ns = _time_of(message, received_ns)
+        t_ns = time_of(message, received_ns)
         if self._other_ns is not None and abs(t_ns - self._other_ns) < OTHER_TOPIC_NS:
             inputs.warn_once(
                 "gnss: two topics of fixes",
@@ -82,8 +82,3 @@ class GpsFixInput:
             value = float(getattr(message, name))
             if value > 0.0:
                 inputs.receiver[name] = value
-
-
-def _time_of(message: Message, received_ns: int | None) -> int:
-    """Return a message's stamp, or when it was received where that counts [ns]."""
-    return stamp_ns(message.header.stamp) if received_ns is None else received_ns

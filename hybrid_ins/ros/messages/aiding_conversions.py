@@ -19,7 +19,7 @@ from hybrid_ins.ros.messages.conversions import (
     Message,
     Refused,
     imu_yaw,
-    stamp_ns,
+    time_of,
     zero_stamp,
 )
 
@@ -77,7 +77,7 @@ class AidingMessages:
     def _velocity(
         self, message: Message, frame: str, received_ns: int | None
     ) -> BodyVelocity | Refused:
-        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        t_ns = time_of(message, received_ns)
         if t_ns <= 0:
             return zero_stamp("aiding")
         if frame not in ("", self.base_frame):
@@ -107,7 +107,7 @@ class AidingMessages:
 
     def heading(self, message: Message, received_ns: int | None = None) -> Heading | Refused:
         """Convert the orientation of a sensor_msgs/Imu, ENU, in the axes of the base frame."""
-        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        t_ns = time_of(message, received_ns)
         if t_ns <= 0:
             return zero_stamp("aiding")
         q = message.orientation
@@ -124,7 +124,7 @@ class AidingMessages:
         self, message: Message, received_ns: int | None = None
     ) -> BarometricHeight | Refused:
         """Convert a sensor_msgs/FluidPressure; the height is that of the standard atmosphere."""
-        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        t_ns = time_of(message, received_ns)
         if t_ns <= 0:
             return zero_stamp("aiding")
         pressure = float(message.fluid_pressure)

@@ -49,6 +49,11 @@ def stamp_ns(stamp: Message) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def time_of(message: Message, received_ns: int | None) -> int:
+    """Return a message's stamp, or when it was received where that counts [ns]."""
+    return stamp_ns(message.header.stamp) if received_ns is None else received_ns
+
+
 def set_stamp(stamp: Message, t_ns: int) -> None:
     """Write integer nanoseconds into a builtin_interfaces/Time."""
     seconds, nanoseconds = divmod(t_ns, 1_000_000_000)
@@ -143,7 +148,7 @@ class GnssInput:
 
     def position(self, message: Message, received_ns: int | None = None) -> PositionFix | Refused:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` replaces its stamp if given."""
-        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        t_ns = time_of(message, received_ns)
         if t_ns <= 0:
             return zero_stamp("gnss")
         if message.status.status < STATUS_FIX:
@@ -198,7 +203,7 @@ class GnssInput:
 
     def velocity(self, message: Message, received_ns: int | None = None) -> VelocityFix | Refused:
         """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
-        t_ns = stamp_ns(message.header.stamp) if received_ns is None else received_ns
+        t_ns = time_of(message, received_ns)
         if t_ns <= 0:
             return zero_stamp("velocity")
         linear = message.twist.twist.linear
