@@ -24,9 +24,9 @@ from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.core.imu_axes import fit as imu_axes_fit
 from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.state import COVARIANCE, N_ERROR, N_NAV, NavState
+from hybrid_ins.core.noise import hypotheses, position_scatter, scatter_evidence
 from hybrid_ins.core.noise import multiple_model as noise_multiple_model
 from hybrid_ins.core.noise import multiple_model_step as noise_multiple_model_step
-from hybrid_ins.core.noise import position_scatter
 from hybrid_ins.core.sensor_errors import (
     clock_offset,
     clock_sensitivity,
@@ -152,7 +152,7 @@ def _compile_filter() -> None:
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
-    position_scatter.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), 1.0, np.eye(3))
+    scatter_evidence.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), np.eye(3))
     position_scatter.change_slow_error(nav, np.zeros(3), 0.0, position_scatter.NO_GROWTH)
     clock = clock_offset.ClockOffsetObserver(0.1).values
     fix_update.fuse_ordinary_fix(
@@ -161,7 +161,6 @@ def _compile_filter() -> None:
         np.zeros(3),
         np.eye(3),
         True,
-        1.0,
         np.zeros(3),
         0.0,
         position_scatter.NO_GROWTH,
@@ -188,9 +187,9 @@ def _compile_output() -> None:
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
     values = np.ones(noise_multiple_model.WEIGHTS.stop)
-    estimates = np.zeros((noise_multiple_model_step.N_ROWS, noise_multiple_model.WIDTH))
+    estimates = np.zeros((noise_multiple_model_step.N_ROWS, hypotheses.WIDTH))
     noise_multiple_model.update_hypotheses(
-        noise_multiple_model.WIDE_HYPOTHESES,
+        hypotheses.WIDE_HYPOTHESES,
         estimates,
         estimates.copy(),
         values,
@@ -202,8 +201,8 @@ def _compile_output() -> None:
         1.0,
         0.0,
         turn,
-        np.zeros(noise_multiple_model.WIDTH),
-        np.ones((3, noise_multiple_model.WIDTH)),
+        np.zeros(hypotheses.WIDTH),
+        np.ones((3, hypotheses.WIDTH)),
         np.ones(3),
         zero,
         0.0,

@@ -85,7 +85,7 @@ def smoothed_pass(fitted: Fit, nominal: Nominal, k: int, passed: FilterPass) -> 
         outlying = max(1.0, (TAIL + float(passed.nis[row])) / (TAIL + size))
         split = None
         if recording.aid_kind[row] == POSITION:
-            split = Split(model.position_scale, slow[row], (int(stamps[row]) - last_ns) * 1e-9)
+            split = Split(R[row], slow[row], (int(stamps[row]) - last_ns) * 1e-9)
             last_ns = int(stamps[row])
         updates.append(Update(int(stamps[row]), there, measurement, outlying, split=split))
     gap_ns = round(LONG_STEP * recording.period * 1e9)

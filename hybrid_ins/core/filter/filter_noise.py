@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.noise.hypotheses import clear_slow_std
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.noise.position_jumps import PositionJumps
+from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
@@ -50,11 +51,8 @@ class FilterNoise:
 
     Attributes
     ----------
-    claimed_std : float
-        Horizontal standard deviation [m] that the last position claimed.
-    unclaimed_std, excess : float
-        Standard deviation [m] of a slow error of fixes, and factor on their variance, that are not
-        claimed; see `position_scatter.Split`.
+    split : Split
+        Of what the last position claimed.
     jumps : PositionJumps
         Jumps of fixes that are not claimed.
     without_scale : NoiseMultipleModelBank or None
@@ -74,7 +72,7 @@ class FilterNoise:
         self.factors = factors
         self.without_scale = None if factors is None else NoiseMultipleModelBank()
         self.considers_scale = self._explained = False
-        self.claimed_std, self.unclaimed_std, self.excess = math.inf, 0.0, 1.0
+        self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_std=math.inf)
         self.jumps = PositionJumps()
         self._suspected: tuple[Correction, Array] | None = None
         self._restarted = False
@@ -128,9 +126,23 @@ class FilterNoise:
         """Factors on the covariance that velocities claim, horizontally and vertically."""
         return (1.0, 1.0) if self.factors is None else self.factors.velocity_factors
 
-    def velocity_factors_of(self, measurement: Measurement) -> tuple[float, float] | None:
-        """Return those that are in the covariance of a measurement; None if it is no velocity."""
-        return self.velocity_factors if isinstance(measurement, VelocityFix) else None
+    @property
+    def height_factor(self) -> float:
+        """Factor on the variance that positions claim of the height, besides ``fix_factor``."""
+        return 1.0 if self.factors is None else self.factors.height_factor
+
+    def split_of(self, fix: PositionFix, scatter: PositionScatter) -> Split:
+        """Return the split of a position's covariance, and keep it."""
+        self.split = scatter.split(
+            fix.claimed, fix.t_ns, self.slow_std, self.fix_factor, self.height_factor
+        )
+        return self.split
+
+    def factors_by_axis(self, measurement: Measurement) -> tuple[float, float]:
+        """Return those that are in the covariance of a measurement, besides ``fix_factor``."""
+        if isinstance(measurement, VelocityFix):
+            return self.velocity_factors
+        return (1.0, self.height_factor) if isinstance(measurement, PositionFix) else (1.0, 1.0)
 
     @property
     def stamps_scatter(self) -> bool:
@@ -150,8 +162,8 @@ class FilterNoise:
         The published covariance contains any. But the slow error of an honest metre may change
         faster than is assumed, which one of the hypotheses may explain for a while.
         """
-        known = self.unclaimed_std > 0.0 and self.slow_is_probable
-        return known and self.unclaimed_std > clear_slow_std(self.claimed_std)
+        known = self.split.unclaimed_std > 0.0 and self.slow_is_probable
+        return known and self.split.unclaimed_std > clear_slow_std(self.split.claimed_std)
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""

@@ -24,8 +24,9 @@ from hybrid_ins.core.inertial.state import (
     VELOCITY,
 )
 from hybrid_ins.core.inertial.strapdown import rotation
-from hybrid_ins.core.noise.position_scatter import Split, change_slow_error, scatter_evidence
+from hybrid_ins.core.noise.position_scatter import Split, change_slow_error
 from hybrid_ins.core.noise.process_noise import Correction
+from hybrid_ins.core.noise.scatter_evidence import scatter_evidence
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import age_mean_square, observe, share_of_motion
 from hybrid_ins.core.sensor_errors.clock_sensitivity import (
@@ -49,8 +50,8 @@ Array = NDArray[np.float64]
 FULL_WEIGHT = np.array([ORDINARY.get(m, 0.0) for m in range(4)])  # largest NIS, by components
 
 # What is returned, as one flat vector.
-NIS, LOG_DET, WEIGHT, SCATTER = 0, 1, 2, slice(3, 5)
-SIGMA, INNOVATION, CORRECTION = slice(5, 8), slice(8, 11), slice(11, 11 + N_ERROR)
+NIS, LOG_DET, WEIGHT, TOTALS, COUNTS = 0, 1, 2, slice(3, 5), slice(5, 7)
+SIGMA, INNOVATION, CORRECTION = slice(7, 10), slice(10, 13), slice(13, 13 + N_ERROR)
 ATTITUDE = slice(CORRECTION.stop, CORRECTION.stop + 9)
 S_MATRIX = slice(ATTITUDE.stop, ATTITUDE.stop + 9)
 H_MATRIX = slice(S_MATRIX.stop, S_MATRIX.stop + 3 * N_ERROR)
@@ -69,9 +70,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     nav,
     measured,
     lever_b,
-    covariance_n,
+    white,
     is_position,
-    share,
     slow_variance,
     slow_interval,
     claimed_growth,
@@ -91,16 +91,17 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     ----------
     nav : ndarray, shape (N_FLAT,)
         Flat state with nothing pending; overwritten.
-    measured, lever_b, covariance_n : ndarray, shape (3,), (3,), (m, m)
-        See `measurements.PositionFix` and `VelocityFix`; m is 2 where the fix lacks the vertical.
+    measured, lever_b, white : ndarray, shape (3,), (3,), (m, m)
+        See `measurements.PositionFix` and `VelocityFix`, `position_scatter.Split`; of a velocity
+        all of its covariance. m is 2 where the fix lacks the vertical.
     is_position : bool
         Otherwise the fix is a velocity.
-    share, slow_variance, slow_interval, claimed_growth
-        See `position_scatter.Split`; 1 and 0 of a velocity.
+    slow_variance, slow_interval, claimed_growth
+        See `position_scatter.Split`.
     learning : bool
         The scatter of positions is learned.
     fix_factor : float
-        On the covariance of fixes.
+        On ``white``.
     stamp_variance : float
         Of the stamp of a position, or of the age of a velocity [s²].
     clock : ndarray, shape (N_CLOCK,)
@@ -122,7 +123,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     bool
         The fix was fused.
     """
-    m, variance = len(covariance_n), nav[CLOCK_VARIANCE]
+    m, variance = len(white), nav[CLOCK_VARIANCE]
     finite = limit >= 0.0
     for i in range(N_NAV):
         finite = finite and np.isfinite(nav[i])
@@ -133,13 +134,12 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     else:
         z, H = velocity_model(nav, measured, lever_b)
     z, H = z[:m], H[:m]
-    packed, white, R = nav[COVARIANCE], np.empty((m, m)), np.empty((m, m))
+    packed, scaled, R = nav[COVARIANCE], np.empty((m, m)), np.empty((m, m))
     diagonal, slow = np.empty(m), nav[SLOW_VARIANCE].copy()
     for a in range(m):
         diagonal[a] = packed[DIAGONAL[a]]
         for b in range(m):
-            white[a, b] = share * covariance_n[a, b]
-            R[a, b] = white[a, b] * fix_factor
+            scaled[a, b] = R[a, b] = white[a, b] * fix_factor
     if is_position:
         change_slow_error(nav, slow_variance, slow_interval, claimed_growth)
     h, change = sensitivities(nav, H)
@@ -169,10 +169,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
             packed[DIAGONAL[a]], nav[SLOW_VARIANCE][a] = diagonal[a], slow[a]
         return False
     if is_position and learning:
-        total, count, normalised = scatter_evidence(
-            packed, z, H, covariance_n, share * fix_factor, of_stamp
-        )
-        result[SCATTER][0], result[SCATTER][1] = total, count
+        totals, counts, normalised = scatter_evidence(packed, z, H, scaled, of_stamp)
+        result[TOTALS], result[COUNTS] = totals, counts
         for a in range(m):
             result[NORMALISED][a] = normalised[a]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
@@ -234,5 +232,6 @@ def correction_of(
         stamp_std=noise.stamp_std_of(fix),
         slow_growth=split.claimed_growth,
         claimed_std=split.claimed_std,
-        velocity_factors=noise.velocity_factors_of(fix),
+        kind=fix.kind,
+        factors_by_axis=noise.factors_by_axis(fix),
     )

@@ -28,9 +28,11 @@ from hybrid_ins.core.filter.events import (
 )
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.fix_update import (
+    COUNTS,
     N_RESULT,
     NORMALISED,
     SIGMA,
+    TOTALS,
     correction_of,
     fuse_ordinary_fix,
 )
@@ -55,8 +57,9 @@ from hybrid_ins.core.inertial.state import (
     pack,
 )
 from hybrid_ins.core.noise.multiple_model import StateCorrection
-from hybrid_ins.core.noise.position_scatter import Evidence, PositionScatter, Split
+from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate
+from hybrid_ins.core.noise.scatter_evidence import Evidence
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import (
     ClockOffsetObserver,
@@ -88,7 +91,7 @@ Array = NDArray[np.float64]
 Fused = tuple[Verdict, bool, Evidence | None]
 """Verdict, whether the noise moved the state, and what a position's scatter teaches."""
 
-UNSPLIT = Split(1.0, np.empty(0), 0.0)  # the covariance of what is no position
+UNSPLIT = Split(np.empty(0), np.empty(0), 0.0)  # the covariance of what is no position
 
 
 class Outcome(NamedTuple):
@@ -174,10 +177,7 @@ class MeasurementUpdate:
             _apply_change(self, nav, event, ring)
         else:
             if isinstance(event, PositionFix):
-                noise, claimed = self.noise, event.claimed
-                split = self.scatter.split(claimed, event.t_ns, noise.slow_std, noise.fix_factor)
-                noise.claimed_std, noise.unclaimed_std = split.claimed_std, split.unclaimed_std
-                noise.excess = split.excess
+                split = self.noise.split_of(event, self.scatter)
             elif isinstance(event, VelocityFix):
                 event = event.scaled(*self.noise.velocity_factors)
             fused = self._fuse_ordinary(nav, event, split, age)
@@ -206,9 +206,9 @@ class MeasurementUpdate:
             measured = fix.velocity_n
         else:
             return None
-        claimed = fix.claimed
-        m, noise, clock, parts = len(claimed), self.noise, self.clock, split or UNSPLIT
-        uses_corrections = noise.uses_corrections
+        noise, clock, parts = self.noise, self.clock, split or UNSPLIT
+        white = fix.claimed if split is None else split.white
+        m, uses_corrections = len(white), noise.uses_corrections
         interval = (fix.t_ns - self.corrected_ns) * 1e-9
         before = np.empty(len(nav) if uses_corrections else 0)
         result = np.empty(N_RESULT)
@@ -216,9 +216,8 @@ class MeasurementUpdate:
             nav,
             measured,
             fix.lever_b,
-            claimed,
+            white,
             split is not None,
-            parts.share,
             parts.slow_variance,
             parts.interval,
             parts.claimed_growth,
@@ -235,7 +234,7 @@ class MeasurementUpdate:
         clock.on_corrected(fix.t_ns)
         self.corrected_ns = fix.t_ns
         self.scale_errors.end_outage()
-        nis, log_det, weight, total, count = result[: SIGMA.start].tolist()
+        nis, log_det, weight = result[: TOTALS.start].tolist()
         threshold, sigma = self.gate.threshold(m), result[SIGMA][:m]
         verdict = Verdict(fix, True, "", age, nis, threshold, sigma, log_det, weight=weight)
         moved = uses_corrections and self._learn_noise(
@@ -244,8 +243,8 @@ class MeasurementUpdate:
                 fix, result, interval, before, weight, noise, self.scatter.in_force, parts
             ),
         )
-        found = (total, count, result[NORMALISED][:m]) if self.scatter.learning else None
-        return verdict, moved, found
+        found = result[TOTALS], result[COUNTS], result[NORMALISED][:m]
+        return verdict, moved, found if self.scatter.learning else None
 
     def _fuse(self, nav: Array, measurement: Measurement, split: Split | None, age: float) -> Fused:
         """
@@ -311,7 +310,8 @@ class MeasurementUpdate:
             stamp_std=self.noise.stamp_std_of(measurement),
             slow_growth=parts.claimed_growth,
             claimed_std=parts.claimed_std,
-            velocity_factors=self.noise.velocity_factors_of(measurement),
+            kind=measurement.kind,
+            factors_by_axis=self.noise.factors_by_axis(measurement),
         )
         if measurement.sensor != GNSS:
             if verdict.accepted and measurement.sensor != IMU:

@@ -5,7 +5,7 @@ Most are a grid of factors on the noise of accelerometer, gyroscope and fixes. B
 of a receiver that claims centimetres whatever solution it has: an R that is far too small, a slow
 error of positions, and both; and of a driver that stamps fixes when they arrive, which is late by a
 time that varies; and of receivers that filter velocities, which are old, or err for seconds by more
-than they claim.
+than they claim; and of a claim that is one constant for heights and the rest.
 """
 
 from __future__ import annotations
@@ -48,10 +48,14 @@ AGE_STDS = np.array([0.2, 0.6])  # s, of the age of velocities
 VELOCITY_DECADES = np.array([[1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 1.0, 2.0]])  # horizontal, vertical
 BESIDE_VELOCITY = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
 VELOCITY_COST = 4.0  # nats of evidence that velocities are old, or err by more than they claim
+HEIGHT_DECADES = np.array([1.0, 2.4])  # of the factor on R of heights alone
+BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
+HEIGHT_COST = 2.0  # nats of evidence that it is above 1
 
 # Of one column: decades of the factors on accelerometer, gyroscope and R; standard deviations; and
-# decades of those on R of velocities, horizontally and vertically.
-_ACCELEROMETER, _FIXES, _SLOW, _STAMP, _AGE, _HORIZONTAL, _VERTICAL, _ROWS = 0, 2, 3, 4, 5, 6, 7, 8
+# decades of those on R of velocities, horizontally and vertically, and on that of heights.
+_ACCELEROMETER, _FIXES, _SLOW, _STAMP, _AGE, _HORIZONTAL, _VERTICAL = 0, 2, 3, 4, 5, 6, 7
+_HEIGHT, _ROWS = 8, 9
 
 
 def _beside(decades: Array, values: dict[int, Array]) -> Array:
@@ -78,6 +82,7 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
             BESIDE_VELOCITY,
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
         ),
+        _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
         _beside(SLOW_DECADES, {_SLOW: SLOW_STDS}),
         _beside(
             np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
@@ -96,7 +101,9 @@ _LOG_PRIOR = -sum(
     ),
     SLOW_COST * (_COLUMNS[_SLOW] > 0.0)
     + STAMP_COST * (_COLUMNS[_STAMP] > 0.0)
-    + VELOCITY_COST * _OF_VELOCITY,
+    + VELOCITY_COST * _OF_VELOCITY
+    + HEIGHT_COST * (_COLUMNS[_HEIGHT] > 0.0)
+    + DECADE_COST[2] * _COLUMNS[_HEIGHT],
 )
 COUNT = len(_LOG_PRIOR)
 
@@ -105,7 +112,8 @@ ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyro
 LOG_FACTORS = slice(6, 9)  # decades
 SLOW_STD, STAMP_STD, AGE_STD = 9, 10, 11  # m; s, of a position's stamp and of a velocity's age
 ON_VELOCITY = slice(12, 14)  # decades of the factors on R of velocities
-LOG_PRIOR = 14
+ON_HEIGHT = 14  # decades of that on R of heights
+LOG_PRIOR = 15
 HYPOTHESES = np.vstack(
     (
         10.0 ** _COLUMNS[:3],
@@ -114,6 +122,14 @@ HYPOTHESES = np.vstack(
         _LOG_PRIOR,
     )
 )
+
+# Vector instructions take several hypotheses at once: the last one is repeated to fill them.
+WIDTH = COUNT + -COUNT % 16
+WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
+# Of positions: the factor on R, and that on the height's besides; those with the same are a level.
+ON_R = np.stack((HYPOTHESES[2], 10.0 ** HYPOTHESES[ON_HEIGHT]))
+_LEVEL = np.unique(ON_R, axis=1, return_inverse=True)[1].ravel()
+R_LEVELS = [np.flatnonzero(level == _LEVEL) for level in range(_LEVEL.max() + 1)]
 
 
 @register_jitable

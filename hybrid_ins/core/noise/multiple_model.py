@@ -45,29 +45,37 @@ from hybrid_ins.core.inertial.strapdown import rotation
 from hybrid_ins.core.noise.hypotheses import (
     AGE_STD,
     COUNT,
-    HYPOTHESES,
-    LOG_PRIOR,
+    ON_HEIGHT,
     ON_NOISE,
+    ON_R,
     ON_VELOCITY,
+    R_LEVELS,
     SLOW_WALK,
     STAMP_STD,
+    WIDE_HYPOTHESES,
+    WIDTH,
 )
 from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.noise.position_scatter import NO_GROWTH
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.weights import (
-    ANY_CLAIM,
     AT_START,
     FAMILIES,
     add_likelihood,
     average,
     fade,
+    likelihood_of_r,
     weigh,
 )
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.kalman import covariances_at_full_weight
 from hybrid_ins.core.update.linalg import log_determinant
-from hybrid_ins.core.update.measurements import roots_by_axis
+from hybrid_ins.core.update.measurements import (
+    PositionFix,
+    VelocityFix,
+    roots_by_axis,
+    scaled_by_axis,
+)
 
 Array = NDArray[np.float64]
 
@@ -75,29 +83,23 @@ OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
-_R_LEVELS = [np.flatnonzero(HYPOTHESES[2] == factor) for factor in np.unique(HYPOTHESES[2])]
-_LOG_PRIOR_OF_R = np.empty(COUNT)
-for _level in _R_LEVELS:
-    _LOG_PRIOR_OF_R[_level] = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][_level])
-# Vector instructions take several hypotheses at once: the last one is repeated to fill them.
-WIDTH = COUNT + -COUNT % 16
-WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2] = 1.0
 _ROOTS_OF_VELOCITY = roots_by_axis(*10.0 ** WIDE_HYPOTHESES[ON_VELOCITY])
+_ROOTS_OF_POSITION = roots_by_axis(np.ones(WIDTH), 10.0 ** WIDE_HYPOTHESES[ON_HEIGHT])
 _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 10)  # in force, see `weights.average`
-LOWEST = slice(10, 17)  # of those that move the state, since it was last corrected
-CLAIMED_STD = 17  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(18, 21), slice(21, 30)  # n, and C_nb, after the last correction
-PENDING_G = slice(30, 30 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
+FACTORS = slice(0, 11)  # in force, see `weights.average`
+LOWEST = slice(11, 19)  # of those that move the state, since it was last corrected
+CLAIMED_STD = 19  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(20, 23), slice(23, 32)  # n, and C_nb, after the last correction
+PENDING_G = slice(32, 32 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
-_START[FACTORS][[0, 1, 2, 8, 9]] = 1.0
+_START[FACTORS][[0, 1, 2, 8, 9, 10]] = 1.0
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
@@ -133,6 +135,8 @@ class NoiseMultipleModelBank(ShallowCopy):
         Standard deviation of the age of velocities [s]; 0: the innovations show none.
     velocity_factors : (float, float)
         On the covariance that velocities claim, horizontally and vertically, beside ``fix_factor``.
+    height_factor : float
+        On the variance that positions claim of the height, likewise.
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Of the hypotheses, see `advance`; None before the second fix.
 
@@ -145,7 +149,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def __init__(self) -> None:
         self.imu_factors, self.fix_factor = (1.0, 1.0), 1.0
         self.slow_std = self.slow_probability = self.stamp_std = self.stamp_probability = 0.0
-        self.age_std, self.velocity_factors = 0.0, (1.0, 1.0)
+        self.age_std, self.velocity_factors, self.height_factor = 0.0, (1.0, 1.0), 1.0
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -158,19 +162,11 @@ class NoiseMultipleModelBank(ShallowCopy):
         """
         self.estimates = None
         if not keep_weights:
-            of_fixes = self._log_likelihood_of_fixes()
             self._values = self._values.copy()
+            of_fixes = likelihood_of_r(self._values[LOG_LIKELIHOOD], self._values[OF_FAMILY])
             for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
                 self._values[part] = _START[part]
             self._add_log_likelihood(of_fixes)
-
-    def _log_likelihood_of_fixes(self) -> Array:
-        """Return that of the factor on R alone, for each hypothesis, (COUNT,)."""
-        values, posterior, found = self._values, np.empty(COUNT), np.empty(COUNT)
-        weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], ANY_CLAIM, posterior)
-        for level in _R_LEVELS:
-            found[level] = np.log(posterior[level].sum()) - _LOG_PRIOR_OF_R[level]
-        return np.asarray(found - found.max())
 
     def weigh_jump(self, correction: Correction, R: Array) -> None:
         """
@@ -184,12 +180,13 @@ class NoiseMultipleModelBank(ShallowCopy):
         correction : Correction
             With S that ``R`` is contained in.
         R : ndarray, shape (m, m)
-            With the correction's ``fix_factor``.
+            With the correction's ``fix_factor`` and ``factors_by_axis``.
         """
         z, m, found = correction.z, len(R), np.empty(COUNT)
-        for level in _R_LEVELS:
-            factor = HYPOTHESES[ON_NOISE][2][level[0]] / correction.fix_factor
-            S = correction.S + (factor - 1.0) * R
+        for level in R_LEVELS:
+            common, on_height = ON_R[:, level[0]]
+            factors = common, common * on_height / correction.factors_by_axis[1]
+            S = correction.S - R + scaled_by_axis(R / correction.fix_factor, *factors)
             tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
             found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
         self._values = self._values.copy()
@@ -244,8 +241,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         """See `update_hypotheses`."""
         before, T, m = self.estimates, self._time_to(correction), len(correction.z)
         stamp_stds, roots, in_force = STAMP_STD, _ROOTS_OF_OTHERS, np.ones(m)
-        if (factors := correction.velocity_factors) is not None:
-            stamp_stds, in_force = AGE_STD, roots_by_axis(*factors)[:m]
+        if correction.kind == PositionFix.kind:
+            roots, in_force = _ROOTS_OF_POSITION, roots_by_axis(*correction.factors_by_axis)[:m]
+        elif correction.kind == VelocityFix.kind:
+            stamp_stds, in_force = AGE_STD, roots_by_axis(*correction.factors_by_axis)[:m]
             roots = roots if correction.of_stamp is None else _ROOTS_OF_VELOCITY
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
@@ -282,6 +281,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         self.imu_factors, self.fix_factor = (found[0], found[1]), found[2]
         self.slow_std, self.slow_probability, self.stamp_std, self.stamp_probability = found[3:7]
         self.age_std, self.velocity_factors = found[7], (found[8], found[9])
+        self.height_factor = found[10]
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""

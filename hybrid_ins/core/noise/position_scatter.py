@@ -8,10 +8,11 @@ error less than it claims to. So the claimed variance is split: R is the white p
 it, and the rest is the variance B of a slow error, a first-order Gauss-Markov process.
 
 The share r is learned from the innovations by its likelihood, in steps of the method of scoring,
-[2]_. What was learned fades as new evidence comes in, and starts as a prior about the given share.
-A receiver that scatters by more than it claims has a share above 1. The factor on R that the
-innovations show (`multiple_model`) is found sooner and is coarser; the share contains it, so
-R is multiplied by the larger of the two.
+[2]_, one horizontally and one vertically: drivers that claim a constant claim as much of heights,
+which scatter by more. What was learned fades as new evidence comes in, and starts as a prior about
+the given share. A receiver that scatters by more than it claims has a share above 1. The factors on
+R that the innovations show (`multiple_model`) are found sooner and are coarser; the share contains
+them, so R is multiplied by the larger of the two.
 
 A filter that believed in too large an R until now has too large a P as well, and its innovations
 show less than no scatter; what is learned is therefore never less than the smallest share.
@@ -55,15 +56,14 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
+from hybrid_ins.core.noise.scatter_evidence import Evidence, scatter_evidence
 from hybrid_ins.core.shallow_copy import ShallowCopy
-from hybrid_ins.core.update.kalman import innovation_covariance
-from hybrid_ins.core.update.linalg import factorise, solve
-from hybrid_ins.core.update.measurements import LinearModel
+from hybrid_ins.core.update.measurements import LinearModel, scaled_by_axis
 
 Array = NDArray[np.float64]
 
 SCATTER_MEMORY = 30.0  # s, over which the scatter is averaged
-PRIOR_COUNT = 20.0  # components, that the given share weighs at the start, and that are remembered
+PRIOR_COUNT = 7.0  # fixes, that the given share weighs at the start, and that are remembered
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.003  # share of the claimed variance
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
@@ -84,26 +84,53 @@ NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 
 
-Evidence = tuple[float, float, Array]
-"""See `scatter_evidence`."""
+Shares = tuple[float, float]
+"""Horizontally and vertically."""
 
 
 class Split(NamedTuple):
     """The claimed variance of a position in two parts."""
 
-    share: float  # of it that is white; above 1: positions scatter by more than they claim
+    white: Array  # (m, m) m², NED: R at a factor of fixes of 1
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
+    factors: Shares = (1.0, 1.0)  # all that are on the claimed covariance
     claimed_std: float = 0.0  # m, horizontally; 0: no position
     claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
     claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
     unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
-    excess: float = 1.0  # factor by which positions scatter more than is claimed and given
+    excess: Shares = (1.0, 1.0)  # by which positions scatter more than is claimed and given
+
+
+class _Part(NamedTuple):
+    """A share, horizontal or vertical, and the evidence on it: sums over fixes that fade."""
+
+    components: int
+    total: float
+    seen: float  # components
+    share: float
+
+    @classmethod
+    def given(cls, share: float, components: int) -> _Part:
+        """Return the prior about a share."""
+        mean = share / MARGIN if share <= 1.0 else share + EXCESS
+        count = PRIOR_COUNT * components
+        return cls(components, count * mean, count, share)
+
+    def updated(self, total: float, count: float, interval: float) -> _Part:
+        """Return it after an interval [s], with what a fix shows, see `scatter_evidence`."""
+        remembered = min(PRIOR_COUNT * self.components / self.seen, 1.0)
+        fading = max(math.exp(-interval / SCATTER_MEMORY), remembered)
+        count = fading * self.seen + count
+        largest = LARGEST_RESIDUAL * self.components * max(1.0, self.share)
+        total = max(fading * self.total + min(total, largest), SMALLEST * count)
+        share = max(min(MARGIN * total / count, 1.0), total / count - EXCESS)
+        return _Part(self.components, total, count, share)
 
 
 class PositionScatter(ShallowCopy):
     """
-    Share of the claimed variance of positions that is white.
+    Shares of the claimed variance of positions that are white.
 
     A copy is a checkpoint.
 
@@ -118,10 +145,10 @@ class PositionScatter(ShallowCopy):
     ----------
     learning : bool
         See above.
-    learned : float
-        Share that the fixes show; the given one until they do.
+    learned : (float, float)
+        Shares that the fixes show; the given one until they do.
     in_force : bool
-        Positions are fused with the learned share. Otherwise, while heading or clock are searched
+        Positions are fused with the learned shares. Otherwise, while heading or clock are searched
         for, with no more than the given one, since a wrong heading looks like scatter, and with no
         less than a tenth of it, nor than ``REFLECTED_STD``: else the model's other errors are
         evidence on both. What a position claims beyond the smallest claim counts in full.
@@ -138,25 +165,34 @@ class PositionScatter(ShallowCopy):
     def begin(self, learning: bool) -> None:
         """Return to the given share, and learn it from the fixes from now on, or do not."""
         given, self.learning = self._given, learning
-        self._count = PRIOR_COUNT
-        self._sum = PRIOR_COUNT * (given / MARGIN if given <= 1.0 else given + EXCESS)
-        self.learned = given
+        self._parts = tuple(_Part.given(given, components) for components in (2, 1))
         self._normalised = np.empty(0)  # the last position's innovation
         self._walk = 1.0  # factor on the walk of the slow error
 
-    def share(self, claimed: Array) -> float:
-        """Return the share in force for a claimed covariance (m, m)."""
-        horizontal = horizontal_variance(claimed)
-        share = self.learned if self.in_force else self._searched(horizontal)
+    @property
+    def learned(self) -> Shares:
+        """See above."""
+        horizontal, vertical = self._parts
+        return horizontal.share, vertical.share
+
+    def shares(self, claimed: Array) -> Shares:
+        """Return the shares in force for a claimed covariance (m, m)."""
+        variance = horizontal_variance(claimed)
+        of_horizontal, of_vertical = self.learned
+        return self._share(of_horizontal, variance), self._share(of_vertical, variance)
+
+    def _share(self, learned: float, horizontal: float) -> float:
+        """Return the share in force by a learned one for a claimed variance [m²]."""
+        share = learned if self.in_force else self._searched(learned, horizontal)
         if share >= 1.0:
             return share if horizontal >= SMALLEST_CLAIM**2 else self._largest_expected
         return max(share, min(1.0, SMALLEST_STD**2 / horizontal))
 
-    def _searched(self, horizontal: float) -> float:
-        """Return the share for a claimed variance [m²] while heading or clock are searched for."""
+    def _searched(self, learned: float, horizontal: float) -> float:
+        """Return it while heading or clock are searched for."""
         usual = min(self._usual, horizontal)
         least = self._given * max(LEAST_SEARCHED, min(1.0, REFLECTED_STD**2 / usual))
-        share = min(max(self.learned, least), self._given)
+        share = min(max(learned, least), self._given)
         return (usual * share + (horizontal - usual) * self._given) / horizontal
 
     @property
@@ -164,7 +200,14 @@ class PositionScatter(ShallowCopy):
         """The largest share that needs no evidence."""
         return max(1.0, self._given)
 
-    def split(self, claimed: Array, t_ns: int, slow_std: float, fix_factor: float = 1.0) -> Split:
+    def split(
+        self,
+        claimed: Array,
+        t_ns: int,
+        slow_std: float,
+        fix_factor: float = 1.0,
+        height_factor: float = 1.0,
+    ) -> Split:
         """
         Return the split of a position's covariance.
 
@@ -176,17 +219,24 @@ class PositionScatter(ShallowCopy):
             Stamp of the fix [ns].
         slow_std : float
             Standard deviation of the slow error that the innovations show, horizontally [m].
-        fix_factor : float
-            On the white part, by the innovations: the split is made for it.
+        fix_factor, height_factor : float
+            On R, and on that of the height besides, by the innovations: the split is made for them.
         """
         horizontal = horizontal_variance(claimed)
         self._usual = min(self._usual, horizontal)
-        share, since = self.share(claimed), (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
+        since = (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
-        if share > self._largest_expected:
-            share = max(share / fix_factor, self._largest_expected)
+        across, upward = self.shares(claimed)
+        largest = self._largest_expected
+        common = min(max(min(across, upward) / largest, 1.0), fix_factor)
+        across = _without(common, across, largest)
+        upward = _without(common * height_factor, upward, largest)
+        excess = max(across / largest, 1.0), max(upward / largest, 1.0)
         lost = 1.0 - self._usual / horizontal
-        slow = claimed_slow = max(1.0 - share, _least_slow(claimed), lost) * claimed.diagonal()
+        slow = claimed_slow = claimed.diagonal() * np.maximum(
+            1.0 - np.array((across, across, upward)[: len(claimed)]),
+            max(_least_slow(claimed), lost),
+        )
         growth = np.zeros(3)
         for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
             is_new = after > NEW_SOLUTION * before
@@ -195,8 +245,18 @@ class PositionScatter(ShallowCopy):
             slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
         claimed_std = math.sqrt(horizontal)
         unclaimed = slow_std if slow_std > claimed_std else 0.0
-        excess = max(share / self._largest_expected, 1.0)
-        return Split(share, slow, interval, claimed_std, claimed_slow, growth, unclaimed, excess)
+        on_R = across, upward * height_factor
+        return Split(
+            scaled_by_axis(claimed, *on_R),
+            slow,
+            interval,
+            (on_R[0] * fix_factor, on_R[1] * fix_factor),
+            claimed_std,
+            claimed_slow,
+            growth,
+            unclaimed,
+            excess,
+        )
 
     def split_model(
         self, nav: Array, model: LinearModel, split: Split, fix_factor: float, by_stamp: Array
@@ -207,13 +267,12 @@ class PositionScatter(ShallowCopy):
         The slow error of the flat state ``nav`` becomes that of the fix. ``fix_factor`` is that on
         the covariance of fixes, ``by_stamp`` (m, m) [m²] the covariance by its stamp.
         """
-        z, H, claimed = model
+        z, H, _ = model
         change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
-        white = z, H, split.share * claimed
+        white = z, H, split.white
         if not self.learning:
             return white, None
-        factor = split.share * fix_factor
-        return white, scatter_evidence(nav[COVARIANCE], z, H, claimed, factor, by_stamp)
+        return white, scatter_evidence(nav[COVARIANCE], z, H, fix_factor * split.white, by_stamp)
 
     def learn(self, split: Split, evidence: Evidence | None, t_ns: int) -> None:
         """
@@ -227,21 +286,23 @@ class PositionScatter(ShallowCopy):
         self._t_ns, self._claimed_slow = t_ns, split.claimed_slow
         if evidence is None:
             return
-        total, count, normalised = evidence
-        fading = max(math.exp(-interval / SCATTER_MEMORY), min(PRIOR_COUNT / self._count, 1.0))
-        self._count = fading * self._count + count
-        largest = LARGEST_RESIDUAL * len(normalised) * max(1.0, self.learned)
-        self._sum = max(fading * self._sum + min(total, largest), SMALLEST * self._count)
-        mean = self._sum / self._count
-        self.learned = max(min(MARGIN * mean, 1.0), mean - EXCESS)
+        totals, counts, normalised = evidence
+        found = zip(self._parts, totals.tolist(), split.factors, counts.tolist(), strict=True)
+        self._parts = tuple(p.updated(f * total, n, interval) for p, total, f, n in found)
         m = min(len(normalised), len(self._normalised))
         if m and self.in_force and interval < LONGEST_INTERVAL:
             alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
             too_small = max(1.0 - float(np.mean(np.square(normalised))), 0.0)
+            count = float(counts.sum())
             of_state = 1.0 - math.sqrt(min(count / len(normalised), 1.0))  # the share of S
             change = alike - WALK_FALL * of_state**2 * too_small
             self._walk = min(max(self._walk * math.exp(WALK_GAIN * change), SMALLEST_WALK), 1.0)
         self._normalised = normalised
+
+
+def _without(factor: float, share: float, largest: float) -> float:
+    """Return a share besides a factor that is in R already, if it is more than was expected."""
+    return max(share / factor, largest) if share > largest else share
 
 
 def horizontal_variance(covariance_n: Array) -> float:
@@ -258,57 +319,6 @@ def uncorrected(claimed_std: float) -> float:
     """Return how far a claimed σ [m] is that of a receiver without corrections, 0 to 1."""
     share = (claimed_std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
     return min(max(share, 0.0), 1.0)
-
-
-@kernel()
-def scatter_evidence(packed, z, H, claimed, factor, others):  # type: ignore[no-untyped-def]
-    """
-    Return what an innovation shows of the factor on a position's claimed covariance.
-
-    With S = H P H' + f C + D the slope of its log-likelihood by f is
-    (1/2) tr(S^-1 C (S^-1 z z' - 1)), the expected curvature -(1/2) tr(S^-1 C S^-1 C). Since S is
-    linear in f, the step by both from any f is without bias. Where the innovation is mostly the
-    IMU's, it shows little of f.
-
-    Parameters
-    ----------
-    packed : ndarray, shape (120,)
-        Upper triangle of P, before the update.
-    z, H, claimed : ndarray, shape (m,), (m, 15), (m, m)
-        Innovation, measurement matrix, claimed covariance C.
-    factor : float
-        f, with which that is fused.
-    others : ndarray, shape (m, m)
-        Covariance D of the fix's other errors.
-
-    Returns
-    -------
-    total, count : float
-        The factor that it shows, times the number of components that would show as much if nothing
-        else were in the innovation; and that number, up to m.
-    normalised : ndarray, shape (m,)
-        The innovation by its standard deviations.
-    """
-    m = len(z)
-    root, _ = innovation_covariance(packed, H, factor * claimed + others)
-    normalised = z.copy()
-    for a in range(m):
-        normalised[a] /= np.sqrt(root[a, a])
-    factorise(root)
-    y, square, trace, count = z.copy(), 0.0, 0.0, 0.0
-    solve(root, y)
-    shown = np.empty((m, m))  # S^-1 C
-    for a in range(m):
-        column = claimed[:, a].copy()
-        for b in range(m):
-            square += y[a] * claimed[a, b] * y[b]
-        solve(root, column)
-        trace += column[a]
-        shown[:, a] = column
-    for a in range(m):
-        for b in range(m):
-            count += factor * factor * shown[a, b] * shown[b, a]
-    return factor * count + factor * factor * (square - trace), count, normalised
 
 
 @register_jitable

@@ -79,8 +79,10 @@ class Correction:
         Variance [m²], NED, by which a position's slow error has changed as claimed since the last.
     claimed_std : float
         Standard deviation [m] that a position claims horizontally; 0 of others.
-    velocity_factors : (float, float), optional
-        Of a velocity: factors on its covariance that are in S, horizontally and vertically.
+    kind : str
+        Of the measurement.
+    factors_by_axis : (float, float)
+        Factors on its covariance that are in S besides ``fix_factor``, horizontally and vertically.
     """
 
     t_ns: int
@@ -101,7 +103,8 @@ class Correction:
     stamp_std: float = 0.0
     slow_growth: Array | None = None
     claimed_std: float = 0.0
-    velocity_factors: tuple[float, float] | None = None
+    kind: str = ""
+    factors_by_axis: tuple[float, float] = (1.0, 1.0)
 
 
 class NoiseModel(Protocol):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from hybrid_ins.core.noise.hypotheses import (
     AGE_STD,
@@ -24,11 +25,15 @@ from hybrid_ins.core.noise.hypotheses import (
     HYPOTHESES,
     LOG_FACTORS,
     LOG_PRIOR,
+    ON_HEIGHT,
     ON_VELOCITY,
+    R_LEVELS,
     SLOW_STD,
     STAMP_STD,
     smallest_slow_std,
 )
+
+Array = NDArray[np.float64]
 
 DEAD_BAND = 0.1  # decades that count as none
 IMPROBABLE = 0.1  # probability of a slow error, of stamps that scatter, or of ages: that of none
@@ -108,15 +113,25 @@ def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-u
         weights[h] *= of_each[FAMILY[h]] / (within[FAMILY[h]] * total)
 
 
+def likelihood_of_r(log_likelihood: Array, of_family: Array) -> Array:
+    """Return the log-likelihood of what the hypotheses assume of R alone, for each, (COUNT,)."""
+    posterior, found = np.empty(COUNT), np.empty(COUNT)
+    weigh(log_likelihood, of_family, ANY_CLAIM, posterior)
+    for level in R_LEVELS:
+        prior = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][level])
+        found[level] = np.log(posterior[level].sum()) - prior
+    return np.asarray(found - found.max())
+
+
 @register_jitable
 def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """
     Set the factors to the mixture's mean; return whether one has risen much.
 
-    ``factors``, shape (10,): on accelerometer, gyroscope and R; the standard deviation [m] of a
+    ``factors``, shape (11,): on accelerometer, gyroscope and R; the standard deviation [m] of a
     slow error, by the mixture's second moment, 0 where it is improbable, and its probability; those
     of the stamps of positions [s], likewise; the standard deviation of the age of velocities [s],
-    likewise; and the factors on R of velocities, horizontally and vertically.
+    likewise; and the factors on R of velocities, horizontally and vertically, and of heights.
     """
     for i in range(3):
         factors[i] = _mean_factor(LOG_FACTORS.start + i, weights)
@@ -125,11 +140,12 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     factors[7], _ = _std_and_probability(AGE_STD, weights)
     for i in range(2):
         factors[8 + i] = _mean_factor(ON_VELOCITY.start + i, weights)
-    in_question, risen = np.empty(7), False
+    factors[10] = _mean_factor(ON_HEIGHT, weights)
+    in_question, risen = np.empty(8), False
     in_question[0], in_question[1], in_question[2] = factors[0], factors[1], factors[2]
     in_question[3] = 1.0 + (factors[5] / EXACT_STAMP) ** 2
     in_question[4] = 1.0 + (factors[7] / EXACT_AGE) ** 2
-    in_question[5], in_question[6] = factors[8], factors[9]
+    in_question[5], in_question[6], in_question[7] = factors[8], factors[9], factors[10]
     for i in range(len(in_question)):
         risen |= in_question[i] >= CORRECTION_RATIO * lowest[i]
     for i in range(len(in_question)):

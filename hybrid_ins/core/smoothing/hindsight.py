@@ -37,7 +37,7 @@ from hybrid_ins.core.smoothing.constant_errors import ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import Stretch
 from hybrid_ins.core.smoothing.segments import SmootherStart, Update
 from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_STATE, Smoother, Store
-from hybrid_ins.core.update.measurements import GNSS, clock_offset_ns
+from hybrid_ins.core.update.measurements import GNSS, PositionFix, clock_offset_ns
 
 Array = NDArray[np.float64]
 
@@ -198,15 +198,16 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
     if verdict is None:
         return None
     plain, split = verdict.accepted and not verdict.inflated, step.decided.split
-    white = 1.0 if split is None else split.share
     measurement = verdict.measurement
+    if isinstance(measurement, PositionFix) and split is not None:
+        measurement = replace(measurement, covariance_n=split.white)
     if measurement.sensor == GNSS:
         measurement = replace(measurement, t_ns=measurement.t_ns + moved_ns)  # type: ignore[type-var]
     return Update(
         measurement.t_ns,
         psd,
         measurement,
-        step.r_scale * white / verdict.weight if measurement.sensor == GNSS else 1.0,
+        step.r_scale / verdict.weight if measurement.sensor == GNSS else 1.0,
         math.inf if plain else verdict.threshold,
         verdict.inflated,
         split=split,

@@ -59,7 +59,7 @@ class Update:
     inflation : CovarianceInflation or None
         Of the covariance.
     split : Split or None
-        How a position's covariance was split; ``r_scale`` contains the share that is white.
+        How a position's covariance was split: that of ``measurement`` is the part that is white.
     """
 
     t_ns: int

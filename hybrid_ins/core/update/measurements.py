@@ -195,8 +195,8 @@ class VelocityFix:
         """Return it with a covariance multiplied by these factors."""
         if horizontally == vertically == 1.0:
             return self
-        roots = roots_by_axis(horizontally, vertically)
-        return replace(self, covariance_n=self.covariance_n * np.outer(roots, roots))
+        scaled = scaled_by_axis(self.covariance_n, horizontally, vertically)
+        return replace(self, covariance_n=scaled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +239,14 @@ def clock_offset_ns(measurement: Measurement) -> int:
 def roots_by_axis(horizontally: ArrayLike, vertically: ArrayLike) -> Array:
     """Return the roots of factors on a covariance, of its rows and columns, (3,) or (3, n)."""
     return np.sqrt(np.array([horizontally, horizontally, vertically]))
+
+
+def scaled_by_axis(R: Array, horizontally: float, vertically: float) -> Array:
+    """Return a covariance (m, m), NED, multiplied by these factors."""
+    if horizontally == vertically:
+        return R * horizontally
+    roots = roots_by_axis(horizontally, vertically)[: len(R)]
+    return R * np.outer(roots, roots)
 
 
 def _given(R: Array, measured: Array) -> Array:

@@ -202,7 +202,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "source": source,
             "mode": mode,
             **factors,
-            **({"slow_error_of_fixes": running.noise.unclaimed_std} if running else {}),
+            **({"slow_error_of_fixes": running.noise.split.unclaimed_std} if running else {}),
             **({"stamp_scatter_of_fixes": running.noise.stamp_std} if running else {}),
             **({"age_of_velocities": running.noise.age_std} if running else {}),
             **({} if running is None else _scale_errors(running.scale_errors)),
@@ -233,10 +233,12 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "the angular rates disagree with GNSS by more than their noise: check "
             "gnss.antenna_position, then the scale, resolution and range of the gyroscopes"
         )
-    if _factors(running.noise).get("factor_fixes", 1.0) > DISAGREEMENT:
-        found["fixes scatter by more than they claim"] = (
-            "fixes scatter by more than they claim: check the receiver, gnss.position_std_min"
-        )
+    factors = _factors(running.noise)
+    for key, what in ("factor_fixes", "fixes"), ("factor_heights", "the heights of fixes"):
+        if factors.get(key, 1.0) > DISAGREEMENT:
+            claim = f"{what} scatter by more than they claim"
+            found[claim] = f"{claim}: check the receiver, gnss.position_std_min"
+            break
     if running.noise.stamps_scatter:
         found["stamps of fixes scatter"] = (
             f"the stamps of fixes scatter by about {running.noise.stamp_std:.2g} s, and count for "
@@ -252,9 +254,10 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "corrections"
         )
     if running.noise.drifts_beyond_claim:
+        split = running.noise.split
         found["fixes drift by more than they claim"] = (
-            f"fixes drift by about {running.noise.unclaimed_std:.1f} m although they claim "
-            f"{running.noise.claimed_std:.2g} m: the published covariance contains it; check the "
+            f"fixes drift by about {split.unclaimed_std:.1f} m although they claim "
+            f"{split.claimed_std:.2g} m: the published covariance contains it; check the "
             "receiver, its corrections and gnss.antenna_position, or set gnss.position_std_min"
         )
     return found
@@ -312,7 +315,8 @@ def _factors(noise: FilterNoise) -> dict[str, float]:
     return {
         "factor_accelerometer": accelerometer,
         "factor_gyroscope": gyroscope,
-        "factor_fixes": noise.fix_factor * noise.excess,
+        "factor_fixes": noise.fix_factor * noise.split.excess[0],
+        "factor_heights": noise.fix_factor * noise.height_factor * noise.split.excess[1],
         "factor_velocities_horizontal": horizontal,
         "factor_velocities_vertical": vertical,
     }

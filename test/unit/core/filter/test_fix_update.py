@@ -44,6 +44,7 @@ class OldVelocities(NoiseMultipleModelBank):
     def _read_factors(self) -> None:
         super()._read_factors()
         self.stamp_std, self.age_std, self.velocity_factors = 0.03, 0.2, (2.0, 8.0)
+        self.height_factor = 4.0
 
 
 def update(factors: bool) -> MeasurementUpdate:
@@ -124,7 +125,7 @@ def test_the_compiled_form_is_the_readable_one(seed: int, factors: bool, conside
         assert one.verdict.weight == pytest.approx(two.verdict.weight, rel=1e-12)
         assert one.verdict.sigma == pytest.approx(two.verdict.sigma, rel=1e-12)
         assert compiled.scatter.learned == pytest.approx(readable.scatter.learned, rel=1e-12)
-        assert one.split is None or one.split.share == pytest.approx(two.split.share, rel=1e-12)
+        assert one.split is None or one.split.factors == pytest.approx(two.split.factors, rel=1e-12)
         assert compiled.noise.imu_factors == pytest.approx(readable.noise.imu_factors, rel=1e-9)
         assert compiled.noise.fix_factor == pytest.approx(readable.noise.fix_factor, rel=1e-9)
         if factors and isinstance(fix, VelocityFix) and one.verdict.accepted:
@@ -135,7 +136,7 @@ def split_of(fix: PositionFix | VelocityFix) -> Split | None:
     """Return a split of a position's covariance with a slow error."""
     if isinstance(fix, VelocityFix):
         return None
-    return Split(0.5, 0.5 * fix.claimed.diagonal(), 1.0)
+    return Split(0.5 * fix.claimed, 0.5 * fix.claimed.diagonal(), 1.0, (0.5, 0.5))
 
 
 def test_most_fixes_take_the_compiled_form() -> None:

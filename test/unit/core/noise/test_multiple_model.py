@@ -24,6 +24,7 @@ from hybrid_ins.core.noise.hypotheses import (
     AGE_STD,
     COUNT,
     HYPOTHESES,
+    ON_HEIGHT,
     ON_NOISE,
     ON_VELOCITY,
     SLOW_WALK,
@@ -91,10 +92,8 @@ def correction_of(
     of_stamp = np.outer(acceleration_n, acceleration_n)
     if is_position:
         of_stamp = stamp_covariance(nav[VELOCITY], 0.7, 3)
-    velocity_factors = 2.0, 16.0
-    R = fix_factor * (root @ root.T + 0.2 * np.eye(3))
-    if not is_position:
-        R *= scaling_of(velocity_factors)
+    factors = (1.0, 9.0) if is_position else (2.0, 16.0)
+    R = fix_factor * (root @ root.T + 0.2 * np.eye(3)) * scaling_of(factors)
     R += stamp_std**2 * of_stamp
     S = H @ covariance(nav) @ H.T + R
     K = covariance(nav) @ H.T @ np.linalg.inv(S)
@@ -123,7 +122,8 @@ def correction_of(
         stamp_std,
         rng.uniform(0.0, 0.01, 3) if is_position else None,
         0.05 if is_position else 0.0,
-        None if is_position else velocity_factors,
+        "position" if is_position else "velocity",
+        factors,
     )
 
 
@@ -139,6 +139,7 @@ class Readable:
         self.factors, self.walk = hypothesis[ON_NOISE], hypothesis[SLOW_WALK]
         self.stamp_variance, self.age_variance = hypothesis[[STAMP_STD, AGE_STD]] ** 2
         self.on_velocity = tuple(10.0 ** hypothesis[ON_VELOCITY])
+        self.on_position = 1.0, 10.0 ** hypothesis[ON_HEIGHT]
         self.P, self.offset = covariance(nav), np.zeros(N_ERROR)
 
     def predict(self, F: Array, C: Array, T: float, slow_growth: Array) -> None:
@@ -157,8 +158,9 @@ class Readable:
     def correct(self, correction: Correction, R: Array, linear: tuple[Array, ...]) -> float:
         (z, H, dx, G), weight = linear, 1.0
         own, m = z - H @ self.offset, len(z)
-        if correction.velocity_factors is None:
-            R = self.factors[2] * R + self.stamp_variance * correction.of_stamp
+        if correction.kind == "position":
+            R = self.factors[2] * R * scaling_of(self.on_position)
+            R += self.stamp_variance * correction.of_stamp
         else:
             R = self.factors[2] * R * scaling_of(self.on_velocity)
             R += self.age_variance * correction.of_stamp
@@ -195,8 +197,7 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         F, C = mean_system(nav, velocity_n, C_nb, T)
         R = correction.S - correction.H @ covariance(nav) @ correction.H.T
         R = (R - stamp_std**2 * correction.of_stamp) / fix_factor
-        if correction.velocity_factors is not None:
-            R /= scaling_of(correction.velocity_factors)
+        R /= scaling_of(correction.factors_by_axis)
         plain = correction.z, correction.H, correction.dx, np.eye(N_ERROR)
         linear = correction.linear or plain
         iterated += not np.array_equal(linear[3], np.eye(N_ERROR))

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from hybrid_ins.core.inertial.state import (
     COVARIANCE,
@@ -27,13 +28,15 @@ from hybrid_ins.core.noise.position_scatter import (
     PositionScatter,
     Split,
     change_slow_error,
-    scatter_evidence,
 )
+from hybrid_ins.core.noise.scatter_evidence import scatter_evidence
 from hybrid_ins.core.update import iterated_update
+from hybrid_ins.core.update.measurements import scaled_by_axis
 
 SECOND = 1_000_000_000
+STEP = 1e-5
 H = np.eye(3, N_ERROR)
-ANY = Split(1.0, np.zeros(3), 0.2)
+ANY = Split(np.eye(3), np.zeros(3), 0.2)
 
 
 def standing(P: Array) -> Array:
@@ -44,7 +47,9 @@ def standing(P: Array) -> Array:
     return NavState(lla, np.zeros(3), identity, np.zeros(3), np.zeros(3), full).to_flat()
 
 
-def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> PositionScatter:
+def learned(
+    scatter: float | Array, claimed: float, walk: float, count: int = 400
+) -> PositionScatter:
     """Return what fixes at 5 Hz teach, whose errors about a wandering position are white."""
     rng = np.random.default_rng(3)
     found, nav = PositionScatter(learning=True), standing(np.eye(3))
@@ -55,11 +60,13 @@ def learned(scatter: float, claimed: float, walk: float, count: int = 400) -> Po
         P[DP, DP] += walk**2 * np.eye(3)
         pack(P, nav[COVARIANCE])
         offset += rng.normal(0.0, walk, 3)
-        z, share = offset + rng.normal(0.0, scatter, 3), found.share(R)
-        evidence = scatter_evidence(nav[COVARIANCE], z, H, R, share, np.zeros((3, 3)))
-        dx, *_ = iterated_update.update(nav, z, H, share * R)
+        z = offset + rng.normal(0.0, 1.0, 3) * scatter
+        factors = found.shares(R)
+        white = scaled_by_axis(R, *factors)
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, white, np.zeros((3, 3)))
+        dx, *_ = iterated_update.update(nav, z, H, white)
         offset -= dx[DP]
-        found.learn(ANY, evidence, k * SECOND // 5)
+        found.learn(ANY._replace(factors=factors), evidence, k * SECOND // 5)
     return found
 
 
@@ -70,44 +77,48 @@ def test_metres_without_corrections_are_slow_in_part_whatever_they_scatter(
     covariance = claimed**2 * np.diag([1.0, 1.0, 4.0])
 
     split = PositionScatter().split(covariance, SECOND, 0.0)
-    assert split.share == 1.0
+    np.testing.assert_array_equal(split.white, covariance)
     np.testing.assert_allclose(split.slow_variance, least * covariance.diagonal(), atol=1e-12)
     # A receiver that scatters by less shows a larger slow part.
     split = PositionScatter(given=0.2).split(covariance, SECOND, 0.0)
-    assert (split.slow_variance >= (1.0 - split.share) * covariance.diagonal()).all()
+    assert (split.slow_variance + split.white.diagonal() >= covariance.diagonal()).all()
 
 
 @pytest.mark.parametrize("walk", [0.02, 0.2])
 @pytest.mark.parametrize(("scatter", "claimed"), [(0.4, 1.0), (0.6, 3.0)])
 def test_a_scatter_below_the_claim_is_learned(scatter: float, claimed: float, walk: float) -> None:
     true = (scatter / claimed) ** 2
-    assert learned(scatter, claimed, walk).learned == pytest.approx(MARGIN * true, rel=0.4)
+    assert learned(scatter, claimed, walk).learned == pytest.approx([MARGIN * true] * 2, rel=0.4)
 
 
 @pytest.mark.parametrize("walk", [0.02, 0.3])
 def test_a_right_claim_stays(walk: float) -> None:
-    assert learned(1.0, 1.0, walk).learned > 0.95
+    assert min(learned(1.0, 1.0, walk).learned) > 0.9
 
 
 @pytest.mark.parametrize("walk", [0.1, 0.5])
 def test_more_scatter_than_claimed_is_learned(walk: float) -> None:
-    assert learned(3.0, 1.0, walk).learned == pytest.approx(9.0, rel=0.3)
+    assert learned(3.0, 1.0, walk).learned == pytest.approx([9.0, 9.0], rel=0.3)
 
 
 def test_the_factor_of_the_innovations_is_not_counted_twice() -> None:
     """GIVEN fixes with 9 times the claimed variance WHEN a factor of 4 is in force THEN 9 it is."""
     found, claimed = learned(3.0, 1.0, 0.1), np.eye(3)
     split = found.split(claimed, SECOND, 0.0, fix_factor=4.0)
-    assert 4.0 * split.share == pytest.approx(found.learned)
-    assert 4.0 * split.excess == pytest.approx(found.learned)
-    assert found.split(claimed, SECOND, 0.0, fix_factor=100.0).share == 1.0
-    assert found.split(1e-4 * claimed, SECOND, 0.0).share == 1.0  # centimetres are left as they are
+    assert split.factors == pytest.approx(found.learned)
+    assert 4.0 * np.array(split.excess) == pytest.approx(found.learned)
+    np.testing.assert_allclose(4.0 * split.white, np.diag(np.repeat(found.learned, (2, 1))))
+    assert found.split(claimed, SECOND, 0.0, fix_factor=100.0).excess == pytest.approx(
+        (1.0, 1.0), abs=0.1
+    )
+    # Centimetres are left as they are.
+    assert found.split(1e-4 * claimed, SECOND, 0.0).factors == (1.0, 1.0)
 
 
 def test_centimetres_are_not_split() -> None:
     found = learned(0.1, 1.0, 0.02)
-    assert found.share(np.eye(3)) < 0.1
-    assert found.share(1e-4 * np.eye(3)) == 1.0
+    assert max(found.shares(np.eye(3))) < 0.1
+    assert found.shares(1e-4 * np.eye(3)) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(("scatter", "waits"), [(0.2, False), (3.0, True)])
@@ -117,8 +128,9 @@ def test_a_larger_share_than_the_given_one_waits_until_it_is_in_force(
     found = learned(scatter, 1.0, 0.02)
     before = copy.copy(found)
     before.in_force = False
-    assert found.share(np.eye(3)) == (found.learned if waits else pytest.approx(0.05, abs=0.03))
-    assert before.share(1e3 * np.eye(3)) == (1.0 if waits else LEAST_SEARCHED)
+    expected = found.learned if waits else pytest.approx([0.05, 0.05], abs=0.03)
+    assert found.shares(np.eye(3)) == expected
+    assert before.shares(1e3 * np.eye(3)) == (2 * (1.0,) if waits else 2 * (LEAST_SEARCHED,))
 
 
 def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None:
@@ -127,11 +139,11 @@ def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None
     found.in_force = False
     metres, one = 9.0 * np.eye(3), np.eye(3)
     # THEN no position counts as better than reflections near walls leave it
-    assert found.share(one) == 1.0
-    assert found.share(metres) * 9.0 == pytest.approx(REFLECTED_STD**2)
+    assert found.shares(one) == (1.0, 1.0)
+    assert 9.0 * np.array(found.shares(metres)) == pytest.approx(REFLECTED_STD**2)
     # AND what one claims beyond the smallest claim counts in full: the receiver sees them
     found.split(metres, SECOND, 0.0)
-    assert found.share(4.0 * metres) * 36.0 == pytest.approx(REFLECTED_STD**2 + 27.0)
+    assert 36.0 * np.array(found.shares(4.0 * metres)) == pytest.approx(REFLECTED_STD**2 + 27.0)
 
 
 def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
@@ -139,45 +151,74 @@ def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
     found = learned(0.02, 0.04, 0.002)
 
     split = found.split(0.04**2 * np.eye(3), 1_000_000_000, 0.0)
-    assert 0.2 < split.share < 0.5
-    np.testing.assert_allclose(split.slow_variance, (1.0 - split.share) * 0.04**2)
-    assert found.split(0.01**2 * np.eye(3), 1_000_000_000, 0.0).share == 1.0
+    assert 0.2 < min(split.factors) <= max(split.factors) < 0.5
+    np.testing.assert_allclose(split.slow_variance + split.white.diagonal(), 0.04**2)
+    assert found.split(0.01**2 * np.eye(3), 1_000_000_000, 0.0).factors == (1.0, 1.0)
+
+
+def test_heights_that_scatter_by_more_than_the_claimed_constant_are_found_alone() -> None:
+    # GIVEN a claim of 1 m, and a scatter of 0.3 m horizontally and 3 m vertically
+    found, claimed = learned(np.array([0.3, 0.3, 3.0]), 1.0, 0.1), np.eye(3)
+    assert found.learned == pytest.approx([MARGIN * 0.09, 9.0], rel=0.4)
+    # WHEN the innovations show no other factor, or one on all of R, or on the height
+    for fix_factor, height_factor in ((1.0, 1.0), (5.0, 1.0), (1.0, 5.0)):
+        split = found.split(claimed, SECOND, 0.0, fix_factor, height_factor)
+        # THEN nothing counts twice, and the factor on all of R is the one that is too large
+        learned_here = np.array(found.learned)
+        np.testing.assert_allclose(split.white.diagonal()[1:], learned_here)
+        assert split.factors == pytest.approx(fix_factor * learned_here)
+        assert split.excess[0] == 1.0
+        assert split.excess[1] == pytest.approx(found.learned[1] / height_factor)
+        assert split.slow_variance[0] == pytest.approx(1.0 - found.learned[0])
 
 
 def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found = PositionScatter(9.0, learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn(ANY, (27.0, 3.0, np.zeros(3)), k * SECOND)
+        found.learn(ANY, (np.array([18.0, 9.0]), np.array([2.0, 1.0]), np.zeros(3)), k * SECOND)
     split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
-    assert split.share == pytest.approx(9.0, rel=0.05)
-    assert split.excess == 1.0
+    assert split.factors == pytest.approx([36.0, 36.0], rel=0.05)
+    assert split.excess == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("used", [0.01, 0.3, 2.0])
-def test_evidence_on_the_scatter_is_unbiased_whatever_factor_is_in_use(used: float) -> None:
-    # GIVEN innovations with a factor of 0.3 on what is claimed, among other errors
+TRUE = 0.3, 2.0
+
+
+@pytest.mark.parametrize("used", [(0.01, 0.01), TRUE, (2.0, 0.3)])
+def test_evidence_on_the_scatter_is_unbiased_whatever_factors_are_in_use(
+    used: tuple[float, float],
+) -> None:
+    # GIVEN innovations with factors of 0.3 and 2 on what is claimed, among other errors
     rng = np.random.default_rng(5)
     root, other, third = rng.normal(size=(3, 3, 3))
     nav, claimed, others = standing(root @ root.T), other @ other.T + np.eye(3), third @ third.T
-    true = 0.3
-    S = root @ root.T + true * claimed + others
+    S = root @ root.T + scaled_by_axis(claimed, *TRUE) + others
     drawn = rng.multivariate_normal(np.zeros(3), S, 4000)
-    # WHEN they are used with another one
-    evidence = [scatter_evidence(nav[COVARIANCE], z, H, claimed, used, others)[:2] for z in drawn]
-    totals, counts = np.array(evidence).T
-    # THEN they show the true one, and how much they show is what the information is
-    assert totals.mean() / counts.mean() == pytest.approx(
-        true, abs=4.0 * totals.std() / len(drawn) ** 0.5 / counts.mean()
-    )
-    S_used = S + (used - true) * claimed
-    shown = used * np.linalg.solve(S_used, claimed)
-    assert counts == pytest.approx(np.trace(shown @ shown))
-    assert counts.max() < 3.0
+    # WHEN they are used with others
+    R = scaled_by_axis(claimed, *used)
+    evidence = [scatter_evidence(nav[COVARIANCE], z, H, R, others)[:2] for z in drawn]
+    totals, counts = np.array(evidence).transpose(1, 2, 0)
+    # THEN their slope is the likelihood's by each factor, and how much they show is the information
+    S_used = S - scaled_by_axis(claimed, *TRUE) + R
+    log_likelihood = [
+        multivariate_normal.logpdf(drawn[:20], cov=S_used + scaled_by_axis(R, *factors) - R)
+        for factors in ((1.0 + STEP, 1.0), (1.0 - STEP, 1.0), (1.0, 1.0 + STEP), (1.0, 1.0 - STEP))
+    ]
+    slopes = (totals - counts)[:, :20]  # twice those
+    assert slopes[0] == pytest.approx((log_likelihood[0] - log_likelihood[1]) / STEP, rel=1e-5)
+    assert slopes[1] == pytest.approx((log_likelihood[2] - log_likelihood[3]) / STEP, rel=1e-5)
+    for part, own in enumerate((np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))):
+        shown = np.linalg.solve(S_used, 0.5 * (own @ R + R @ own))
+        assert counts[part] == pytest.approx(np.trace(shown @ shown))
+    # AND those in use stay where they are true
+    if used == TRUE:
+        error = totals.std(axis=1) / len(drawn) ** 0.5
+        assert (np.abs(totals.mean(axis=1) - counts.mean(axis=1)) < 4.0 * error).all()
 
 
 def test_a_scatter_far_below_what_the_imu_does_between_fixes_is_learned() -> None:
-    assert learned(0.05, 1.0, 0.1, count=1500).learned < 0.01
+    assert max(learned(0.05, 1.0, 0.1, count=1500).learned) < 0.01
 
 
 def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
@@ -185,12 +226,16 @@ def test_innovations_below_all_scatter_are_forgotten_at_once() -> None:
     found = PositionScatter(learning=True)
     found.in_force = True
     for k in range(200):
-        found.learn(ANY, (-0.5, 1.8, np.full(3, 0.1)), k * SECOND // 5)
-    assert found.learned < 0.005
+        found.learn(
+            ANY, (np.array([-0.3, -0.2]), np.array([1.2, 0.6]), np.full(3, 0.1)), k * SECOND // 5
+        )
+    assert max(found.learned) < 0.005
     # WHEN they show a share of 0.09, THEN it is learned as from nothing
     for k in range(200, 350):
-        found.learn(ANY, (0.18, 2.0, np.full(3, 0.1)), k * SECOND // 5)
-    assert found.learned > 0.05
+        found.learn(
+            ANY, (np.array([0.12, 0.06]), np.array([1.3, 0.7]), np.full(3, 0.1)), k * SECOND // 5
+        )
+    assert min(found.learned) > 0.05
 
 
 def test_the_slow_error_is_reported_and_walks() -> None:
@@ -225,8 +270,8 @@ def test_the_slow_error_walks_as_successive_innovations_show(
         change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
         offset += rng.normal(0.0, walk, 3)
         z = offset + rng.normal(0.0, 0.1, 3)
-        evidence = scatter_evidence(nav[COVARIANCE], z, H, claimed, split.share, np.zeros((3, 3)))
-        dx, *_ = iterated_update.update(nav, z, H, split.share * claimed)
+        evidence = scatter_evidence(nav[COVARIANCE], z, H, split.white, np.zeros((3, 3)))
+        dx, *_ = iterated_update.update(nav, z, H, split.white)
         offset -= dx[DP]
         found.learn(split, evidence, k * SECOND // 5)
 
@@ -244,9 +289,11 @@ def test_a_walk_that_alone_makes_innovations_small_falls_whatever_their_signs(
 ) -> None:
     found = PositionScatter(0.01, learning=True)
     found.in_force = True
-    alike = (0.01 * count, count, np.full(3, innovation))  # as a wrong clock offset makes them
+    counts = count * np.array([2.0, 1.0]) / 3.0
+    alike = counts, counts, np.full(3, innovation)  # as a wrong clock offset makes them
+    split = ANY._replace(factors=(0.01, 0.01))
     for k in range(1, 300):
-        found.learn(ANY, alike, k * SECOND // 5)
+        found.learn(split, alike, k * SECOND // 5)
 
     share = found.split(9.0 * np.eye(3), 60 * SECOND, 0.0).interval / (60.0 - 299.0 / 5.0)
     assert least <= share <= most

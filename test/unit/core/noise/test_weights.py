@@ -10,6 +10,7 @@ from hybrid_ins.core.noise.hypotheses import (
     COUNT,
     HYPOTHESES,
     LOG_PRIOR,
+    ON_HEIGHT,
     ON_VELOCITY,
     SLOW_STD,
     STAMP_STD,
@@ -78,7 +79,7 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     rng = np.random.default_rng(4)
     weights = rng.uniform(size=COUNT)
     weights /= weights.sum()
-    factors, lowest = np.ones(10), np.ones(7)
+    factors, lowest = np.ones(11), np.ones(8)
 
     average(weights, factors, lowest)
     assert factors[3] == pytest.approx(np.sqrt(weights @ SLOW**2))
@@ -96,7 +97,7 @@ def test_stamps_and_ages_have_the_second_moment_of_what_is_probable_and_move_the
     rng, stds = np.random.default_rng(4), HYPOTHESES[row]
     weights = rng.uniform(size=COUNT) * (stds > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(10), np.ones(7)
+    factors, lowest = np.ones(11), np.ones(8)
 
     assert average(weights, factors, lowest)
     assert factors[place] == pytest.approx(np.sqrt(weights @ stds**2))
@@ -110,21 +111,32 @@ def test_stamps_and_ages_have_the_second_moment_of_what_is_probable_and_move_the
 def test_factors_on_velocities_are_the_mean_of_the_decades_and_move_the_state() -> None:
     weights = np.random.default_rng(4).uniform(size=COUNT) * (HYPOTHESES[ON_VELOCITY][1] > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(10), np.ones(7)
+    factors, lowest = np.ones(11), np.ones(8)
 
     assert average(weights, factors, lowest)
     decades = HYPOTHESES[ON_VELOCITY] @ weights
     assert 0.0 < decades[0] < decades[1]  # vertical velocities may err alone
-    assert factors[8:] == pytest.approx(10.0 ** (decades - DEAD_BAND))
+    assert factors[8:10] == pytest.approx(10.0 ** (decades - DEAD_BAND))
+    assert not average(weights, factors, lowest)
+
+
+def test_the_factor_on_heights_is_the_mean_of_the_decades_and_moves_the_state() -> None:
+    weights = np.random.default_rng(4).uniform(size=COUNT) * (HYPOTHESES[ON_HEIGHT] > 0.0)
+    weights /= weights.sum()
+    factors, lowest = np.ones(11), np.ones(8)
+
+    assert average(weights, factors, lowest)
+    assert factors[2] == 1.0
+    assert factors[10] == pytest.approx(10.0 ** (HYPOTHESES[ON_HEIGHT] @ weights - DEAD_BAND))
     assert not average(weights, factors, lowest)
 
 
 def test_nothing_is_found_of_stamps_and_velocities_before_there_is_evidence() -> None:
-    factors = np.zeros(10)
+    factors = np.zeros(11)
 
-    assert not average(weighed(np.zeros(COUNT), np.zeros(FAMILIES), 0.3), factors, np.ones(7))
+    assert not average(weighed(np.zeros(COUNT), np.zeros(FAMILIES), 0.3), factors, np.ones(8))
 
-    assert factors[[5, 7, 8, 9]].tolist() == [0.0, 0.0, 1.0, 1.0]
+    assert factors[[5, 7, 8, 9, 10]].tolist() == [0.0, 0.0, 1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     noise = FilterNoise(
         ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), NoiseMultipleModelBank()
     )
-    noise.claimed_std, noise.unclaimed_std = claimed, drift
+    noise.split = noise.split._replace(claimed_std=claimed, unclaimed_std=drift)
     assert noise.factors is not None
     noise.factors.slow_probability = probability
 
@@ -85,6 +85,24 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     text = found.get("fixes drift by more than they claim", "")
     assert bool(found) is is_blamed
     assert (f"{drift:.1f} m although they claim {claimed:.2g} m" in text) is is_blamed
+
+
+@pytest.mark.parametrize(
+    ("fixes", "heights", "named"),
+    [(1.0, 2.0, ""), (1.0, 9.0, "the heights of fixes scatter"), (9.0, 1.0, "fixes scatter")],
+)
+def test_what_scatters_by_more_than_it_claims_is_named(
+    fixes: float, heights: float, named: str
+) -> None:
+    bank = NoiseMultipleModelBank()
+    noise = FilterNoise(ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), bank)
+    bank.fix_factor, bank.height_factor = fixes, heights
+
+    found = noise_conditions(
+        SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
+    )
+
+    assert [text.split(" by more")[0] for text in found.values()] == [named] * bool(named)
 
 
 def test_truths_are_written_as_json_reads_them() -> None:
