@@ -35,6 +35,7 @@ from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.core.inertial.state import DP, DV, EPS, NAVIGATION, NavState, covariance
 from hybrid_ins.core.navigator.phases import Searching, search_clock
+from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from hybrid_ins.core.update.kalman import inject
 from hybrid_ins.ros.estimator.estimator import Estimator
@@ -378,7 +379,7 @@ def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() ->
     estimator = estimating(until(draw(SCENE, 4), 4.0))
     running = estimator.navigator.filter
     assert running is not None and running.noise.factors is not None
-    running.noise.factors.imu_factors = (800.0, 20.0)
+    running.noise.factors.found = NoiseFactors(800.0, 20.0)
     search = search_clock(running, FilterFactory(parameters.defaults()), estimator.navigator.ring)
     assert {hypothesis.noise.imu_factors for hypothesis in search.filters} == {(800.0, 20.0)}
 

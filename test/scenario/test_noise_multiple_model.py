@@ -124,7 +124,11 @@ def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
     # WHEN the filter runs
     ins, _ = fly(run)
     # THEN it is known and published, or it is not
-    assert ins.noise.slow_is_probable == ins.noise.drifts_beyond_claim == (slow_std > 0.0)
+    assert (
+        (ins.noise.found.slow_probability > 0.5)
+        == ins.noise.drifts_beyond_claim
+        == (slow_std > 0.0)
+    )
     assert (ins.noise.split.unclaimed_std > 0.4) == (slow_std > 0.0)
     assert (total_std(ins.nav)[0] > 0.5) == (slow_std > 0.0)
 
@@ -142,11 +146,11 @@ def test_stamps_that_scatter_are_found_and_leave_what_is_across_the_motion(std: 
     # WHEN the filter runs
     ins, factors = fly(replace(run, fixes=tuple(fixes)), scatter=True)
     # THEN it knows that, and by how much, and R is not raised for it
-    assert ins.noise.stamps_scatter == (std > 0.0)
-    assert ins.noise.stamp_std == pytest.approx(std, abs=0.02)
+    assert (ins.noise.found.stamp_probability > 0.5) == (std > 0.0)
+    assert ins.noise.found.stamp_std == pytest.approx(std, abs=0.02)
     assert np.median(factors[100:, 2]) < 1.5
     # but one of several hypotheses of a search does not
-    assert not fly(replace(run, fixes=tuple(fixes)))[0].noise.stamps_scatter
+    assert not fly(replace(run, fixes=tuple(fixes)))[0].noise.found.stamp_probability > 0.5
 
 
 @pytest.mark.parametrize(("lag", "std"), [(0.0, 0.05), (0.5, 0.05), (0.0, 0.5)])
@@ -167,13 +171,15 @@ def test_velocities_that_lag_or_scatter_are_found_beside_right_positions(
     # WHEN the filter runs
     ins, factors = fly(replace(run, fixes=tuple(fixes)), scatter=True)
     # THEN that is known, and neither R of positions nor the noise of the IMU is raised for it
-    assert ins.noise.age_std == pytest.approx(lag, abs=0.2)
-    horizontal, vertical = ins.noise.velocity_factors
-    assert (horizontal > 10.0) == (vertical > 10.0) == (std > 0.05)
+    assert ins.noise.found.age_std == pytest.approx(lag, abs=0.2)
+    found = ins.noise.found
+    on_velocities = found.horizontal_velocity, found.vertical_velocity
+    assert [factor > 10.0 for factor in on_velocities] == [std > 0.05] * 2
     assert np.median(factors[200:, 2]) < 1.5 and np.median(factors[200:, :2]) < 1.5
     # but one of several hypotheses of a search does not
     searched = fly(replace(run, fixes=tuple(fixes)))[0].noise
-    assert searched.age_std == 0.0 and searched.velocity_factors == (1.0, 1.0)
+    assert searched.found.age_std == 0.0
+    assert searched.found.horizontal_velocity == searched.found.vertical_velocity == 1.0
 
 
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:
@@ -253,6 +259,6 @@ def test_late_fixes_give_the_same_factors_and_the_same_state() -> None:
     run = replace(run, fixes=tuple(f for f in run.fixes if f.t_ns < run.samples["t_ns"][-100]))
     in_time, factors = fly(run)
     late, _ = fly(run, late=0.35)
-    assert late.noise.fix_factor == pytest.approx(in_time.noise.fix_factor, rel=1e-9)
+    assert late.noise.found.fixes == pytest.approx(in_time.noise.found.fixes, rel=1e-9)
     np.testing.assert_allclose(late.nav[:N_NAV], in_time.nav[:N_NAV], rtol=1e-9, atol=1e-9)
     assert np.max(factors) > 3.0

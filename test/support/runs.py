@@ -63,7 +63,7 @@ def fly(
             ins.predict_block(run.samples[at + 1 : stop])
             at = stop - 1
         ins.submit(fix)
-        factors.append((*ins.noise.imu_factors, ins.noise.fix_factor))
+        factors.append((*ins.noise.imu_factors, ins.noise.found.fixes))
     if at + 1 < len(stamps):
         ins.ring.extend(run.samples[at + 1 :])
         ins.predict_block(run.samples[at + 1 :])

@@ -240,7 +240,7 @@ def look(running: InsFilter, lla: Array, missing: float) -> tuple[float, ...]:
         running.clock.sigma,
         float(off @ np.linalg.solve(covariance(running.nav)[DP, DP], off)),
         *running.noise.imu_factors,
-        running.noise.fix_factor,
+        running.noise.found.fixes,
         float(np.abs(s).max()),
         float(np.max(np.abs(factors.estimates[OFFSETS:]) / std)),
         float(np.linalg.eigvalsh(correlation).min()),

@@ -21,6 +21,7 @@ from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCo
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
@@ -95,64 +96,33 @@ class FilterNoise:
     def imu_factors(self) -> tuple[float, float]:
         """Factors on the variances of accelerometer and gyroscope."""
         bank = self.without_scale if self.considers_scale and self._explained else self.factors
-        return (1.0, 1.0) if bank is None else bank.imu_factors
+        found = NoiseFactors() if bank is None else bank.found
+        return found.accelerometer, found.gyroscope
 
     @property
-    def fix_factor(self) -> float:
-        """Factor on the covariance that fixes claim."""
-        return 1.0 if self.factors is None else self.factors.fix_factor
-
-    @property
-    def slow_std(self) -> float:
-        """Standard deviation [m] of a slow error of fixes that the innovations show; 0: none."""
-        return 0.0 if self.factors is None else self.factors.slow_std
-
-    @property
-    def stamp_std(self) -> float:
-        """Standard deviation [s] of the stamps of positions that the innovations show; 0: none."""
-        return 0.0 if self.factors is None else self.factors.stamp_std
-
-    @property
-    def age_std(self) -> float:
-        """Standard deviation [s] of the age of velocities that the innovations show; 0: none."""
-        return 0.0 if self.factors is None else self.factors.age_std
+    def found(self) -> NoiseFactors:
+        """What the innovations show besides the IMU's factors."""
+        return NoiseFactors() if self.factors is None else self.factors.found
 
     def stamp_std_of(self, measurement: Measurement) -> float:
-        """Return that of the two that a measurement has."""
-        return self.age_std if isinstance(measurement, VelocityFix) else self.stamp_std
-
-    @property
-    def velocity_factors(self) -> tuple[float, float]:
-        """Factors on the covariance that velocities claim, horizontally and vertically."""
-        return (1.0, 1.0) if self.factors is None else self.factors.velocity_factors
-
-    @property
-    def height_factor(self) -> float:
-        """Factor on the variance that positions claim of the height, besides ``fix_factor``."""
-        return 1.0 if self.factors is None else self.factors.height_factor
+        """Return the standard deviation of a stamp [s], that of the age if it is a velocity's."""
+        found = self.found
+        return found.age_std if isinstance(measurement, VelocityFix) else found.stamp_std
 
     def split_of(self, fix: PositionFix, scatter: PositionScatter) -> Split:
         """Return the split of a position's covariance, and keep it."""
+        found = self.found
         self.split = scatter.split(
-            fix.claimed, fix.t_ns, self.slow_std, self.fix_factor, self.height_factor
+            fix.claimed, fix.t_ns, found.slow_std, found.fixes, found.heights
         )
         return self.split
 
     def factors_by_axis(self, measurement: Measurement) -> tuple[float, float]:
-        """Return those that are in the covariance of a measurement, besides ``fix_factor``."""
+        """Return those that are in the covariance of a measurement, besides that on all fixes."""
+        found = self.found
         if isinstance(measurement, VelocityFix):
-            return self.velocity_factors
-        return (1.0, self.height_factor) if isinstance(measurement, PositionFix) else (1.0, 1.0)
-
-    @property
-    def stamps_scatter(self) -> bool:
-        """Whether that is more probable than stamps that are right."""
-        return self.factors is not None and self.factors.stamp_probability > 0.5
-
-    @property
-    def slow_is_probable(self) -> bool:
-        """Whether such an error is more probable than none."""
-        return self.factors is not None and self.factors.slow_probability > 0.5
+            return found.horizontal_velocity, found.vertical_velocity
+        return (1.0, found.heights) if isinstance(measurement, PositionFix) else (1.0, 1.0)
 
     @property
     def drifts_beyond_claim(self) -> bool:
@@ -162,7 +132,7 @@ class FilterNoise:
         The published covariance contains any. But the slow error of an honest metre may change
         faster than is assumed, which one of the hypotheses may explain for a while.
         """
-        known = self.split.unclaimed_std > 0.0 and self.slow_is_probable
+        known = self.split.unclaimed_std > 0.0 and self.found.slow_probability > 0.5
         return known and self.split.unclaimed_std > clear_slow_std(self.split.claimed_std)
 
     def levels(self) -> Array:
@@ -195,7 +165,7 @@ class FilterNoise:
         Factors above 1 and a slow error of fixes that a stand-in needed are dropped.
         """
         replaced = self.model.learn(estimate)
-        needed = max(self.imu_factors) > 1.0 or self.slow_std > 0.0
+        needed = max(self.imu_factors) > 1.0 or self.found.slow_std > 0.0
         if replaced and needed:
             for bank in self._banks():
                 bank.restart(keep_weights=False)
@@ -233,7 +203,7 @@ class FilterNoise:
 
     def _judge_suspected(self, correction: Correction, claimed: Array, t_ns: int) -> None:
         """Learn a suspected jump if the innovations up to a stamp [ns] show that it is one."""
-        shown = self.factors is not None and self.factors.slow_probability > JUMP_PROBABILITY
+        shown = self.found.slow_probability > JUMP_PROBABILITY
         if shown:
             self._learn_jump(correction, claimed)
         if shown or t_ns - correction.t_ns > SUSPICION_NS:

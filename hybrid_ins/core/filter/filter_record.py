@@ -75,7 +75,7 @@ class FilterRecord:
 
     def add_too_old(self, verdict: Verdict, now: MeasurementUpdate) -> None:
         """Append a measurement that was not fused for its age; its verdict holds a threshold."""
-        refused = Outcome(verdict, now.noise.fix_factor, False, None)
+        refused = Outcome(verdict, now.noise.found.fixes, False, None)
         self.too_old.append(_decided(verdict.measurement, refused, now))
 
     def rewind(self, count: int) -> None:

@@ -228,7 +228,7 @@ def correction_of(
             result[LINEAR_G].reshape(N_ERROR, N_ERROR),
         ),
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
-        fix_factor=noise.fix_factor,
+        fix_factor=noise.found.fixes,
         stamp_std=noise.stamp_std_of(fix),
         slow_growth=split.claimed_growth,
         claimed_std=split.claimed_std,

@@ -171,7 +171,7 @@ class MeasurementUpdate:
             Recent IMU samples.
         """
         self.scale_errors.follow(nav, ring, event.t_ns)
-        r_scale, verdict, moved, psd_changed = self.noise.fix_factor, None, False, True
+        r_scale, verdict, moved, psd_changed = self.noise.found.fixes, None, False, True
         split: Split | None = None
         if isinstance(event, Change):
             _apply_change(self, nav, event, ring)
@@ -179,7 +179,7 @@ class MeasurementUpdate:
             if isinstance(event, PositionFix):
                 split = self.noise.split_of(event, self.scatter)
             elif isinstance(event, VelocityFix):
-                event = event.scaled(*self.noise.velocity_factors)
+                event = event.scaled(*self.noise.factors_by_axis(event))
             fused = self._fuse_ordinary(nav, event, split, age)
             psd_changed = fused is None or self.noise.uses_corrections
             verdict, moved, found = fused or self._fuse(nav, event, split, age)
@@ -222,7 +222,7 @@ class MeasurementUpdate:
             parts.interval,
             parts.claimed_growth,
             self.scatter.learning,
-            noise.fix_factor,
+            noise.found.fixes,
             noise.stamp_std_of(fix) ** 2,
             clock.values,
             clock.interval(fix.t_ns),
@@ -256,11 +256,11 @@ class MeasurementUpdate:
         claimed, parts = model[2], split or UNSPLIT
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
-        fix_factor = self.noise.fix_factor if measurement.sensor == GNSS else 1.0
+        fix_factor = self.noise.found.fixes if measurement.sensor == GNSS else 1.0
         if split is not None:
             share, m = share_of_motion(self.clock.values), len(model[0])
             of_stamp = stamp_covariance(nav[VELOCITY], share, m)
-            by_stamp = self.noise.stamp_std**2 * of_stamp
+            by_stamp = self.noise.found.stamp_std**2 * of_stamp
             model, found = self.scatter.split_model(nav, model, split, fix_factor, by_stamp)
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
@@ -270,7 +270,7 @@ class MeasurementUpdate:
             R = R * fix_factor + by_stamp
             h, change = sensitivities(nav, H)
             if measurement.kind == VelocityFix.kind:
-                of_stamp, variance = np.outer(change, change), self.noise.age_std**2
+                of_stamp, variance = np.outer(change, change), self.noise.found.age_std**2
                 if nav[CLOCK_VARIANCE] > 0.0:
                     variance = max(variance, age_mean_square(self.clock.values))
                 of_age = variance * of_stamp

@@ -61,6 +61,7 @@ from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.weights import (
     AT_START,
     FAMILIES,
+    NoiseFactors,
     add_likelihood,
     average,
     fade,
@@ -99,7 +100,7 @@ LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, withi
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
-_START[FACTORS][[0, 1, 2, 8, 9, 10]] = 1.0
+_START[FACTORS] = NoiseFactors()
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
 _IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
@@ -122,21 +123,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     Attributes
     ----------
-    imu_factors : (float, float)
-        On the variances of accelerometer and gyroscope, 0.04 to 10⁴ and to 10³.
-    fix_factor : float
-        On the covariance that fixes claim, 1 to 10⁴: receivers claim too small ones, too.
-    slow_std, slow_probability : float
-        Standard deviation of a slow error of the fixes, horizontally [m], 0: the innovations show
-        none; and the probability of one.
-    stamp_std, stamp_probability : float
-        The same of the stamps of positions [s].
-    age_std : float
-        Standard deviation of the age of velocities [s]; 0: the innovations show none.
-    velocity_factors : (float, float)
-        On the covariance that velocities claim, horizontally and vertically, beside ``fix_factor``.
-    height_factor : float
-        On the variance that positions claim of the height, likewise.
+    found : NoiseFactors
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Of the hypotheses, see `advance`; None before the second fix.
 
@@ -147,9 +134,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     """
 
     def __init__(self) -> None:
-        self.imu_factors, self.fix_factor = (1.0, 1.0), 1.0
-        self.slow_std = self.slow_probability = self.stamp_std = self.stamp_probability = 0.0
-        self.age_std, self.velocity_factors, self.height_factor = 0.0, (1.0, 1.0), 1.0
+        self.found = NoiseFactors()
         self._values = _START
         self.estimates: Array | None = None
         self._t_ns = 0
@@ -277,11 +262,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         return bool(have_risen)
 
     def _read_factors(self) -> None:
-        found = self._values[FACTORS].tolist()
-        self.imu_factors, self.fix_factor = (found[0], found[1]), found[2]
-        self.slow_std, self.slow_probability, self.stamp_std, self.stamp_probability = found[3:7]
-        self.age_std, self.velocity_factors = found[7], (found[8], found[9])
-        self.height_factor = found[10]
+        self.found = NoiseFactors(*self._values[FACTORS].tolist())
 
     def _state_correction(self) -> StateCorrection:
         """Return where the state belongs by the mixture, which the hypotheses refer to from now."""

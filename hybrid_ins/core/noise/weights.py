@@ -15,6 +15,8 @@ References
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
@@ -52,6 +54,22 @@ FAMILIES = len(FAMILY_STD)
 _PRIOR_OF_FAMILY = np.array(
     [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
 )
+
+
+class NoiseFactors(NamedTuple):
+    """What the mixture of the hypotheses assumes, in the order of `average`."""
+
+    accelerometer: float = 1.0  # on its variance, 0.04 to 10⁴
+    gyroscope: float = 1.0  # likewise, up to 10³
+    fixes: float = 1.0  # on the covariance that fixes claim, 1 to 10⁴: many claim too small ones
+    slow_std: float = 0.0  # m, horizontally, of a slow error of fixes; 0: the innovations show none
+    slow_probability: float = 0.0  # of one
+    stamp_std: float = 0.0  # s, of the stamps of positions, likewise
+    stamp_probability: float = 0.0
+    age_std: float = 0.0  # s, of the age of velocities, likewise
+    horizontal_velocity: float = 1.0  # on the covariance that velocities claim, besides ``fixes``
+    vertical_velocity: float = 1.0
+    heights: float = 1.0  # on the variance that positions claim of the height, besides ``fixes``
 
 
 @register_jitable
@@ -128,10 +146,8 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """
     Set the factors to the mixture's mean; return whether one has risen much.
 
-    ``factors``, shape (11,): on accelerometer, gyroscope and R; the standard deviation [m] of a
-    slow error, by the mixture's second moment, 0 where it is improbable, and its probability; those
-    of the stamps of positions [s], likewise; the standard deviation of the age of velocities [s],
-    likewise; and the factors on R of velocities, horizontally and vertically, and of heights.
+    ``factors``, shape (11,), are those of `NoiseFactors`. Standard deviations are the mixture's
+    second moment, and 0 where they are improbable.
     """
     for i in range(3):
         factors[i] = _mean_factor(LOG_FACTORS.start + i, weights)

@@ -203,8 +203,8 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "mode": mode,
             **factors,
             **({"slow_error_of_fixes": running.noise.split.unclaimed_std} if running else {}),
-            **({"stamp_scatter_of_fixes": running.noise.stamp_std} if running else {}),
-            **({"age_of_velocities": running.noise.age_std} if running else {}),
+            **({"stamp_scatter_of_fixes": running.noise.found.stamp_std} if running else {}),
+            **({"age_of_velocities": running.noise.found.age_std} if running else {}),
             **({} if running is None else _scale_errors(running.scale_errors)),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
@@ -239,9 +239,10 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             claim = f"{what} scatter by more than they claim"
             found[claim] = f"{claim}: check the receiver, gnss.position_std_min"
             break
-    if running.noise.stamps_scatter:
+    innovations = running.noise.found
+    if innovations.stamp_probability > 0.5:
         found["stamps of fixes scatter"] = (
-            f"the stamps of fixes scatter by about {running.noise.stamp_std:.2g} s, and count for "
+            f"the stamps of fixes scatter by about {innovations.stamp_std:.2g} s, and count for "
             "so much less along the motion: let the driver stamp them with the time of validity, "
             "not that of their arrival"
         )
@@ -311,12 +312,12 @@ def _factors(noise: FilterNoise) -> dict[str, float]:
     if noise.factors is None:
         return {}
     accelerometer, gyroscope = noise.imu_factors
-    horizontal, vertical = noise.velocity_factors
+    found, (across, upward) = noise.found, noise.split.excess
     return {
         "factor_accelerometer": accelerometer,
         "factor_gyroscope": gyroscope,
-        "factor_fixes": noise.fix_factor * noise.split.excess[0],
-        "factor_heights": noise.fix_factor * noise.height_factor * noise.split.excess[1],
-        "factor_velocities_horizontal": horizontal,
-        "factor_velocities_vertical": vertical,
+        "factor_fixes": found.fixes * across,
+        "factor_heights": found.fixes * found.heights * upward,
+        "factor_velocities_horizontal": found.horizontal_velocity,
+        "factor_velocities_vertical": found.vertical_velocity,
     }

@@ -43,8 +43,13 @@ class OldVelocities(NoiseMultipleModelBank):
 
     def _read_factors(self) -> None:
         super()._read_factors()
-        self.stamp_std, self.age_std, self.velocity_factors = 0.03, 0.2, (2.0, 8.0)
-        self.height_factor = 4.0
+        self.found = self.found._replace(
+            stamp_std=0.03,
+            age_std=0.2,
+            horizontal_velocity=2.0,
+            vertical_velocity=8.0,
+            heights=4.0,
+        )
 
 
 def update(factors: bool) -> MeasurementUpdate:
@@ -127,7 +132,7 @@ def test_the_compiled_form_is_the_readable_one(seed: int, factors: bool, conside
         assert compiled.scatter.learned == pytest.approx(readable.scatter.learned, rel=1e-12)
         assert one.split is None or one.split.factors == pytest.approx(two.split.factors, rel=1e-12)
         assert compiled.noise.imu_factors == pytest.approx(readable.noise.imu_factors, rel=1e-9)
-        assert compiled.noise.fix_factor == pytest.approx(readable.noise.fix_factor, rel=1e-9)
+        assert compiled.noise.found.fixes == pytest.approx(readable.noise.found.fixes, rel=1e-9)
         if factors and isinstance(fix, VelocityFix) and one.verdict.accepted:
             assert one.verdict.sigma[2] > np.sqrt(8.0 * fix.claimed.diagonal()[2])
 

@@ -258,12 +258,12 @@ def test_a_copy_is_a_checkpoint() -> None:
     kept = copy.copy(bank)
     later = correction_of(rng, flat_state(rng, 0.02), 2)
     bank.update(later, PSD)
-    once = bank.imu_factors, bank.fix_factor, bank._values.copy()
+    once = bank.found, bank._values.copy()
 
     kept.update(later, PSD)
 
-    assert (kept.imu_factors, kept.fix_factor) == once[:2]
-    np.testing.assert_array_equal(kept._values, once[2])
+    assert kept.found == once[0]
+    np.testing.assert_array_equal(kept._values, once[1])
 
 
 def jump_of(rng: np.random.Generator, nav: Array, k: int) -> tuple[Correction, Array]:
@@ -281,7 +281,7 @@ def test_many_jumps_raise_r_alone_and_one_does_not() -> None:
     found = []
     for k in range(2, 9):
         bank.weigh_jump(*jump_of(rng, nav, k))
-        found.append((bank.fix_factor, *bank.imu_factors))
+        found.append((bank.found.fixes, bank.found.accelerometer, bank.found.gyroscope))
 
     assert found[0][0] < 2.0
     assert found[-1][0] > 10.0
@@ -294,12 +294,12 @@ def test_what_is_known_of_r_outlasts_an_inflation() -> None:
     bank.update(correction_of(rng, nav, 1), PSD)
     for k in range(2, 9):
         bank.weigh_jump(*jump_of(rng, nav, k))
-    before = bank.fix_factor
+    before = bank.found.fixes
 
     bank.restart(keep_weights=False)
 
-    assert bank.fix_factor > 0.5 * before
-    assert max(bank.imu_factors) <= 1.5
+    assert bank.found.fixes > 0.5 * before
+    assert max(bank.found.accelerometer, bank.found.gyroscope) <= 1.5
 
 
 def test_no_hypothesis_is_beyond_return() -> None:

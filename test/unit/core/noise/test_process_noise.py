@@ -23,6 +23,7 @@ from hybrid_ins.core.noise.process_noise import (
     NoiseModel,
     ProcessNoise,
 )
+from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Gate
 
 Array = NDArray[np.float64]
@@ -282,7 +283,7 @@ def test_what_the_fallback_needed_is_dropped_once_there_is_an_estimate(
     assert not model.on_fallback and not restarts  # no factor was above 1
 
     noise.learn_estimate(NoiseEstimate(3 * 10**9, None))
-    factors.imu_factors, factors.slow_std = imu_factors, slow_std
+    factors.found = NoiseFactors(*imu_factors, slow_std=slow_std)
     noise.learn_estimate(NoiseEstimate(4 * 10**9, Q))
 
     assert not model.on_fallback and restarts == [False]

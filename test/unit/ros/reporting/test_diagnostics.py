@@ -13,6 +13,7 @@ from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial.state import N_FLAT, W_G
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.ros.reporting.diagnostics import noise_conditions, status
 
 
@@ -24,7 +25,7 @@ def navigator(factor: float, turning: float, extra_std: float) -> Any:
         imu_factors=(500.0, factor),
         factors=None,
         drifts_beyond_claim=False,
-        stamps_scatter=False,
+        found=NoiseFactors(),
         psd=lambda: psd,
     )
     samples, ring = np.zeros(500, SAMPLE_DTYPE), ImuRing()
@@ -76,7 +77,7 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     )
     noise.split = noise.split._replace(claimed_std=claimed, unclaimed_std=drift)
     assert noise.factors is not None
-    noise.factors.slow_probability = probability
+    noise.factors.found = NoiseFactors(slow_probability=probability)
 
     found = noise_conditions(
         SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
@@ -96,7 +97,7 @@ def test_what_scatters_by_more_than_it_claims_is_named(
 ) -> None:
     bank = NoiseMultipleModelBank()
     noise = FilterNoise(ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), bank)
-    bank.fix_factor, bank.height_factor = fixes, heights
+    bank.found = NoiseFactors(fixes=fixes, heights=heights)
 
     found = noise_conditions(
         SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
