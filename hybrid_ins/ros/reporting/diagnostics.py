@@ -236,8 +236,9 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
     factors = _factors(running.noise)
     for key, what in ("factor_fixes", "fixes"), ("factor_heights", "the heights of fixes"):
         if factors.get(key, 1.0) > DISAGREEMENT:
-            claim = f"{what} scatter by more than they claim"
-            found[claim] = f"{claim}: check the receiver, gnss.position_std_min"
+            found[f"{what} scatter by more than they claim"] = (
+                f"{what} scatter by more than they claim: check the receiver, gnss.position_std_min"
+            )
             break
     innovations = running.noise.found
     if innovations.stamp_probability > 0.5:
