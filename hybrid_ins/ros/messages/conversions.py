@@ -28,7 +28,6 @@ from hybrid_ins.core.inertial.rotations import (
 )
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
-from hybrid_ins.resources import shortened
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.type_names import FIX
 
@@ -284,30 +283,6 @@ def fill_transform(
     p, q = transform.transform.translation, transform.transform.rotation
     p.x, p.y, p.z = np.asarray(position, float).tolist()
     q.x, q.y, q.z, q.w = np.asarray(quat_xyzw, float).tolist()
-
-
-def initial_yaw(message: Message, map_frame: str) -> tuple[float, float] | Refused:
-    """
-    Heading [rad from north] and its uncertainty of a PoseWithCovarianceStamped in the map frame.
-
-    An empty frame_id is taken for the map's.
-    """
-    frame = message.header.frame_id
-    if frame not in ("", map_frame):
-        return Refused(
-            "initialpose: other frame",
-            f"the pose is in frame '{shortened(frame)}', not '{map_frame}': set RViz's fixed frame "
-            "to the map",
-        )
-    q = message.pose.pose.orientation
-    quat = np.array([q.x, q.y, q.z, q.w], float)
-    norm = math.hypot(*quat)
-    if not 0.9 < norm < 1.1:
-        return Refused("initialpose: no orientation", f"quaternion {quat} has norm {norm:.2f}")
-    variance = float(message.pose.covariance[35])
-    std = math.sqrt(variance) if math.isfinite(variance) and variance > 0.0 else 0.2
-    yaw_enu = float(rpy_from_quat(quat / norm)[2])
-    return yaw_ned_from_enu(yaw_enu), std
 
 
 def imu_fields(message: Message) -> ImuFields:

@@ -206,7 +206,10 @@ def _describe_need(waiting: Waiting) -> str:
     if need is Need.SECOND_FIX:
         return "a second GNSS fix, for the first velocity"
     if need is Need.ORIENTATION:
-        return "an orientation in the IMU messages (heading_source is imu)"
+        return (
+            "an orientation in the IMU messages: let the driver fill it, or choose another "
+            "alignment.heading_source than imu"
+        )
     if need is Need.SPEED:
         return (
             f"motion for the heading: {waiting.value:.1f} m/s over ground, {waiting.limit:g} needed"
