@@ -19,6 +19,7 @@ from hybrid_ins.resources import shortened
 
 ROS = "--ros-args"
 SOURCE = re.compile(r"\. Error: |,? at /\S+:\d+")  # what rcl adds: where in its C source
+LOG_FOLDER = re.compile("(logging|log) directory")
 FILE, VALUE = ("--params-file",), ("-p", "--param")
 
 
@@ -75,7 +76,9 @@ def _value(text: str) -> str:
 def reason_of(error: Exception) -> str:
     """Return what ROS says in one line, without places in its C source."""
     reason = shortened(" ".join(SOURCE.split(str(error))[0].split()), 400)
-    return f"{reason}: set HOME or ROS_LOG_DIR" if "logging directory" in reason else reason
+    if LOG_FOLDER.search(reason):
+        return f"{reason}: set HOME, or ROS_LOG_DIR to a folder that can be written"
+    return reason
 
 
 def of_one_type(content: Any) -> Any:

@@ -90,7 +90,14 @@ def test_an_option_without_value_is_named() -> None:
         ),
         (
             "Failed to get logging directory, at /project/src/rcl_logging_spdlog.cpp:138",
-            "Failed to get logging directory: set HOME or ROS_LOG_DIR",
+            "Failed to get logging directory: set HOME, or ROS_LOG_DIR to a folder that can be "
+            "written",
+        ),
+        (
+            "failed to initialize logging: Failed to create log directory '/nobody/.ros/log': 2, "
+            "at /project/src/rcl_logging_spdlog.cpp:150",
+            "failed to initialize logging: Failed to create log directory '/nobody/.ros/log': 2: "
+            "set HOME, or ROS_LOG_DIR to a folder that can be written",
         ),
     ],
 )
