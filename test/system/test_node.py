@@ -419,6 +419,20 @@ def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) ->
     assert "Traceback" not in done.stderr
 
 
+def test_parameters_that_are_lost_are_named(processes: Processes, tmp_path: Path) -> None:
+    """GIVEN a file for another namespace, and an empty list WHEN started THEN both are named."""
+    file, log = tmp_path / "robot.yaml", tmp_path / "node.log"
+    file.write_text("ins_node:\n  ros__parameters:\n    gnss: {patience: 5.0}\n")
+    command = [sys.executable, "-m", "hybrid_ins.ros.node", "--params-file", str(file)]
+    with log.open("w") as output:
+        words = ["-r", "__ns:=/rover", "-p", "imu.position:=[]"]
+        node = processes.start([*command, *words], output, ENVIRONMENT)
+
+    assert node.wait(60.0) == 2
+    assert "no section for /rover/ins_node, only for /ins_node: nothing in it" in log.read_text()
+    assert "parameter imu.position: [] is not a list of 3 numbers" in log.read_text()
+
+
 def test_parameter_files_mean_what_they_say(
     processes: Processes, tmp_path: Path, client: Client
 ) -> None:
@@ -446,7 +460,7 @@ def test_parameter_files_mean_what_they_say(
             {},
             "imu/data: .*depth' to 'text' .*: check qos_overrides",
         ),
-        (["-r", "/a//b:=c"], {}, "Couldn't parse remap rule: '-r /a//b:=c'$"),
+        (["-r", "/a//b:=c"], {}, "Couldn't parse remap rule: '-r /a//b:=c': Expecting"),
         (
             [],
             {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"},
