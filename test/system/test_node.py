@@ -324,6 +324,22 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     assert processes.stop(node) == 0
 
 
+def test_a_second_source_of_odometry_is_named(
+    processes: Processes, tmp_path: Path, client: Client
+) -> None:
+    """GIVEN a node that was forgotten WHEN another is started THEN it says so."""
+    from nav_msgs.msg import Odometry
+
+    log = tmp_path / "node.log"
+    client.node.create_publisher(Odometry, "/odometry", 10)
+
+    start_node(processes, log)
+
+    until(lambda: "/odometry has 2 publishers" in log.read_text())
+    line = next(line for line in log.read_text().splitlines() if "2 publishers" in line)
+    assert "asking" in line and "is another ins_node running? Stop the other" in line
+
+
 def test_no_bytes_on_any_topic_end_the_node(
     processes: Processes, folder: Path, client: Client
 ) -> None:

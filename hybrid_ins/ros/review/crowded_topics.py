@@ -1,5 +1,5 @@
 """
-Input topics with several publishers.
+Topics with several publishers: of the input, or of what only this node is to publish.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from typing import Any
 from hybrid_ins.ros.messages.conversions import Refused
 from hybrid_ins.ros.reporting.input_log import InputLog
 
-TOPICS = ("imu/data", "gnss/fix", "gnss/velocity")
+INPUT, OUTPUT = ("imu/data", "gnss/fix", "gnss/velocity"), ("odometry", "odometry/local")
+REMEDIES = dict.fromkeys(INPUT, "stop or remap all but one") | dict.fromkeys(
+    OUTPUT, "is another ins_node running? Stop the other, or give this one a namespace"
+)
 
 
 class CrowdedTopics:
     """
-    Warns, once for each input topic, of several publishers.
+    Warns, once for each topic, of several publishers.
 
     Parameters
     ----------
@@ -31,7 +34,7 @@ class CrowdedTopics:
     def find(self) -> None:
         """Count the publishers of each topic."""
         node = self._node
-        for name in TOPICS:
+        for name, remedy in REMEDIES.items():
             topic = node.resolve_topic_name(name)
             if topic in self._found or node.count_publishers(topic) < 2:
                 continue
@@ -41,7 +44,6 @@ class CrowdedTopics:
                 name,
                 Refused(
                     f"{name}: several publishers",
-                    f"{topic} has {len(nodes)} publishers "
-                    f"({', '.join(nodes)}): stop or remap all but one",
+                    f"{topic} has {len(nodes)} publishers ({', '.join(nodes)}): {remedy}",
                 ),
             )
