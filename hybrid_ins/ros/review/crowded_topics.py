@@ -10,6 +10,7 @@ from hybrid_ins.ros.messages.conversions import Refused
 from hybrid_ins.ros.reporting.input_log import InputLog
 
 INPUT, OUTPUT = ("imu/data", "gnss/fix", "gnss/velocity"), ("odometry", "odometry/local")
+GONE = "_NODE_NAME_UNKNOWN_"  # of a process that was killed, which DDS keeps for some 20 s
 REMEDIES = dict.fromkeys(INPUT, "stop or remap all but one") | dict.fromkeys(
     OUTPUT, "is another ins_node running? Stop the other, or give this one a namespace"
 )
@@ -38,8 +39,11 @@ class CrowdedTopics:
             topic = node.resolve_topic_name(name)
             if topic in self._found or node.count_publishers(topic) < 2:
                 continue
+            names = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
+            nodes = [name for name in names if name != GONE]
+            if len(nodes) < 2:
+                continue
             self._found.add(topic)
-            nodes = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
             self._inputs.count_and_warn(
                 name,
                 Refused(
