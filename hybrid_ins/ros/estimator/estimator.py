@@ -48,7 +48,10 @@ from hybrid_ins.ros.review.input_review import InputReview
 Array = NDArray[np.float64]
 
 REPORT_NS = 100_000_000  # between two reports of the state
-SENSOR_MOVED = Refused("restart: a sensor was moved", "a sensor was moved: aligning anew")
+SENSOR_MOVED = Refused(
+    "restart: a sensor was moved",
+    "a sensor was moved, by /tf_static or another frame_id: aligning anew",
+)
 KEEP_CLOCK = (
     RestartCause.NO_SAMPLES,
     RestartCause.IMU_UNUSABLE,
