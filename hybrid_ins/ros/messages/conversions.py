@@ -101,9 +101,15 @@ class Refused:
     text: str
 
 
-def zero_stamp(sensor: str) -> Refused:
-    """Return that a sensor's message has no stamp."""
-    return Refused(f"{sensor}: zero stamp", "header.stamp is zero: the driver must set it")
+def unusable_stamp(sensor: str, t_ns: int) -> Refused:
+    """Return that a sensor's message has no stamp, or one [ns] that no clock shows."""
+    if t_ns == 0:
+        return Refused(f"{sensor}: zero stamp", "header.stamp is zero: the driver must set it")
+    return Refused(
+        f"{sensor}: negative stamp",
+        f"header.stamp is {t_ns / 1e9:.0f} s: ROS counts to the year 2038, and goes on below zero; "
+        "check the driver's clock and its unit (seconds)",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +155,7 @@ class GnssInput:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` replaces its stamp if given."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("gnss")
+            return unusable_stamp("gnss", t_ns)
         if message.status.status < STATUS_FIX:
             return Refused("gnss: no fix", f"status {message.status.status} means no fix")
         lat, lon, height = message.latitude, message.longitude, message.altitude
@@ -204,7 +210,7 @@ class GnssInput:
         """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("velocity")
+            return unusable_stamp("velocity", t_ns)
         linear = message.twist.twist.linear
         velocity_enu = np.array([linear.x, linear.y, linear.z], float)
         if not np.all(np.isfinite(velocity_enu[:2])) or math.isinf(velocity_enu[2]):

@@ -124,7 +124,7 @@ def test_any_nine_numbers_give_a_positive_definite_covariance(numbers: list[floa
         ({"lat": 90.0}, "gnss: impossible position"),
         ({"lat": 0.0, "lon": 0.0}, "gnss: impossible position"),
         ({"sec": 0}, "gnss: zero stamp"),
-        ({"sec": -5}, "gnss: zero stamp"),
+        ({"sec": -5}, "gnss: negative stamp"),
     ],
 )
 def test_useless_fixes_are_refused_by_name(changes, name) -> None:
