@@ -20,7 +20,7 @@ from hybrid_ins.resources import shortened
 
 ROS = "--ros-args"
 SOURCE = re.compile(r",? at /\S+:\d+")  # what rcl adds: where in its C source
-CAUSE = re.compile(r"\. Error: ")
+CAUSE = ". Error: "  # what rcl puts before it
 LOG_FOLDER = re.compile("(logging|log) directory")
 FILE, VALUE = ("--params-file",), ("-p", "--param")
 
@@ -105,8 +105,10 @@ def _value(text: str) -> str:
 
 def reason_of(error: Exception) -> str:
     """Return what ROS says in one line, without places in its C source."""
-    said = CAUSE.sub(": ", SOURCE.split(str(error))[0])
-    reason = shortened(" ".join(said.split()), 400)
+    what, _, cause = SOURCE.split(str(error))[0].partition(CAUSE)
+    if "params file" in what:  # of a remapping, it is about lexemes
+        what = f"{what}: {cause}"
+    reason = shortened(" ".join(what.split()), 400)
     if LOG_FOLDER.search(reason):
         return f"{reason}: set HOME, or ROS_LOG_DIR to a folder that can be written"
     return reason

@@ -476,7 +476,7 @@ def test_parameter_files_mean_what_they_say(
             {},
             "imu/data: .*depth' to 'text' .*: check qos_overrides",
         ),
-        (["-r", "/a//b:=c"], {}, "Couldn't parse remap rule: '-r /a//b:=c': Expecting"),
+        (["-r", "/a//b:=c"], {}, "Couldn't parse remap rule: '-r /a//b:=c'$"),
         (
             [],
             {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"},
