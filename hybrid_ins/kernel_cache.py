@@ -131,11 +131,15 @@ def _directory() -> Path | None:
 
 
 def _digest() -> str:
-    """Return a name for the text of the core and of all other modules with kernels."""
+    """
+    Return a name for the text of the core, in all its folders, and of other modules with kernels.
+
+    Modules without kernels count, too: machine code contains the constants that kernels import.
+    """
     digest = hashlib.sha256()
     for source in sorted(PACKAGE.rglob("*.py")):
         text = source.read_bytes()
-        if source.parent.name == "core" or b"core.compilation" in text:
+        if source.is_relative_to(PACKAGE / "core") or b"core.compilation" in text:
             digest.update(text)
     return digest.hexdigest()[:16]
 

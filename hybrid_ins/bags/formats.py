@@ -122,9 +122,10 @@ class _RosbagsFile:
 
     def _unreadable(self, error: Exception) -> InputError:
         reason = str(error).strip().rstrip(".") or type(error).__name__
+        repair = "repair it by rosbag reindex, or " if self._is_ros1 else ""
         return InputError(
             f"{self.path}: cannot be read ({reason});"
-            " fetch the bag again from where it was recorded"
+            f" {repair}fetch the bag again from where it was recorded"
         )
 
 

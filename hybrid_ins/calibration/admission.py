@@ -36,8 +36,8 @@ def check_stamps(stamps: NDArray[np.int64], place: str) -> None:
     missing = int(np.sum(stamps <= 0))
     if 2 * missing > len(stamps):
         raise InputError(
-            f"{place}: header.stamp is zero in {missing} of {len(stamps)} samples: let the "
-            "IMU's driver set it, and record again"
+            f"{place}: header.stamp is zero or negative in {missing} of {len(stamps)} samples: let "
+            "the IMU's driver set it, and record again"
         )
 
 

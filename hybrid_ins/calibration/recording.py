@@ -35,8 +35,8 @@ from hybrid_ins.ros.estimator.imu_admission import admitted_readings
 from hybrid_ins.ros.messages import conversions, gps_fix, type_names
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages
 from hybrid_ins.ros.messages.conversions import FLIP, SWAP, GnssInput, Refused
+from hybrid_ins.ros.reporting.clocks import describe_clocks
 from hybrid_ins.ros.reporting.wording import describe_contradiction
-from hybrid_ins.ros.review.fix_refusals import describe_clocks
 
 Array = NDArray[np.float64]
 

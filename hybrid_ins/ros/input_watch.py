@@ -24,20 +24,34 @@ IMU, FIX = "imu/data", "gnss/fix"
 LAUNCH_ARGUMENTS = {IMU: "imu_topic", FIX: "fix_topic"}
 KINDS = {topic.name: topic.type_name for topic in interface.SUBSCRIBED}
 DRIVER_STOPPED = "restart the driver, check the cable; until they come the state is lost"
+NO_CLOCK = (
+    "use_sim_time is true: start the simulator, play the bag with --clock, or set use_sim_time to "
+    "false"
+)
 
 
 class Clocks:
-    """How far the computer's clock and that of a node of rclpy go on."""
+    """
+    How far the computer's clock and that of a node of rclpy go on.
+
+    A simulated clock of which nothing has come yet is none: the computer's stands in for it.
+
+    Attributes
+    ----------
+    is_missing : bool
+        The node's is to be simulated, and nothing has come of it.
+    """
 
     def __init__(self, node: Any) -> None:
         self._node = node
         self._last = self._read()
 
     def _read(self) -> tuple[float, float, bool]:
-        """Return both [s], and whether the node's is simulated."""
+        """Return both [s], and whether the node's is a simulated one that runs."""
         clock, wall = self._node.get_clock(), time.monotonic()
-        is_simulated = bool(clock.ros_time_is_active)
-        return wall, clock.now().nanoseconds * 1e-9 if is_simulated else wall, is_simulated
+        now_ns = clock.now().nanoseconds if clock.ros_time_is_active else 0
+        self.is_missing = clock.ros_time_is_active and not now_ns
+        return wall, now_ns * 1e-9 if now_ns else wall, now_ns != 0
 
     def elapsed(self) -> tuple[float, float]:
         """Return how far each went on since the last call [s]; a clock that was set did not."""
@@ -75,6 +89,7 @@ class InputWatch:
         log, name = self._estimator.inputs.log, self._node.resolve_topic_name
         self._heard, self._used, self._located = Silence(), Silence(), Silence()
         self._imu_outage, self._fix_outage = OutageLog(log, name(IMU)), OutageLog(log, name(FIX))
+        self._clock_outage, self._clockless = OutageLog(log, "/clock"), 0.0
         self._clocks = Clocks(self._node)
 
     def on_second(self) -> None:
@@ -120,6 +135,8 @@ class InputWatch:
     # The log.
 
     def _log_outages(self, heard: float, elapsed: float) -> None:
+        self._clockless = self._clockless + elapsed if self._clocks.is_missing else 0.0
+        self._clock_outage.note(self._clockless, lambda: NO_CLOCK)
         located = self._located.update(self.fixes, elapsed)
         if self.imu_messages:  # a bag that is paused is no outage
             self._imu_outage.note(min(heard, self._used.seconds), lambda: DRIVER_STOPPED)

@@ -209,11 +209,7 @@ class InsNode(LifecycleNode):
         given = {name: self.get_parameter(name).value for name in parameters.PARAMETERS}
         return dict(
             parameters.check_all(
-                {
-                    name: node_parameters.plain(value)
-                    for name, value in given.items()
-                    if value is not None  # what ROS makes of an empty list in a file
-                }
+                {name: node_parameters.plain(value) for name, value in given.items()}
             )
         )
 
@@ -286,6 +282,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             node.destroy_node()
             kernels.prepare(rclpy.logging.get_logger(parameters.NODE_NAME).info)
             node = InsNode()
+        for text in node_arguments.unused_files(arguments[1:], node.get_fully_qualified_name()):
+            node.get_logger().warning(text)
         if node.autostart:
             node.start()
         else:

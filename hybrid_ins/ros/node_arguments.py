@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,7 +19,9 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.resources import shortened
 
 ROS = "--ros-args"
-SOURCE = re.compile(r"\. Error: |,? at /\S+:\d+")  # what rcl adds: where in its C source
+SOURCE = re.compile(r",? at /\S+:\d+")  # what rcl adds: where in its C source
+CAUSE = ". Error: "  # what rcl puts before it
+LOG_FOLDER = re.compile("(logging|log) directory")
 FILE, VALUE = ("--params-file",), ("-p", "--param")
 
 
@@ -61,6 +64,34 @@ def _file(path: str, copy: Path) -> str:
     return str(copy)
 
 
+def unused_files(words: Sequence[str], node: str) -> Iterator[str]:
+    """Yield what is wrong with parameter files without a section for a node, by its full name."""
+    for option, path in pairwise(words):
+        if option not in FILE:
+            continue
+        names = list(_sections(yaml_reader.read(Path(path), "a parameter file")))
+        if names and not any(_pattern(name).fullmatch(node) for name in names):
+            yield (
+                f"{path}: no section for {node}, only for {', '.join(names)}: nothing in it is "
+                f"used; write '/**:' or '{node}:'"
+            )
+
+
+def _sections(content: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the nodes that a parameter file is for."""
+    for name, body in content.items() if isinstance(content, dict) else ():
+        if name == yaml_reader.PARAMETERS:
+            yield prefix
+        else:
+            yield from _sections(body, f"{prefix}/{str(name).strip('/')}")
+
+
+def _pattern(name: str) -> re.Pattern[str]:
+    """Return what a section's name stands for: * is one part of a node's name, ** are any."""
+    parts = {"*": r"/[^/]+", "**": r"(/[^/]+)*"}
+    return re.compile("".join(parts.get(p, "/" + re.escape(p)) for p in name.split("/")[1:]))
+
+
 def _value(text: str) -> str:
     name, separator, value = text.partition(":=")
     try:
@@ -74,8 +105,13 @@ def _value(text: str) -> str:
 
 def reason_of(error: Exception) -> str:
     """Return what ROS says in one line, without places in its C source."""
-    reason = shortened(" ".join(SOURCE.split(str(error))[0].split()), 400)
-    return f"{reason}: set HOME or ROS_LOG_DIR" if "logging directory" in reason else reason
+    what, _, cause = SOURCE.split(str(error))[0].partition(CAUSE)
+    if "params file" in what:  # of a remapping, it is about lexemes
+        what = f"{what}: {cause}"
+    reason = shortened(" ".join(what.split()), 400)
+    if LOG_FOLDER.search(reason):
+        return f"{reason}: set HOME, or ROS_LOG_DIR to a folder that can be written"
+    return reason
 
 
 def of_one_type(content: Any) -> Any:

@@ -41,6 +41,8 @@ def descriptor(parameter: Parameter, fixed: bool = True) -> ParameterDescriptor:
 
 def plain(value: Any) -> Any:
     """Return a parameter's value as rclpy's arrays and numbers are in YAML."""
+    if value is None:  # what ROS makes of an empty list
+        return []
     return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
 
 

@@ -87,6 +87,8 @@ class StatusListener:
         return float("inf") if self._heard < 0.0 else time.monotonic() - self._heard
 
     def _on_diagnostics(self, message: Any) -> None:
+        found = [s.name.partition(OURS) for s in message.status if OURS in s.name]
+        self.status.elsewhere |= {f"/{prefix.removesuffix(': ')}" for prefix, _, _ in found}
         ours = [status for status in message.status if status.name.startswith(self._prefix)]
         if not ours:
             return

@@ -209,6 +209,25 @@ def test_odometry_before_the_heading_is_known_follows_a_changed_noise() -> None:
     assert values and all(row[49 + 21] >= 0.25 for row in values)  # variance of the rate about x
 
 
+@pytest.mark.parametrize(
+    ("source", "gravity", "text"),
+    [
+        ("motion", 0.0, "gravity seems to be removed: let the driver publish specific force"),
+        ("imu", 9.8, "an orientation in the IMU messages: let the driver fill it"),
+    ],
+)
+def test_an_imu_that_no_filter_starts_with_is_named_in_the_log(
+    source: str, gravity: float, text: str
+) -> None:
+    drive = Drive(**{"alignment.heading_source": source})
+
+    drive.play(0.0, 13.0, force=lambda f: f - np.array([0.0, 0.0, 9.8 - gravity]))
+
+    assert not drive.estimator.aligned
+    (line,) = (line for line in drive.warnings() if text in line)
+    assert line.startswith("aligning: it needs ") and line.endswith("(for 10 s so far)")
+
+
 @pytest.mark.parametrize("max_speed", [515.0, 0.1])
 def test_odometry_of_a_search_follows_a_changed_speed_limit(max_speed: float) -> None:
     drive = Drive()

@@ -193,3 +193,18 @@ def test_fixes_that_all_come_too_late_are_told_with_their_remedy() -> None:
     assert len(told) == 1
     assert told[0].startswith("gnss/fix: 10 fixes came too late to be used, this one 1.5 s after")
     assert told[0].endswith("raise gnss.max_delay to 3")
+
+
+@pytest.mark.parametrize(("step", "words"), [(30.0, "30.0 s ahead of"), (-30.0, "30.0 s behind")])
+def test_a_receiver_whose_clock_is_set_in_flight_is_named(step: float, words: str) -> None:
+    """GIVEN a flight WHEN its fixes are stamped otherwise THEN the clocks are blamed."""
+    drive = Spoiled(**KNOWN)
+    drive.play(0.0, 6.0)
+
+    drive.ahead_ns = round(step * 1e9)
+    drive.play(6.0, 10.0)
+
+    assert drive.estimator.aligned
+    (line,) = (text for text in drive.warnings() if "of no use" in text)
+    assert line.startswith(f"gnss/fix: 10 fixes are of no use: their stamps are {words} the IMU's")
+    assert line.endswith("let both drivers stamp by one clock, or set use_receive_time: true")

@@ -324,6 +324,22 @@ def test_second_publisher_is_told_and_leaves_the_state_alone(
     assert processes.stop(node) == 0
 
 
+def test_a_second_source_of_odometry_is_named(
+    processes: Processes, tmp_path: Path, client: Client
+) -> None:
+    """GIVEN a node that was forgotten WHEN another is started THEN it says so."""
+    from nav_msgs.msg import Odometry
+
+    log = tmp_path / "node.log"
+    client.node.create_publisher(Odometry, "/odometry", 10)
+
+    start_node(processes, log)
+
+    until(lambda: "/odometry has 2 publishers" in log.read_text())
+    line = next(line for line in log.read_text().splitlines() if "2 publishers" in line)
+    assert "asking" in line and "is another ins_node running? Stop the other" in line
+
+
 def test_no_bytes_on_any_topic_end_the_node(
     processes: Processes, folder: Path, client: Client
 ) -> None:
@@ -417,6 +433,20 @@ def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) ->
     assert done.returncode == 2
     assert "noise.mode" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_parameters_that_are_lost_are_named(processes: Processes, tmp_path: Path) -> None:
+    """GIVEN a file for another namespace, and an empty list WHEN started THEN both are named."""
+    file, log = tmp_path / "robot.yaml", tmp_path / "node.log"
+    file.write_text("ins_node:\n  ros__parameters:\n    gnss: {patience: 5.0}\n")
+    command = [sys.executable, "-m", "hybrid_ins.ros.node", "--params-file", str(file)]
+    with log.open("w") as output:
+        words = ["-r", "__ns:=/rover", "-p", "imu.position:=[]"]
+        node = processes.start([*command, *words], output, ENVIRONMENT)
+
+    assert node.wait(60.0) == 2
+    assert "no section for /rover/ins_node, only for /ins_node: nothing in it" in log.read_text()
+    assert "parameter imu.position: [] is not a list of 3 numbers" in log.read_text()
 
 
 def test_parameter_files_mean_what_they_say(

@@ -74,6 +74,8 @@ def test_two_vehicles_are_told_apart(processes: Processes, tmp_path: Path) -> No
     assert second["statuses"]["imu"]["level"] == "ERROR"
     assert "/rover2/imu/data" in second["statuses"]["imu"]["message"]
     assert second["verdict"] is None
+    level, text = ask("--once", "--wait", "5")
+    assert level == 1 and "/rover" in text and "choose by --namespace" in text
     _, text = ask("--once", "--wait", "20", "--namespace", "rover1")
     assert "σ heading" in " ".join(text.split()), text
 

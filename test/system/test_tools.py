@@ -55,10 +55,11 @@ def test_wrong_arguments_are_one_line(
         status = main(words.format(missing=missing).split())
     except SystemExit as end:  # argparse
         status = end.code
-    said = capfd.readouterr().err
+    out, said = capfd.readouterr()
     assert status == 2
     assert complaint.format(missing=missing) in said
     assert said.count("\n") == 1
+    assert not out  # no table begins
 
 
 def test_the_drives_of_a_name_are_generated() -> None:

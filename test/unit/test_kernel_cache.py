@@ -28,3 +28,18 @@ def test_without_a_home_there_is_still_a_place(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(Path, "expanduser", no_home)
 
     assert list(kernel_cache._places())[-1] == kernel_cache._temporary_place()
+
+
+def test_a_constant_that_kernels_import_from_a_module_without_any_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GIVEN kernels that are kept WHEN the layout of the state changes THEN they are not used."""
+    layout = tmp_path / "core" / "inertial" / "state.py"
+    layout.parent.mkdir(parents=True)
+    layout.write_text("N_ERROR = 15\n")
+    monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path)
+    before = kernel_cache._digest()
+
+    layout.write_text("N_ERROR = 16\n")
+
+    assert kernel_cache._digest() != before

@@ -275,6 +275,7 @@ def _body(args: argparse.Namespace) -> int:
     ros_estimator.REPORT_NS = round(args.report_period * 1e9)
     values: dict[str, object] = {"gnss.time_offset.estimate": args.estimate}
     values |= {name: yaml.safe_load(value) for name, value in args.param}
+    parameters.check_all(values)
     todo = [
         (kind, args.hours * 3600.0, seed, args.offset, values, args.imu_rate, args.fix_period)
         for kind in args.motion

@@ -160,8 +160,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _body(args: argparse.Namespace) -> int:
     data = args.data
+    plane = load(data / "plane_x8")
     print(HEADER)
-    print(row("plane_x8", "no sideslip", sideslip(load(data / "plane_x8")), ""))
+    print(row("plane_x8", "no sideslip", sideslip(plane), ""))
     for name in ("quad106", "quad_low"):
         flight = load(data / name)
         for windy, law in ((False, "drag, no wind"), (True, "drag, constant wind")):

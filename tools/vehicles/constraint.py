@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +28,21 @@ HEADER = "| drive | held | longest [s] | first [s] | evidence at the end |\n" + 
 
 
 def drives(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> Iterator[Drive]:
-    """Generate the drives of the named vehicles, all without a name; then the real sets."""
+    """
+    Return a generator of the drives of the named vehicles, all without a name, and the real sets.
+
+    Raises
+    ------
+    InputError
+        There is no vehicle of such a name, or no real set in the folder ``data``.
+    """
     sets = [] if data is None else real_sets(data)
     check_names(names, [*every_vehicle(), *sets])
-    for name, vehicle in every_vehicle().items():
-        for seed in seeds:
-            if not names or name in names:
-                yield from_simulation(record(vehicle, seed))
-    for name in sets:
-        if data is not None and (not names or name in names):
-            yield load(data / name, "all")
+    vehicles = [v for name, v in every_vehicle().items() if not names or name in names]
+    return chain(
+        (from_simulation(record(vehicle, seed)) for vehicle in vehicles for seed in seeds),
+        (load(Path(data or "", name), "all") for name in sets if not names or name in names),
+    )
 
 
 class Watched(Judged):
@@ -84,8 +90,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _body(args: argparse.Namespace) -> int:
+    chosen = drives(args.names, args.seeds, args.data)
     print(HEADER)
-    for drive in drives(args.names, args.seeds, args.data):
+    for drive in chosen:
         print(row(drive), flush=True)
     return 0
 

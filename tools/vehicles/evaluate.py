@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 from hybrid_ins import parameters
@@ -32,7 +33,9 @@ def drives(
     names: Sequence[str], seeds: Sequence[int], data: Path | None, logs: Sequence[Path] = ()
 ) -> Iterator[Drive]:
     """
-    Generate ``logs``, and the drives with one of ``names`` in theirs; all without both.
+    Return a generator of ``logs``, and of the drives with one of ``names`` in theirs.
+
+    Without both it generates all.
 
     Raises
     ------
@@ -44,19 +47,16 @@ def drives(
         (name, feed) for name in sets for feed in (("all",) if name == "car_circles" else FEEDS)
     ]
     check_names(names, [*VEHICLES, *map(", ".join, feeds)])
-    for path in logs:
-        yield from (from_log(path, feed) for feed in FEEDS)
 
     def wanted(name: str) -> bool:
         return not (names or logs) or any(part in name for part in names)
 
-    for name, vehicle in VEHICLES.items():
-        for seed in seeds:
-            if wanted(name):
-                yield from_simulation(record(vehicle, seed))
-    for name, feed in feeds:
-        if wanted(f"{name}, {feed}"):
-            yield load(sets[name], feed)
+    simulated = [vehicle for name, vehicle in VEHICLES.items() if wanted(name)]
+    return chain(
+        (from_log(path, feed) for path in logs for feed in FEEDS),
+        (from_simulation(record(vehicle, seed)) for vehicle in simulated for seed in seeds),
+        (load(sets[name], feed) for name, feed in feeds if wanted(f"{name}, {feed}")),
+    )
 
 
 def real_sets(data: Path) -> list[str]:
@@ -97,8 +97,9 @@ def _body(args: argparse.Namespace) -> int:
     values = parameters.defaults()
     if args.params_file is not None:
         values = parameter_file.load(args.params_file)
+    chosen = drives(args.names, args.seeds, args.data, args.log)
     print(HEADER)
-    for drive in drives(args.names, args.seeds, args.data, args.log):
+    for drive in chosen:
         s = score(drive, values)
         print(
             f"| {drive.name} | {s.aligned:.0f} | {100.0 * s.used:.1f} % | {s.rmse:.3f}, "

@@ -96,9 +96,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _body(args: argparse.Namespace) -> int:
+    chosen = drives(args.names, args.seeds, args.data, args.log)
     print(HEADER)
     starts = list(STARTS)
-    for drive in drives(args.names, args.seeds, args.data, args.log):
+    for drive in chosen:
         ours = score(drive, parameters.defaults())
         if not math.isfinite(ours.rmse):
             print(f"| {drive.name} | never aligned |" + " |" * 6, flush=True)

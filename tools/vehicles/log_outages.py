@@ -106,10 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _body(args: argparse.Namespace) -> int:
-    print(HEADER)
     tasks = [(path, variant, args.length) for path in args.logs for variant in VARIANTS]
-    for line in run_parallel(one, tasks, args.jobs):
-        print(line, flush=True)
+    for k, line in enumerate(run_parallel(one, tasks, args.jobs)):
+        print(line if k else f"{HEADER}\n{line}", flush=True)
     return 0
 
 

@@ -36,6 +36,7 @@ from hybrid_ins.ros.estimator.reporter import Reporter
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import MapFrame, Message, Refused
+from hybrid_ins.ros.messages.initial_pose import initial_yaw
 from hybrid_ins.ros.output.odometry import OdometrySource
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.ros.reporting import wording
@@ -47,7 +48,10 @@ from hybrid_ins.ros.review.input_review import InputReview
 Array = NDArray[np.float64]
 
 REPORT_NS = 100_000_000  # between two reports of the state
-SENSOR_MOVED = Refused("restart: a sensor was moved", "a sensor was moved: aligning anew")
+SENSOR_MOVED = Refused(
+    "restart: a sensor was moved",
+    "a sensor was moved, by /tf_static or another frame_id: aligning anew",
+)
 KEEP_CLOCK = (
     RestartCause.NO_SAMPLES,
     RestartCause.IMU_UNUSABLE,
@@ -168,7 +172,7 @@ class Estimator:
 
     def handle_initial_pose(self, message: Message) -> None:
         """Use a heading by hand, a geometry_msgs/PoseWithCovarianceStamped; aligns anew."""
-        yaw = conversions.initial_yaw(message, self.values["map_frame"])
+        yaw = initial_yaw(message, self.values["map_frame"])
         if isinstance(yaw, Refused):
             self.inputs.count_and_warn("initialpose", yaw)
             return

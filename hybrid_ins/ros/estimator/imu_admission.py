@@ -17,7 +17,7 @@ from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck
 from hybrid_ins.ros.messages.cdr import ImuFields
-from hybrid_ins.ros.messages.conversions import Refused, zero_stamp
+from hybrid_ins.ros.messages.conversions import Refused, unusable_stamp
 from hybrid_ins.ros.reporting.wording import STAMP_FAULTS
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ def end_of_stretch(  # type: ignore[no-untyped-def]
 def refusal(t_ns: int, force: Reading, rate: Reading, max_force: float) -> Refused:
     """Return why a reading is not usable."""
     if t_ns <= 0:
-        return zero_stamp("imu")
+        return unusable_stamp("imu", t_ns)
     if not np.all(np.isfinite((*force, *rate))):
         return Refused("imu: not finite", "NaN or inf in the reading: check the driver")
     if not any(force):

@@ -26,7 +26,7 @@ from hybrid_ins.core.navigator.notices import (
     Restarted,
     TurnedOnTheSpot,
 )
-from hybrid_ins.core.navigator.stamp_check import PUBLISHED_AGAIN
+from hybrid_ins.core.navigator.stamp_check import PUBLISHED_AGAIN, STAMPED_AHEAD
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import GNSS
 from hybrid_ins.ros.messages.conversions import KNOWN, Refused
@@ -34,6 +34,7 @@ from hybrid_ins.ros.output import output
 from hybrid_ins.ros.output.odometry import OdometrySource
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.reporting import diagnostics, wording
+from hybrid_ins.ros.reporting.clocks import describe_wrong_stamp
 from hybrid_ins.ros.reporting.input_log import InputLog, is_logged
 from hybrid_ins.ros.reporting.reports import (
     Diagnostics,
@@ -49,7 +50,7 @@ Array = NDArray[np.float64]
 
 DIAGNOSTICS_NS = 1_000_000_000  # between two diagnostics messages
 RESTARTS_LOGGED = 10  # of one cause, before only each tenfold number is logged
-LATE_FIXES = 10  # of which the first is logged: a start makes some
+MISSTAMPED_FIXES = 10  # of which the first is logged: a start makes some
 NOT_UNIT = 1e-3  # of a quaternion: rates turned it too far for one step
 UNKNOWN = 0  # covariance type of a NavSatFix
 
@@ -162,10 +163,11 @@ class Reporter:
             if verdict.inflated:
                 counts["gnss: state opened"] += 1
                 self._inputs.log("warn", f"gnss: {verdict.reason}")
-        elif verdict.reason == TOO_OLD:
-            count = counts[f"{sensor}: {TOO_OLD}"]
-            if count >= LATE_FIXES and is_logged(count):
-                self._inputs.log("warn", wording.describe_late(verdict, count))
+        elif verdict.reason in (TOO_OLD, STAMPED_AHEAD):
+            count = counts[f"{sensor}: {verdict.reason}"]
+            is_due = count >= MISSTAMPED_FIXES and is_logged(count)
+            if is_due and self._navigator.filter is not None:  # before, `FixRefusals` says it
+                self._inputs.log("warn", describe_wrong_stamp(verdict.age, count))
         elif verdict.reason == PUBLISHED_AGAIN:
             count = counts[f"{sensor}: {PUBLISHED_AGAIN}"]
             if is_logged(count):

@@ -20,7 +20,7 @@ from hybrid_ins.ros.messages.conversions import (
     Refused,
     imu_yaw,
     time_of,
-    zero_stamp,
+    unusable_stamp,
 )
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class AidingMessages:
     ) -> BodyVelocity | Refused:
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("aiding")
+            return unusable_stamp("aiding", t_ns)
         if frame not in ("", self.base_frame):
             return Refused(
                 "aiding: other frame",
@@ -109,7 +109,7 @@ class AidingMessages:
         """Convert the orientation of a sensor_msgs/Imu, ENU, in the axes of the base frame."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("aiding")
+            return unusable_stamp("aiding", t_ns)
         q = message.orientation
         variances = np.array(message.orientation_covariance, float)
         yaw = imu_yaw((q.x, q.y, q.z, q.w), self.mount)
@@ -126,7 +126,7 @@ class AidingMessages:
         """Convert a sensor_msgs/FluidPressure; the height is that of the standard atmosphere."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("aiding")
+            return unusable_stamp("aiding", t_ns)
         pressure = float(message.fluid_pressure)
         if not (math.isfinite(pressure) and 1e4 < pressure < 1.2e5):
             return Refused(

@@ -28,7 +28,6 @@ from hybrid_ins.core.inertial.rotations import (
 )
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
-from hybrid_ins.resources import shortened
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.type_names import FIX
 
@@ -102,9 +101,15 @@ class Refused:
     text: str
 
 
-def zero_stamp(sensor: str) -> Refused:
-    """Return that a sensor's message has no stamp."""
-    return Refused(f"{sensor}: zero stamp", "header.stamp is zero: the driver must set it")
+def unusable_stamp(sensor: str, t_ns: int) -> Refused:
+    """Return that a sensor's message has no stamp, or one [ns] that no clock shows."""
+    if t_ns == 0:
+        return Refused(f"{sensor}: zero stamp", "header.stamp is zero: the driver must set it")
+    return Refused(
+        f"{sensor}: negative stamp",
+        f"header.stamp is {t_ns / 1e9:.0f} s: ROS counts to the year 2038, and goes on below zero; "
+        "check the driver's clock and its unit (seconds)",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +155,7 @@ class GnssInput:
         """Convert a sensor_msgs/NavSatFix; ``received_ns`` replaces its stamp if given."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("gnss")
+            return unusable_stamp("gnss", t_ns)
         if message.status.status < STATUS_FIX:
             return Refused("gnss: no fix", f"status {message.status.status} means no fix")
         lat, lon, height = message.latitude, message.longitude, message.altitude
@@ -205,7 +210,7 @@ class GnssInput:
         """Convert a geometry_msgs/TwistWithCovarianceStamped with ENU components, likewise."""
         t_ns = time_of(message, received_ns)
         if t_ns <= 0:
-            return zero_stamp("velocity")
+            return unusable_stamp("velocity", t_ns)
         linear = message.twist.twist.linear
         velocity_enu = np.array([linear.x, linear.y, linear.z], float)
         if not np.all(np.isfinite(velocity_enu[:2])) or math.isinf(velocity_enu[2]):
@@ -284,30 +289,6 @@ def fill_transform(
     p, q = transform.transform.translation, transform.transform.rotation
     p.x, p.y, p.z = np.asarray(position, float).tolist()
     q.x, q.y, q.z, q.w = np.asarray(quat_xyzw, float).tolist()
-
-
-def initial_yaw(message: Message, map_frame: str) -> tuple[float, float] | Refused:
-    """
-    Heading [rad from north] and its uncertainty of a PoseWithCovarianceStamped in the map frame.
-
-    An empty frame_id is taken for the map's.
-    """
-    frame = message.header.frame_id
-    if frame not in ("", map_frame):
-        return Refused(
-            "initialpose: other frame",
-            f"the pose is in frame '{shortened(frame)}', not '{map_frame}': set RViz's fixed frame "
-            "to the map",
-        )
-    q = message.pose.pose.orientation
-    quat = np.array([q.x, q.y, q.z, q.w], float)
-    norm = math.hypot(*quat)
-    if not 0.9 < norm < 1.1:
-        return Refused("initialpose: no orientation", f"quaternion {quat} has norm {norm:.2f}")
-    variance = float(message.pose.covariance[35])
-    std = math.sqrt(variance) if math.isfinite(variance) and variance > 0.0 else 0.2
-    yaw_enu = float(rpy_from_quat(quat / norm)[2])
-    return yaw_ned_from_enu(yaw_enu), std
 
 
 def imu_fields(message: Message) -> ImuFields:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins import parameters
 from hybrid_ins.resources import shortened
 from hybrid_ins.ros.messages.conversions import FLIP, Message, Refused, mount_matrix
 from hybrid_ins.ros.placement.frame_id import CONFIRMED, LASTING_NS, FrameId
-from hybrid_ins.ros.placement.static_transforms import LONGEST_NAME, MOST_FRAMES, StaticTransforms
+from hybrid_ins.ros.placement.static_transforms import Pose, StaticTransforms
 from hybrid_ins.ros.reporting.input_log import InputLog
 
 Array = NDArray[np.float64]
@@ -23,6 +24,9 @@ PARAMETERS = {
     "gnss/fix": ("gnss.antenna_position", "gnss.antenna_position_std"),
 }
 """Parameters that place the sensor of a topic; all zero: ``/tf_static`` does."""
+
+
+FARTHEST = parameters.find("gnss.antenna_position").high  # m, along an axis of the base frame
 
 
 class SensorPlacement:
@@ -136,9 +140,10 @@ class SensorPlacement:
                     "publishers on one topic?",
                 ),
             )
+        self._warn_of_misplaced(topic)
         moved = self._place_again()
         names_other = frame != self._base if frame else moved
-        is_placed = self.is_given[topic] or self._transforms.find(self._base, frame) is not None
+        is_placed = self.is_given[topic] or self._transform_of(frame) is not None
         if frame != known and names_other and not is_placed:
             self._inputs.inform(
                 f"{topic}: no transform",
@@ -151,15 +156,10 @@ class SensorPlacement:
 
     def add_transforms(self, message: Message) -> bool:
         """Use a tf2_msgs/TFMessage of /tf_static; True where it moves a sensor."""
-        if self._transforms.add(message):
-            self._inputs.count_and_warn(
-                "/tf_static",
-                Refused(
-                    "tf_static: too many frames",
-                    f"more than {MOST_FRAMES} frames, or names of more than {LONGEST_NAME} "
-                    "characters: left out",
-                ),
-            )
+        for fault in self._transforms.add(message):
+            self._inputs.count_and_warn("/tf_static", fault)
+        for topic in PARAMETERS:
+            self._warn_of_misplaced(topic)
         moved = self._place_again()
         if moved:
             self._inform_of_transforms()
@@ -203,6 +203,27 @@ class SensorPlacement:
         self.arm_b: Array = FLIP @ np.array(position) + self._imu_error_b
         self.lever_b: Array = given_b + self.antenna_error_b
 
+    def _warn_of_misplaced(self, topic: str) -> None:
+        """Warn where ``/tf_static`` has the frame of a topic, but at no possible place."""
+        frame = self.frame_of(topic)
+        if not frame or not self._use_transforms or self.is_given[topic]:
+            return
+        root, base_root = map(self._transforms.root_of, (frame, self._base))
+        found = self._transforms.find(self._base, frame)
+        if found is None and root != frame.lstrip("/"):
+            self._inputs.warn_once(
+                f"{topic}: other tree",
+                f"{topic}: /tf_static has '{shortened(frame)}' below '{shortened(root)}', but no "
+                f"transform to '{base_root}': set base_frame, or publish that transform; until "
+                "then it is assumed to coincide",
+            )
+        elif found is not None and not _is_on_vehicle(found):
+            self._inputs.warn_once(
+                f"{topic}: too far",
+                f"{topic}: /tf_static puts '{shortened(frame)}' {np.linalg.norm(found[1]):.0f} m "
+                f"from '{self._base}': not used; metres are expected, up to {FARTHEST:g}",
+            )
+
     def _find(self, frame: str) -> tuple[Array, Array]:
         """Return rotation and position in the base frame of a frame that messages have."""
         found = self._transform_of(frame)
@@ -210,7 +231,14 @@ class SensorPlacement:
 
     def _transform_of(self, frame: str) -> tuple[Array, Array] | None:
         """Return that as ``/tf_static`` says it; None where it does not."""
-        return self._transforms.find(self._base, frame) if frame and self._use_transforms else None
+        if not frame or not self._use_transforms:
+            return None
+        found = self._transforms.find(self._base, frame)
+        return found if found is not None and _is_on_vehicle(found) else None
+
+
+def _is_on_vehicle(pose: Pose) -> bool:
+    return float(np.abs(pose[1]).max()) <= FARTHEST
 
 
 def _are_equal(one: Sequence[Array], other: Sequence[Array]) -> bool:

@@ -15,13 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.resources import shortened
+from hybrid_ins.ros.messages.conversions import Refused
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,) [m] of a child in its parent
 
-LONGEST_CHAIN = 64
 MOST_FRAMES = 1000  # of a vehicle
 LONGEST_NAME = 256
+SMALLEST_NORM = 0.5  # of a quaternion
+
+TOO_MANY = Refused(
+    "tf_static: too many frames",
+    f"more than {MOST_FRAMES} frames, or names of more than {LONGEST_NAME} characters: left out",
+)
 
 NOT_PUBLISHED = "tf2_msgs is not installed: /tf is not published"
 NOT_READ = "tf2_msgs is not installed: /tf_static is not read"
@@ -39,29 +46,46 @@ class StaticTransforms:
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}
 
-    def add(self, message: Any) -> int:
-        """
-        Add a tf2_msgs/TFMessage; transforms that are not finite are left out.
+    def add(self, message: Any) -> list[Refused]:
+        """Add a tf2_msgs/TFMessage; returns why transforms of it are left out, for each."""
+        faults = (self._add(transform) for transform in message.transforms)
+        return [fault for fault in faults if fault is not None]
 
-        Returns how many are left out because there are too many frames, or their names too long.
-        """
-        refused = 0
-        for transform in message.transforms:
-            q, p = transform.transform.rotation, transform.transform.translation
-            quat = np.array([q.x, q.y, q.z, q.w], float)
-            place = np.array([p.x, p.y, p.z], float)
-            norm = float(np.linalg.norm(quat))
-            if math.isfinite(norm) and norm > 0.5 and np.all(np.isfinite(place)):
-                child = transform.child_frame_id.lstrip("/")
-                parent = transform.header.frame_id.lstrip("/")
-                is_new = child not in self._parents
-                if max(len(child), len(parent)) > LONGEST_NAME or (
-                    is_new and len(self._parents) >= MOST_FRAMES
-                ):
-                    refused += 1
-                    continue
-                self._parents[child] = parent, (matrix_from_quat(quat / norm), place)
-        return refused
+    def _add(self, transform: Any) -> Refused | None:
+        child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+        if max(len(child), len(parent)) > LONGEST_NAME or (
+            child not in self._parents and len(self._parents) >= MOST_FRAMES
+        ):
+            return TOO_MANY
+        q, p = transform.transform.rotation, transform.transform.translation
+        quat = np.array([q.x, q.y, q.z, q.w], float)
+        place = np.array([p.x, p.y, p.z], float)
+        norm = float(np.linalg.norm(quat))
+        name = f"the transform from '{shortened(parent)}' to '{shortened(child)}'"
+        if not (math.isfinite(norm) and norm > SMALLEST_NORM and np.all(np.isfinite(place))):
+            return Refused(
+                "tf_static: no transform",
+                f"{name} is left out: its quaternion has norm {norm:.2g}, its translation is "
+                f"{place} m; correct its publisher",
+            )
+        if child in self._chain(parent):
+            return Refused(
+                "tf_static: a loop",
+                f"{name} is left out: it closes a loop; stop one of the publishers",
+            )
+        self._parents[child] = parent, (matrix_from_quat(quat / norm), place)
+        return None
+
+    def _chain(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on to the root."""
+        chain = [frame]
+        while chain[-1] in self._parents:
+            chain.append(self._parents[chain[-1]][0])
+        return chain
+
+    def root_of(self, frame: str) -> str:
+        """Return the root of a frame's tree: the frame itself where it has no parent."""
+        return self._chain(frame.lstrip("/"))[-1]
 
     def find(self, base: str, frame: str) -> Pose | None:
         """Return the pose of ``frame`` in ``base``; None where no chain connects them."""
@@ -75,12 +99,10 @@ class StaticTransforms:
 
     def _to_root(self, frame: str) -> tuple[Pose, str]:
         C, p = np.eye(3), np.zeros(3)
-        for _ in range(LONGEST_CHAIN):
-            if frame not in self._parents:
-                break
-            frame, (C_parent, p_parent) = self._parents[frame]
+        for link in self._chain(frame)[:-1]:
+            C_parent, p_parent = self._parents[link][1]
             C, p = C_parent @ C, C_parent @ p + p_parent
-        return (C, p), frame
+        return (C, p), self.root_of(frame)
 
 
 def without_tf2(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

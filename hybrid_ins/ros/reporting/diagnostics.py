@@ -10,10 +10,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.alignment.alignment import Need
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.core.inertial.state import JUMP_VARIANCE, W_G, total_std
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.core.navigator.phases import Aligning
 from hybrid_ins.core.noise.innovation import InnovationNoise
 from hybrid_ins.core.noise.process_noise import LearnedNoise
 from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrors
@@ -33,6 +35,7 @@ DEAD_RECKONING_AFTER = 2.0  # s without a fused fix
 DISAGREEMENT = 3.0  # factor on the noise of gyroscopes or fixes that the user should know of
 ORDINARY_SCALE_ERROR, MOTION_TIME = 0.01, 1.0  # of a gyroscope, and s that a turn lasts
 RECENT = 4096  # samples
+IMU_CONTENTS = (Need.USABLE_IMU, Need.ORIENTATION)  # what only other messages of the IMU end
 CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -273,6 +276,14 @@ def _rates_disagree(navigator: Navigator, noise: FilterNoise) -> bool:
     mean_square = np.square(navigator.ring.latest(RECENT)["w"]).sum(axis=1).mean()
     ordinary = ORDINARY_SCALE_ERROR**2 * mean_square * MOTION_TIME
     return bool((1.0 - 1.0 / factor) * noise.psd()[W_G].max() > ordinary)
+
+
+def alignment_conditions(navigator: Navigator) -> dict[str, str]:
+    """Return what alignment lacks in the messages of the IMU: a name and a text, or nothing."""
+    phase = navigator.phase
+    if not isinstance(phase, Aligning) or phase.alignment.waiting.need not in IMU_CONTENTS:
+        return {}
+    return {"aligning": f"aligning: it needs {wording.waiting_for(navigator)}"}
 
 
 def antenna_conditions(navigator: Navigator, moved_b: Array) -> dict[str, str]:

@@ -33,6 +33,7 @@ class NodeStatus:
 
     statuses: dict[str, Status] = field(default_factory=dict)  # by name, without the node's
     verdicts: deque[Status] = field(default_factory=lambda: deque(maxlen=VERDICTS_KEPT))
+    elsewhere: set[str] = field(default_factory=set)  # other namespaces that have such a node
 
     @property
     def level(self) -> int:
@@ -70,6 +71,9 @@ class NodeStatus:
 
     def as_text(self, age: float, width: int = 100) -> str:
         """Return one screen; ``age`` is the time since the last diagnostics [s]."""
+        if not self.statuses and self.elsewhere:
+            names = ", ".join(sorted(self.elsewhere))
+            return f"no diagnostics of hybrid_ins here, but in {names}: choose by --namespace"
         if not self.statuses:
             return "no diagnostics of hybrid_ins: is ins_node active, in this ROS domain?"
         head = f"hybrid_ins: {LEVELS[self.level]}, {age:.0f} s ago"

@@ -164,14 +164,6 @@ def _in_words(way_n: Array) -> str:
     return words if math.isnan(down) else f"{words}, {-down:+.0f} m up"
 
 
-def describe_late(too_old: Verdict, count: int) -> str:
-    """Return by how much a fix came too late, and the remedy."""
-    return (
-        f"gnss/fix: {count} fixes came too late to be used, this one {too_old.age:.1f} s after its "
-        f"stamp: raise gnss.max_delay to {math.ceil(too_old.age) + 1}"
-    )
-
-
 def describe_repetition(again: Verdict, count: int) -> str:
     """Return that a driver repeats what it has published, and the remedy."""
     kind = again.measurement.kind
@@ -206,7 +198,10 @@ def _describe_need(waiting: Waiting) -> str:
     if need is Need.SECOND_FIX:
         return "a second GNSS fix, for the first velocity"
     if need is Need.ORIENTATION:
-        return "an orientation in the IMU messages (heading_source is imu)"
+        return (
+            "an orientation in the IMU messages: let the driver fill it, or choose another "
+            "alignment.heading_source than imu"
+        )
     if need is Need.SPEED:
         return (
             f"motion for the heading: {waiting.value:.1f} m/s over ground, {waiting.limit:g} needed"

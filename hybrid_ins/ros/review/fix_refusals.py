@@ -9,15 +9,13 @@ from collections import Counter, deque
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.ros.messages.conversions import Refused
+from hybrid_ins.ros.reporting.clocks import ONE_CLOCK, describe_clocks
 from hybrid_ins.ros.reporting.input_log import InputLog
 
 OUTCOMES_KEPT = 100  # fixes
 FEWEST_OUTCOMES = 5  # fixes that show anything
 SHARE = 0.5  # of the fixes, from which a reason is the dominant one
 ANOTHER_CLOCK = 2.0  # s, from the IMU: no receiver is so late, and alignment takes no older fix
-LEAP_SECONDS = (17.0, 19.0)  # s: GPS time is 18 s ahead of UTC, since 2017
-LONGEST_QUEUE = 10.0  # s, of IMU messages that wait for a node which does not keep up
-DAY, YEAR = 86_400.0, 31_557_600.0  # s
 
 
 class FixRefusals:
@@ -56,8 +54,7 @@ class FixRefusals:
             return None
         return Refused(
             "another clock",
-            f"{describe_clocks(ahead)}: let both drivers stamp by one clock, or set "
-            "use_receive_time: true",
+            f"{describe_clocks(ahead)}: {ONE_CLOCK}",
         )
 
     @property
@@ -69,23 +66,3 @@ class FixRefusals:
         if not name or count < SHARE * len(self._outcomes):
             return ""
         return f"{count} of the last {len(self._outcomes)} fixes are of no use: {self._texts[name]}"
-
-
-def describe_clocks(ahead: float) -> str:
-    """Return how far the fixes are stamped ahead of the IMU [s], and why."""
-    size = abs(ahead)
-    if size < 1000.0:
-        text = f"{size:.1f} s"
-    elif size < YEAR:
-        text = f"{size / DAY:.1f} days"
-    else:
-        text = f"{size / YEAR:.1f} years"
-    side = "ahead of" if ahead > 0.0 else "behind"
-    cause = "two clocks that were set differently"
-    if 0.0 < ahead < LONGEST_QUEUE:
-        cause = "two clocks that were set differently, or a computer too slow for the IMU's rate"
-    elif LEAP_SECONDS[0] < size < LEAP_SECONDS[1]:
-        cause = "one driver stamps in GPS time, the other in UTC: 18 s"
-    elif size > YEAR:
-        cause = "one clock counts from its start, or was never set"
-    return f"their stamps are {text} {side} the IMU's ({cause})"

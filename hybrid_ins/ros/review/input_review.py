@@ -93,10 +93,11 @@ class InputReview:
     def note_second(self) -> None:
         """Note what has lasted for another second."""
         navigator = self._navigator
+        alignment = diagnostics.alignment_conditions(navigator)
         conditions = diagnostics.noise_conditions(navigator)
         self._units.check_rate(navigator.ring)
         antenna = diagnostics.antenna_conditions(navigator, self.axes.moved_b)
-        self._lasting.note({**conditions, **antenna})
+        self._lasting.note({**alignment, **conditions, **antenna})
 
     def summary(self) -> str:
         """Return what lasted, for the end of a run."""

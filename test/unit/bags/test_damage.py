@@ -132,6 +132,13 @@ def test_mutated_files_are_read_or_refused(
     assert noticed > 20
 
 
+def test_a_ros1_bag_whose_recorder_was_killed_is_refused_with_its_repair(tmp_path: Path) -> None:
+    bag = make_ros1(tmp_path / "killed")
+    bag.write_bytes(bag.read_bytes()[:-1000])
+
+    assert "repair it by rosbag reindex, or fetch the bag again" in complaint_about(bag)
+
+
 def missing_seconds(text: str) -> tuple[float, float]:
     begin, end = re.findall(r"messages from ([\d.]+) to ([\d.]+) s are missing", text)[0]
     return float(begin), float(end)

@@ -133,6 +133,25 @@ def test_a_bag_that_is_paused_keeps_its_state(monkeypatch: pytest.MonkeyPatch) -
     assert flown.said[0].text.startswith("position lost")
 
 
+def test_a_simulated_clock_that_never_came_is_named_and_hides_no_loss(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """GIVEN use_sim_time without /clock WHEN the IMU dies THEN all is lost; /clock is missed."""
+    flown = Watched(monkeypatch, is_simulated=True)
+    flown.graph.seconds = 0.0
+    flown.fly(0.0, 5.0)
+    flown.wait(1, clock_runs=False)
+
+    flown.wait(3, clock_runs=False)
+
+    assert flown.said[0].text.startswith("position lost")
+    flown.wait(10, clock_runs=False)
+    (line,) = (line for line in flown.lines() if "/clock" in line)
+    assert line.startswith("warn: no messages on /clock for 10 s: use_sim_time is true: start")
+    flown.wait(1)
+    assert flown.lines()[-1].startswith("info: /clock: messages come")
+
+
 def test_what_never_came_is_logged_with_what_could_be_meant(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

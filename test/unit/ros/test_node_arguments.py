@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from hybrid_ins.errors import InputError
-from hybrid_ins.ros.node_arguments import for_ros, reason_of
+from hybrid_ins.ros.node_arguments import for_ros, reason_of, unused_files
 
 
 @pytest.mark.parametrize(
@@ -83,6 +83,11 @@ def test_an_option_without_value_is_named() -> None:
             "Couldn't parse remap rule: '-r /a//b:=c'",
         ),
         (
+            "Couldn't parse params file: '--params-file a.yaml'. Error: No value at line 3, "
+            "at /project/src/parse.c:258, at /project/src/rcl/arguments.c:415",
+            "Couldn't parse params file: '--params-file a.yaml': No value at line 3",
+        ),
+        (
             "error creating node: This Fast DDS version doesn't have the security libraries\n"
             "Please compile Fast DDS, at /src/participant.cpp:364, at /src/rcl/node.c:252",
             "error creating node: This Fast DDS version doesn't have the security libraries "
@@ -90,9 +95,59 @@ def test_an_option_without_value_is_named() -> None:
         ),
         (
             "Failed to get logging directory, at /project/src/rcl_logging_spdlog.cpp:138",
-            "Failed to get logging directory: set HOME or ROS_LOG_DIR",
+            "Failed to get logging directory: set HOME, or ROS_LOG_DIR to a folder that can be "
+            "written",
+        ),
+        (
+            "failed to initialize logging: Failed to create log directory '/nobody/.ros/log': 2, "
+            "at /project/src/rcl_logging_spdlog.cpp:150",
+            "failed to initialize logging: Failed to create log directory '/nobody/.ros/log': 2: "
+            "set HOME, or ROS_LOG_DIR to a folder that can be written",
         ),
     ],
 )
 def test_what_ros_says_is_one_line_without_its_source(said: str, line: str) -> None:
     assert reason_of(RuntimeError(said)) == line
+
+
+SECTION = "ros__parameters: {gnss.patience: 3.0}"
+
+
+@pytest.mark.parametrize(
+    ("name", "used", "unused"),
+    [
+        ("/**", ["/ins_node", "/a/b/ins_node"], []),
+        ("ins_node", ["/ins_node"], ["/a/ins_node", "/ekf"]),
+        ("/a/ins_node", ["/a/ins_node"], ["/ins_node", "/b/ins_node"]),
+        ("/*/ins_node", ["/a/ins_node"], ["/ins_node", "/a/b/ins_node"]),
+        ("/**/ins_node", ["/ins_node", "/a/b/ins_node"], ["/a/ekf"]),
+    ],
+)
+def test_a_file_without_a_section_for_the_node_is_named(
+    tmp_path: Path, name: str, used: list[str], unused: list[str]
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(f"{name}:\n  {SECTION}\nother:\n  {SECTION}\n")
+    words = ["--ros-args", "--params-file", str(path), "-r", "a:=b"]
+
+    assert not [line for node in used for line in unused_files(words, node)]
+    for node in unused:
+        (line,) = unused_files(words, node)
+        assert line.startswith(f"{path}: no section for {node}, only for ")
+        assert line.endswith(f"write '/**:' or '{node}:'")
+
+
+def test_nested_namespaces_of_a_file_are_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(f"a:\n  b:\n    ins_node:\n      {SECTION}\n")
+    words = ["--params-file", str(path)]
+
+    assert not list(unused_files(words, "/a/b/ins_node"))
+    assert "only for /a/b/ins_node" in next(unused_files(words, "/ins_node"))
+
+
+def test_an_empty_file_addresses_nobody(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("")
+
+    assert not list(unused_files(["--params-file", str(path)], "/ins_node"))

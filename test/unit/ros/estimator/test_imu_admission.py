@@ -24,6 +24,7 @@ LEVEL, STILL = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)
     ("t_ns", "force", "rate", "name"),
     [
         (0, LEVEL, STILL, "imu: zero stamp"),
+        (-(2**31) * 10**9, LEVEL, STILL, "imu: negative stamp"),
         (1, (0.0, math.nan, 9.8), STILL, "imu: not finite"),
         (1, LEVEL, (math.inf, 0.0, 0.0), "imu: not finite"),
         (1, STILL, STILL, "imu: no acceleration"),

@@ -16,12 +16,12 @@ from hybrid_ins.ros.messages.conversions import (
     first_biases,
     floor_covariance,
     imu_yaw,
-    initial_yaw,
     mount_matrix,
     set_stamp,
     stamp_ns,
     yaw_ned_from_enu,
 )
+from hybrid_ins.ros.messages.initial_pose import DEFAULT_STD, initial_yaw
 
 NAN, INF = math.nan, math.inf
 DEFAULT = np.diag([9.0, 9.0, 36.0])
@@ -124,7 +124,7 @@ def test_any_nine_numbers_give_a_positive_definite_covariance(numbers: list[floa
         ({"lat": 90.0}, "gnss: impossible position"),
         ({"lat": 0.0, "lon": 0.0}, "gnss: impossible position"),
         ({"sec": 0}, "gnss: zero stamp"),
-        ({"sec": -5}, "gnss: zero stamp"),
+        ({"sec": -5}, "gnss: negative stamp"),
     ],
 )
 def test_useless_fixes_are_refused_by_name(changes, name) -> None:
@@ -248,3 +248,24 @@ def test_a_pose_without_orientation_is_refused(quat) -> None:
     q = message.pose.pose.orientation
     q.x, q.y, q.z, q.w = quat
     assert isinstance(initial_yaw(message, "map"), Refused)
+
+
+@pytest.mark.parametrize("variance", [0.0, -1.0, NAN, INF])
+def test_a_pose_without_a_variance_has_that_of_a_hand(variance: float) -> None:
+    message = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
+    message.pose.pose.orientation.w, message.pose.covariance[35] = 1.0, variance
+
+    yaw = initial_yaw(message, "map")
+
+    assert yaw == (pytest.approx(math.pi / 2), DEFAULT_STD)
+
+
+@pytest.mark.parametrize("variance", [4.0, 1e6, 1e300])
+def test_a_pose_whose_heading_is_unknown_is_refused(variance: float) -> None:
+    """GIVEN the large variance of what is not known THEN it is no heading to align with."""
+    message = new_message("geometry_msgs/msg/PoseWithCovarianceStamped")
+    message.pose.pose.orientation.w, message.pose.covariance[35] = 1.0, variance
+
+    refused = initial_yaw(message, "map")
+
+    assert isinstance(refused, Refused) and f"{variance:.3g} rad²" in refused.text

@@ -10,6 +10,7 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy
 from hybrid_ins.ros.placement.static_transforms import (
     LONGEST_NAME,
     MOST_FRAMES,
+    TOO_MANY,
     StaticTransforms,
     without_tf2,
 )
@@ -71,12 +72,22 @@ def test_leading_slash_and_the_frame_itself() -> None:
     ],
 )
 def test_a_transform_that_is_none_is_left_out(bad) -> None:
-    assert tree(bad).find("base_link", "imu") is None
+    known = StaticTransforms()
+
+    (fault,) = known.add(Namespace(transforms=[bad]))
+
+    assert "from 'base_link' to 'imu' is left out: its quaternion has norm" in fault.text
+    assert known.find("base_link", "imu") is None
 
 
-def test_a_circle_ends() -> None:
-    known = tree(transform("a", "b"), transform("b", "a"))
-    known.find("base_link", "a")
+@pytest.mark.parametrize("frame", ["a", "c"])
+def test_a_transform_that_closes_a_loop_is_left_out(frame) -> None:
+    known = tree(transform("base_link", "a", (1.0, 0.0, 0.0)), transform("a", "c"))
+
+    (fault,) = known.add(Namespace(transforms=[transform(frame, "base_link")]))
+
+    assert "closes a loop" in fault.text and f"from '{frame}' to 'base_link'" in fault.text
+    assert known.find("base_link", "c")[1] == pytest.approx([1.0, 0.0, 0.0])
 
 
 def test_a_later_transform_takes_the_place_of_an_earlier_one() -> None:
@@ -89,13 +100,13 @@ def test_the_tree_does_not_grow_without_bound() -> None:
     known = tree(transform("base_link", "imu", (1.0, 0.0, 0.0)))
 
     refused = sum(
-        known.add(Namespace(transforms=[transform("base_link", f"frame_{k}")]))
+        len(known.add(Namespace(transforms=[transform("base_link", f"frame_{k}")])))
         for k in range(MOST_FRAMES + 50)
     )
     long_name = known.add(Namespace(transforms=[transform("imu", "x" * (LONGEST_NAME + 1))]))
     known.add(Namespace(transforms=[transform("base_link", "imu", (2.0, 0.0, 0.0))]))
 
-    assert (refused, long_name) == (51, 1)
+    assert (refused, long_name) == (51, [TOO_MANY])
     assert known.find("base_link", "imu")[1] == pytest.approx([2.0, 0.0, 0.0])
 
 

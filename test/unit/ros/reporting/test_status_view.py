@@ -41,6 +41,13 @@ def test_text_has_levels_values_and_counts() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_nodes_of_other_namespaces_are_named() -> None:
+    text = NodeStatus(elsewhere={"/rover2", "/rover1"}).as_text(0.0)
+
+    assert text.endswith("but in /rover1, /rover2: choose by --namespace")
+    assert "is ins_node active" in NodeStatus().as_text(0.0)
+
+
 def test_values_are_short_enough_to_read() -> None:
     shown = status()
     shown.statuses["filter"].values[:] = [
