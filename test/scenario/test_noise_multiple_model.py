@@ -23,7 +23,7 @@ SCENE = Scenario("flight", rate=100.0, duration=50.0)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_right_model_is_left_alone(seed: int) -> None:
     ins, factors = fly(draw(SCENE, seed))
-    assert ins.noise.split.unclaimed_std == 0.0
+    assert ins.noise.split.unclaimed_stds[0] == 0.0
     medians = np.median(factors[100:], axis=0)
     assert np.all(medians > 0.6) and np.all(medians < 1.05)
     assert np.all(factors[100:] < 1.5)
@@ -103,10 +103,10 @@ def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
     # WHEN the filter runs
     ins, factors = fly(moved(run, slow))
     # THEN neither the IMU nor white noise is taken for it, and its size is published
-    assert 0.7 < ins.noise.split.unclaimed_std < 4.0 and ins.noise.drifts_beyond_claim
+    assert 0.7 < ins.noise.split.unclaimed_stds[0] < 4.0 and ins.noise.drifts_beyond_claim
     assert np.median(factors[100:, :2]) < 3.0 and np.median(factors[100:, 2]) < 1.5
     assert np.all(
-        np.sqrt(ins.nav[SLOW_VARIANCE][:2]) == pytest.approx(ins.noise.split.unclaimed_std)
+        np.sqrt(ins.nav[SLOW_VARIANCE][:2]) == pytest.approx(ins.noise.split.unclaimed_stds[0])
     )
 
 
@@ -129,7 +129,7 @@ def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
         == ins.noise.drifts_beyond_claim
         == (slow_std > 0.0)
     )
-    assert (ins.noise.split.unclaimed_std > 0.4) == (slow_std > 0.0)
+    assert (ins.noise.split.unclaimed_stds[0] > 0.4) == (slow_std > 0.0)
     assert (total_std(ins.nav)[0] > 0.5) == (slow_std > 0.0)
 
 

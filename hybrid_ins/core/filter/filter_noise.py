@@ -113,7 +113,11 @@ class FilterNoise:
         """Return the split of a position's covariance, and keep it."""
         found = self.found
         self.split = scatter.split(
-            fix.claimed, fix.t_ns, found.slow_std, found.fixes, found.heights
+            fix.claimed,
+            fix.t_ns,
+            (found.slow_std, found.slow_height_std),
+            found.fixes,
+            found.heights,
         )
         return self.split
 
@@ -132,8 +136,8 @@ class FilterNoise:
         The published covariance contains any. But the slow error of an honest metre may change
         faster than is assumed, which one of the hypotheses may explain for a while.
         """
-        known = self.split.unclaimed_std > 0.0 and self.found.slow_probability > 0.5
-        return known and self.split.unclaimed_std > clear_slow_std(self.split.claimed_std)
+        clear = clear_slow_std(self.split.claimed_std)
+        return self.found.slow_probability > 0.5 and max(self.split.unclaimed_stds) > clear
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
@@ -165,7 +169,7 @@ class FilterNoise:
         Factors above 1 and a slow error of fixes that a stand-in needed are dropped.
         """
         replaced = self.model.learn(estimate)
-        needed = max(self.imu_factors) > 1.0 or self.found.slow_std > 0.0
+        needed = max(self.imu_factors) > 1.0 or self.found.slow_height_std > 0.0
         if replaced and needed:
             for bank in self._banks():
                 bank.restart(keep_weights=False)

@@ -3,9 +3,9 @@ The hypotheses of `multiple_model`: factors on the noise, and slow errors of fix
 
 Most are a grid of factors on the noise of accelerometer, gyroscope and fixes. Beside it are those
 of a receiver that claims centimetres whatever solution it has: an R that is far too small, a slow
-error of positions, and both; and of a driver that stamps fixes when they arrive, which is late by a
-time that varies; and of receivers that filter velocities, which are old, or err for seconds by more
-than they claim; and of a claim that is one constant for heights and the rest.
+error of positions or of heights, and both; and of a driver that stamps fixes when they arrive,
+which is late by a time that varies; and of receivers that filter velocities, which are old, or err
+for seconds by more than they claim; and of a claim that is one constant for heights and the rest.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
 REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
 SLOW_STDS = np.array([0.3, 1.0, 3.0])  # m, of a slow error of the fixes
 SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
+SLOW_ALONE = np.stack((SLOW_AXES, SLOW_AXES * [0.0, 0.0, 1.0]))  # of all directions, of the height
 SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small as well
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
 SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
@@ -53,9 +54,10 @@ BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's f
 HEIGHT_COST = 2.0  # nats of evidence that it is above 1
 
 # Of one column: decades of the factors on accelerometer, gyroscope and R; standard deviations; and
-# decades of those on R of velocities, horizontally and vertically, and on that of heights.
+# decades of those on R of velocities, horizontally and vertically, and on that of heights; and a
+# slow error of heights alone, as the horizontal one that it would come with.
 _ACCELEROMETER, _FIXES, _SLOW, _STAMP, _AGE, _HORIZONTAL, _VERTICAL = 0, 2, 3, 4, 5, 6, 7
-_HEIGHT, _ROWS = 8, 9
+_HEIGHT, _SLOW_HEIGHT, _ROWS = 8, 9, 10
 
 
 def _beside(decades: Array, values: dict[int, Array]) -> Array:
@@ -83,6 +85,7 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
         ),
         _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
+        _beside(SLOW_DECADES, {_SLOW_HEIGHT: SLOW_STDS}),
         _beside(SLOW_DECADES, {_SLOW: SLOW_STDS}),
         _beside(
             np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
@@ -99,7 +102,7 @@ _LOG_PRIOR = -sum(
         )
         for grid, cost in zip(_COLUMNS[:3], DECADE_COST, strict=True)
     ),
-    SLOW_COST * (_COLUMNS[_SLOW] > 0.0)
+    SLOW_COST * (_COLUMNS[_SLOW] + _COLUMNS[_SLOW_HEIGHT] > 0.0)
     + STAMP_COST * (_COLUMNS[_STAMP] > 0.0)
     + VELOCITY_COST * _OF_VELOCITY
     + HEIGHT_COST * (_COLUMNS[_HEIGHT] > 0.0)
@@ -112,12 +115,12 @@ ON_NOISE, SLOW_WALK = slice(0, 3), slice(3, 6)  # factors on accelerometer, gyro
 LOG_FACTORS = slice(6, 9)  # decades
 SLOW_STD, STAMP_STD, AGE_STD = 9, 10, 11  # m; s, of a position's stamp and of a velocity's age
 ON_VELOCITY = slice(12, 14)  # decades of the factors on R of velocities
-ON_HEIGHT = 14  # decades of that on R of heights
-LOG_PRIOR = 15
+ON_HEIGHT, SLOW_HEIGHT_STD = 14, 15  # decades of that on R of heights; m, without 1.5
+LOG_PRIOR = 16
 HYPOTHESES = np.vstack(
     (
         10.0 ** _COLUMNS[:3],
-        np.outer(SLOW_AXES, 2.0 * _COLUMNS[_SLOW] ** 2 / SLOW_TIME),
+        2.0 / SLOW_TIME * SLOW_ALONE.T @ np.square(_COLUMNS[[_SLOW, _SLOW_HEIGHT]]),
         _COLUMNS,
         _LOG_PRIOR,
     )

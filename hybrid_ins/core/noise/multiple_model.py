@@ -91,11 +91,11 @@ _ROOTS_OF_POSITION = roots_by_axis(np.ones(WIDTH), 10.0 ** WIDE_HYPOTHESES[ON_HE
 _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
 # What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 11)  # in force, see `weights.average`
-LOWEST = slice(11, 19)  # of those that move the state, since it was last corrected
-CLAIMED_STD = 19  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(20, 23), slice(23, 32)  # n, and C_nb, after the last correction
-PENDING_G = slice(32, 32 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
+FACTORS = slice(0, 12)  # in force, see `weights.average`
+LOWEST = slice(12, 20)  # of those that move the state, since it was last corrected
+CLAIMED_STD = 20  # m, of the last position, horizontally
+LAST_VELOCITY, LAST_C = slice(21, 24), slice(24, 33)  # n, and C_nb, after the last correction
+PENDING_G = slice(33, 33 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)

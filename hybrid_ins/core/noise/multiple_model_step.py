@@ -190,7 +190,7 @@ def _add_noise(after, transition, noise, factors, walk, T):  # type: ignore[no-u
     """Add the noise of the time T [s] to the covariances."""
     count = after.shape[1]
     first = 0  # of the hypotheses with a walk, which are the last
-    while first < count and walk[0, first] == 0.0:
+    while first < count and walk[2, first] == 0.0:
         first += 1
     for i in range(N_ERROR):
         for j in range(i + 1):

@@ -98,7 +98,7 @@ class Split(NamedTuple):
     claimed_std: float = 0.0  # m, horizontally; 0: no position
     claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
     claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
-    unclaimed_std: float = 0.0  # m, of a slow error that is larger than what is claimed
+    unclaimed_stds: Shares = (0.0, 0.0)  # m, of a slow error, that are larger than is claimed
     excess: Shares = (1.0, 1.0)  # by which positions scatter more than is claimed and given
 
 
@@ -204,7 +204,7 @@ class PositionScatter(ShallowCopy):
         self,
         claimed: Array,
         t_ns: int,
-        slow_std: float,
+        slow_stds: Shares = (0.0, 0.0),
         fix_factor: float = 1.0,
         height_factor: float = 1.0,
     ) -> Split:
@@ -217,8 +217,9 @@ class PositionScatter(ShallowCopy):
             As the fix claims it [m²], NED; it may lack the height.
         t_ns : int
             Stamp of the fix [ns].
-        slow_std : float
-            Standard deviation of the slow error that the innovations show, horizontally [m].
+        slow_stds : (float, float)
+            Standard deviations [m] of the slow error that the innovations show, horizontally, and
+            vertically as the horizontal one that it would come with.
         fix_factor, height_factor : float
             On R, and on that of the height besides, by the innovations: the split is made for them.
         """
@@ -241,10 +242,11 @@ class PositionScatter(ShallowCopy):
         for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
             is_new = after > NEW_SOLUTION * before
             growth[i] = after if is_new else slow_error_growth(before, after, interval)
-        if slow_std > 0.0:
-            slow = np.maximum(slow, slow_std**2 * SLOW_AXES[: len(slow)])
+        if slow_stds[1] > 0.0:
+            shown = SLOW_AXES * np.square((slow_stds[0], *slow_stds))
+            slow = np.maximum(slow, shown[: len(slow)])
         claimed_std = math.sqrt(horizontal)
-        unclaimed = slow_std if slow_std > claimed_std else 0.0
+        unclaimed = [std if std > claimed_std else 0.0 for std in slow_stds]
         on_R = across, upward * height_factor
         return Split(
             scaled_by_axis(claimed, *on_R),
@@ -254,7 +256,7 @@ class PositionScatter(ShallowCopy):
             claimed_std,
             claimed_slow,
             growth,
-            unclaimed,
+            (unclaimed[0], unclaimed[1]),
             excess,
         )
 

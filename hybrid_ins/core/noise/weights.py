@@ -30,6 +30,7 @@ from hybrid_ins.core.noise.hypotheses import (
     ON_HEIGHT,
     ON_VELOCITY,
     R_LEVELS,
+    SLOW_HEIGHT_STD,
     SLOW_STD,
     STAMP_STD,
     smallest_slow_std,
@@ -49,7 +50,8 @@ EXACT_STAMP = 0.005  # s, of stamps: by less they do hardly any harm
 EXACT_AGE = 0.1  # s, likewise of the age of velocities
 CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state is corrected
 
-FAMILY_STD, FAMILY = np.unique(HYPOTHESES[SLOW_STD], return_inverse=True)  # m; of each hypothesis
+_OF_FAMILY, FAMILY = np.unique(HYPOTHESES[[SLOW_STD, SLOW_HEIGHT_STD]], axis=1, return_inverse=True)
+FAMILY_STD, FAMILY = _OF_FAMILY.max(axis=0), FAMILY.ravel()  # m; of each hypothesis
 FAMILIES = len(FAMILY_STD)
 _PRIOR_OF_FAMILY = np.array(
     [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
@@ -70,6 +72,7 @@ class NoiseFactors(NamedTuple):
     horizontal_velocity: float = 1.0  # on the covariance that velocities claim, besides ``fixes``
     vertical_velocity: float = 1.0
     heights: float = 1.0  # on the variance that positions claim of the height, besides ``fixes``
+    slow_height_std: float = 0.0  # m, of all slow errors of heights, as ``slow_std``
 
 
 @register_jitable
@@ -146,12 +149,15 @@ def average(weights, factors, lowest):  # type: ignore[no-untyped-def]
     """
     Set the factors to the mixture's mean; return whether one has risen much.
 
-    ``factors``, shape (11,), are those of `NoiseFactors`. Standard deviations are the mixture's
+    ``factors``, shape (12,), are those of `NoiseFactors`. Standard deviations are the mixture's
     second moment, and 0 where they are improbable.
     """
     for i in range(3):
         factors[i] = _mean_factor(LOG_FACTORS.start + i, weights)
-    factors[3], factors[4] = _std_and_probability(SLOW_STD, weights)
+    factors[3], probability = _std_and_probability(SLOW_STD, weights)
+    of_heights, factors[4] = _std_and_probability(SLOW_HEIGHT_STD, weights)
+    factors[11] = np.hypot(factors[3], of_heights)
+    factors[4] += probability
     factors[5], factors[6] = _std_and_probability(STAMP_STD, weights)
     factors[7], _ = _std_and_probability(AGE_STD, weights)
     for i in range(2):

@@ -205,7 +205,7 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "source": source,
             "mode": mode,
             **factors,
-            **({"slow_error_of_fixes": running.noise.split.unclaimed_std} if running else {}),
+            **({"slow_error_of_fixes": max(running.noise.split.unclaimed_stds)} if running else {}),
             **({"stamp_scatter_of_fixes": running.noise.found.stamp_std} if running else {}),
             **({"age_of_velocities": running.noise.found.age_std} if running else {}),
             **({} if running is None else _scale_errors(running.scale_errors)),
@@ -260,8 +260,10 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
         )
     if running.noise.drifts_beyond_claim:
         split = running.noise.split
+        drift = max(split.unclaimed_stds)
+        what = "fixes" if split.unclaimed_stds[0] > 0.5 * drift else "the heights of fixes"
         found["fixes drift by more than they claim"] = (
-            f"fixes drift by about {split.unclaimed_std:.1f} m although they claim "
+            f"{what} drift by about {drift:.1f} m although they claim "
             f"{split.claimed_std:.2g} m: the published covariance contains it; check the "
             "receiver, its corrections and gnss.antenna_position, or set gnss.position_std_min"
         )

@@ -76,11 +76,11 @@ def test_metres_without_corrections_are_slow_in_part_whatever_they_scatter(
 ) -> None:
     covariance = claimed**2 * np.diag([1.0, 1.0, 4.0])
 
-    split = PositionScatter().split(covariance, SECOND, 0.0)
+    split = PositionScatter().split(covariance, SECOND)
     np.testing.assert_array_equal(split.white, covariance)
     np.testing.assert_allclose(split.slow_variance, least * covariance.diagonal(), atol=1e-12)
     # A receiver that scatters by less shows a larger slow part.
-    split = PositionScatter(given=0.2).split(covariance, SECOND, 0.0)
+    split = PositionScatter(given=0.2).split(covariance, SECOND)
     assert (split.slow_variance + split.white.diagonal() >= covariance.diagonal()).all()
 
 
@@ -104,15 +104,15 @@ def test_more_scatter_than_claimed_is_learned(walk: float) -> None:
 def test_the_factor_of_the_innovations_is_not_counted_twice() -> None:
     """GIVEN fixes with 9 times the claimed variance WHEN a factor of 4 is in force THEN 9 it is."""
     found, claimed = learned(3.0, 1.0, 0.1), np.eye(3)
-    split = found.split(claimed, SECOND, 0.0, fix_factor=4.0)
+    split = found.split(claimed, SECOND, fix_factor=4.0)
     assert split.factors == pytest.approx(found.learned)
     assert 4.0 * np.array(split.excess) == pytest.approx(found.learned)
     np.testing.assert_allclose(4.0 * split.white, np.diag(np.repeat(found.learned, (2, 1))))
-    assert found.split(claimed, SECOND, 0.0, fix_factor=100.0).excess == pytest.approx(
+    assert found.split(claimed, SECOND, fix_factor=100.0).excess == pytest.approx(
         (1.0, 1.0), abs=0.1
     )
     # Centimetres are left as they are.
-    assert found.split(1e-4 * claimed, SECOND, 0.0).factors == (1.0, 1.0)
+    assert found.split(1e-4 * claimed, SECOND).factors == (1.0, 1.0)
 
 
 def test_centimetres_are_not_split() -> None:
@@ -142,7 +142,7 @@ def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None
     assert found.shares(one) == (1.0, 1.0)
     assert 9.0 * np.array(found.shares(metres)) == pytest.approx(REFLECTED_STD**2)
     # AND what one claims beyond the smallest claim counts in full: the receiver sees them
-    found.split(metres, SECOND, 0.0)
+    found.split(metres, SECOND)
     assert 36.0 * np.array(found.shares(4.0 * metres)) == pytest.approx(REFLECTED_STD**2 + 27.0)
 
 
@@ -150,10 +150,10 @@ def test_a_claim_of_centimetres_is_split_and_none_of_a_centimetre() -> None:
     """GIVEN positions that scatter by half of what they claim."""
     found = learned(0.02, 0.04, 0.002)
 
-    split = found.split(0.04**2 * np.eye(3), 1_000_000_000, 0.0)
+    split = found.split(0.04**2 * np.eye(3), 1_000_000_000)
     assert 0.2 < min(split.factors) <= max(split.factors) < 0.5
     np.testing.assert_allclose(split.slow_variance + split.white.diagonal(), 0.04**2)
-    assert found.split(0.01**2 * np.eye(3), 1_000_000_000, 0.0).factors == (1.0, 1.0)
+    assert found.split(0.01**2 * np.eye(3), 1_000_000_000).factors == (1.0, 1.0)
 
 
 def test_heights_that_scatter_by_more_than_the_claimed_constant_are_found_alone() -> None:
@@ -162,7 +162,7 @@ def test_heights_that_scatter_by_more_than_the_claimed_constant_are_found_alone(
     assert found.learned == pytest.approx([MARGIN * 0.09, 9.0], rel=0.4)
     # WHEN the innovations show no other factor, or one on all of R, or on the height
     for fix_factor, height_factor in ((1.0, 1.0), (5.0, 1.0), (1.0, 5.0)):
-        split = found.split(claimed, SECOND, 0.0, fix_factor, height_factor)
+        split = found.split(claimed, SECOND, (0.0, 0.0), fix_factor, height_factor)
         # THEN nothing counts twice, and the factor on all of R is the one that is too large
         learned_here = np.array(found.learned)
         np.testing.assert_allclose(split.white.diagonal()[1:], learned_here)
@@ -177,7 +177,7 @@ def test_a_given_share_above_1_is_kept_and_is_no_excess() -> None:
     found.in_force = True
     for k in range(200):
         found.learn(ANY, (np.array([18.0, 9.0]), np.array([2.0, 1.0]), np.zeros(3)), k * SECOND)
-    split = found.split(np.eye(3), SECOND, 0.0, fix_factor=4.0)
+    split = found.split(np.eye(3), SECOND, fix_factor=4.0)
     assert split.factors == pytest.approx([36.0, 36.0], rel=0.05)
     assert split.excess == (1.0, 1.0)
 
@@ -266,7 +266,7 @@ def test_the_slow_error_walks_as_successive_innovations_show(
     claimed, offset = np.eye(3), np.zeros(3)  # offset: slow error minus estimate
     walk = math.sqrt(2.0 * 0.2 / SLOW_TIME) if walks else 0.0
     for k in range(1, 1500):
-        split = found.split(claimed, k * SECOND // 5, 0.0)
+        split = found.split(claimed, k * SECOND // 5)
         change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
         offset += rng.normal(0.0, walk, 3)
         z = offset + rng.normal(0.0, 0.1, 3)
@@ -275,7 +275,7 @@ def test_the_slow_error_walks_as_successive_innovations_show(
         offset -= dx[DP]
         found.learn(split, evidence, k * SECOND // 5)
 
-    later = found.split(claimed, 1500 * SECOND // 5, 0.0)
+    later = found.split(claimed, 1500 * SECOND // 5)
     assert least <= later.interval / 0.2 <= most
 
 
@@ -295,7 +295,7 @@ def test_a_walk_that_alone_makes_innovations_small_falls_whatever_their_signs(
     for k in range(1, 300):
         found.learn(split, alike, k * SECOND // 5)
 
-    share = found.split(9.0 * np.eye(3), 60 * SECOND, 0.0).interval / (60.0 - 299.0 / 5.0)
+    share = found.split(9.0 * np.eye(3), 60 * SECOND).interval / (60.0 - 299.0 / 5.0)
     assert least <= share <= most
 
 
@@ -314,12 +314,12 @@ def test_a_poorer_solution_has_a_slow_error_of_its_own() -> None:
     # GIVEN a receiver that has claimed centimetres, which are its scatter
     found, nav = PositionScatter(), standing(1e-4 * np.eye(3))
     fixed, lost = (std**2 * np.diag([1.0, 1.0, 3.0]) for std in (0.02, 0.4))
-    split = found.split(fixed, SECOND, 0.0)
+    split = found.split(fixed, SECOND)
     found.learn(split, None, SECOND)
     change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
     assert not split.slow_variance.any()
     # WHEN it claims decimetres
-    split = found.split(lost, 2 * SECOND, 0.0)
+    split = found.split(lost, 2 * SECOND)
     change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
     # THEN what they claim beyond the centimetres is a slow error, to which the state can move
     new = lost.diagonal() - 0.02**2 / 0.4**2 * lost.diagonal()
@@ -328,17 +328,22 @@ def test_a_poorer_solution_has_a_slow_error_of_its_own() -> None:
     np.testing.assert_allclose(np.diag(covariance(nav))[DP], 1e-4 + new)
     # AND it counts as one only once
     found.learn(split, None, 2 * SECOND)
-    later = found.split(lost, 3 * SECOND, 0.0).claimed_growth
+    later = found.split(lost, 3 * SECOND).claimed_growth
     np.testing.assert_allclose(later, 2.0 * new / SLOW_TIME)
 
 
 def test_a_slow_error_that_innovations_show_is_added_where_it_is_not_claimed() -> None:
     scatter, claimed = PositionScatter(), np.diag([0.01, 0.01, 0.04]) ** 2
-    none, some = (scatter.split(claimed, SECOND, std) for std in (0.0, 0.5))
-    assert none.slow_variance == pytest.approx(np.zeros(3)) and none.unclaimed_std == 0.0
-    assert some.slow_variance == pytest.approx([0.25, 0.25, 0.5625]) and some.unclaimed_std == 0.5
+    none, some = (scatter.split(claimed, SECOND, (std, std)) for std in (0.0, 0.5))
+    assert none.slow_variance == pytest.approx(np.zeros(3)) and none.unclaimed_stds[1] == 0.0
+    assert some.slow_variance == pytest.approx([0.25, 0.25, 0.5625])
+    assert some.unclaimed_stds == (0.5, 0.5)
+    # One of heights alone is none of the rest.
+    alone = scatter.split(claimed, SECOND, (0.0, 0.5))
+    assert alone.slow_variance == pytest.approx([0.0, 0.0, 0.5625])
+    assert alone.unclaimed_stds == (0.0, 0.5)
     # A receiver that claims metres has claimed it.
     given = PositionScatter(0.1)
-    split = given.split(np.diag([4.0, 4.0, 9.0]), SECOND, 0.5)
+    split = given.split(np.diag([4.0, 4.0, 9.0]), SECOND, (0.5, 0.5))
     assert split.slow_variance == pytest.approx([3.6, 3.6, 8.1])
-    assert split.unclaimed_std == 0.0
+    assert split.unclaimed_stds[0] == 0.0

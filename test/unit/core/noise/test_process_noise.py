@@ -283,7 +283,7 @@ def test_what_the_fallback_needed_is_dropped_once_there_is_an_estimate(
     assert not model.on_fallback and not restarts  # no factor was above 1
 
     noise.learn_estimate(NoiseEstimate(3 * 10**9, None))
-    factors.found = NoiseFactors(*imu_factors, slow_std=slow_std)
+    factors.found = NoiseFactors(*imu_factors, slow_height_std=slow_std)
     noise.learn_estimate(NoiseEstimate(4 * 10**9, Q))
 
     assert not model.on_fallback and restarts == [False]

@@ -12,6 +12,7 @@ from hybrid_ins.core.noise.hypotheses import (
     LOG_PRIOR,
     ON_HEIGHT,
     ON_VELOCITY,
+    SLOW_HEIGHT_STD,
     SLOW_STD,
     STAMP_STD,
     smallest_slow_std,
@@ -30,6 +31,7 @@ from hybrid_ins.core.noise.weights import (
 )
 
 SLOW = HYPOTHESES[SLOW_STD]
+SLOW_HEIGHT = HYPOTHESES[SLOW_HEIGHT_STD]
 CENTIMETRE = 0.01  # m, claimed
 
 
@@ -79,15 +81,18 @@ def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     rng = np.random.default_rng(4)
     weights = rng.uniform(size=COUNT)
     weights /= weights.sum()
-    factors, lowest = np.ones(11), np.ones(8)
+    factors, lowest = np.ones(12), np.ones(8)
 
     average(weights, factors, lowest)
     assert factors[3] == pytest.approx(np.sqrt(weights @ SLOW**2))
+    assert factors[11] == pytest.approx(np.sqrt(weights @ (SLOW**2 + SLOW_HEIGHT**2)))
 
     weights[SLOW > 0.0] *= 0.05 / weights[SLOW > 0.0].sum()
     average(weights, factors, lowest)
     assert factors[3] == 0.0
-    assert factors[4] == pytest.approx(0.05)
+    assert factors[4] == pytest.approx(0.05 + weights[SLOW_HEIGHT > 0.0].sum())
+    # One of heights alone is none of the rest.
+    assert factors[11] == pytest.approx(np.sqrt(weights @ SLOW_HEIGHT**2))
 
 
 @pytest.mark.parametrize(("row", "place"), [(STAMP_STD, 5), (AGE_STD, 7)])
@@ -97,7 +102,7 @@ def test_stamps_and_ages_have_the_second_moment_of_what_is_probable_and_move_the
     rng, stds = np.random.default_rng(4), HYPOTHESES[row]
     weights = rng.uniform(size=COUNT) * (stds > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(11), np.ones(8)
+    factors, lowest = np.ones(12), np.ones(8)
 
     assert average(weights, factors, lowest)
     assert factors[place] == pytest.approx(np.sqrt(weights @ stds**2))
@@ -111,7 +116,7 @@ def test_stamps_and_ages_have_the_second_moment_of_what_is_probable_and_move_the
 def test_factors_on_velocities_are_the_mean_of_the_decades_and_move_the_state() -> None:
     weights = np.random.default_rng(4).uniform(size=COUNT) * (HYPOTHESES[ON_VELOCITY][1] > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(11), np.ones(8)
+    factors, lowest = np.ones(12), np.ones(8)
 
     assert average(weights, factors, lowest)
     decades = HYPOTHESES[ON_VELOCITY] @ weights
@@ -123,7 +128,7 @@ def test_factors_on_velocities_are_the_mean_of_the_decades_and_move_the_state() 
 def test_the_factor_on_heights_is_the_mean_of_the_decades_and_moves_the_state() -> None:
     weights = np.random.default_rng(4).uniform(size=COUNT) * (HYPOTHESES[ON_HEIGHT] > 0.0)
     weights /= weights.sum()
-    factors, lowest = np.ones(11), np.ones(8)
+    factors, lowest = np.ones(12), np.ones(8)
 
     assert average(weights, factors, lowest)
     assert factors[2] == 1.0
@@ -132,7 +137,7 @@ def test_the_factor_on_heights_is_the_mean_of_the_decades_and_moves_the_state() 
 
 
 def test_nothing_is_found_of_stamps_and_velocities_before_there_is_evidence() -> None:
-    factors = np.zeros(11)
+    factors = np.zeros(12)
 
     assert not average(weighed(np.zeros(COUNT), np.zeros(FAMILIES), 0.3), factors, np.ones(8))
 
@@ -149,6 +154,7 @@ def test_uncorrected_receivers_contain_slow_errors_already(
 
     weights = weighed(np.zeros(COUNT), np.zeros(FAMILIES), claimed_std)
 
-    assert np.all((weights > 0.0) == ((SLOW == 0.0) | (smallest <= SLOW)))
+    slow = SLOW + SLOW_HEIGHT
+    assert np.all((weights > 0.0) == ((slow == 0.0) | (smallest <= slow)))
     assert weights.sum() == pytest.approx(1.0)
     assert FAMILY_STD[0] == 0.0

@@ -75,7 +75,7 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     noise = FilterNoise(
         ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), NoiseMultipleModelBank()
     )
-    noise.split = noise.split._replace(claimed_std=claimed, unclaimed_std=drift)
+    noise.split = noise.split._replace(claimed_std=claimed, unclaimed_stds=(drift, drift))
     assert noise.factors is not None
     noise.factors.found = NoiseFactors(slow_probability=probability)
 
