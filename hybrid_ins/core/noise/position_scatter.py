@@ -102,30 +102,27 @@ class Split(NamedTuple):
     excess: Shares = (1.0, 1.0)  # by which positions scatter more than is claimed and given
 
 
-class _Part(NamedTuple):
-    """A share, horizontal or vertical, and the evidence on it: sums over fixes that fade."""
+class _Shown(NamedTuple):
+    """A factor on the claimed variance of some components, as shown by sums that fade."""
 
     components: int
-    total: float
-    seen: float  # components
-    share: float
+    total: float = 0.0
+    seen: float = 0.0  # components
 
-    @classmethod
-    def given(cls, share: float, components: int) -> _Part:
-        """Return the prior about a share."""
-        mean = share / MARGIN if share <= 1.0 else share + EXCESS
-        count = PRIOR_COUNT * components
-        return cls(components, count * mean, count, share)
-
-    def updated(self, total: float, count: float, interval: float) -> _Part:
+    def updated(self, total: float, count: float, interval: float) -> _Shown:
         """Return it after an interval [s], with what a fix shows, see `scatter_evidence`."""
-        remembered = min(PRIOR_COUNT * self.components / self.seen, 1.0)
-        fading = max(math.exp(-interval / SCATTER_MEMORY), remembered)
-        count = fading * self.seen + count
-        largest = LARGEST_RESIDUAL * self.components * max(1.0, self.share)
-        total = max(fading * self.total + min(total, largest), SMALLEST * count)
-        share = max(min(MARGIN * total / count, 1.0), total / count - EXCESS)
-        return _Part(self.components, total, count, share)
+        least = PRIOR_COUNT * self.components
+        fading = max(math.exp(-interval / SCATTER_MEMORY), min(least / max(self.seen, least), 1.0))
+        largest = LARGEST_RESIDUAL * self.components * max(1.0, self.total / max(self.seen, 1.0))
+        seen = fading * self.seen + count
+        total = max(fading * self.total + min(total, largest), SMALLEST * seen)
+        return _Shown(self.components, total, seen)
+
+    def share(self, both: _Shown) -> float:
+        """Return the share in R; what is not seen here yet is that of all components."""
+        lacking = max(PRIOR_COUNT * self.components - self.seen, 0.0)
+        mean = (self.total + lacking * both.total / both.seen) / (self.seen + lacking)
+        return max(min(MARGIN * mean, 1.0), mean - EXCESS)
 
 
 class PositionScatter(ShallowCopy):
@@ -165,15 +162,12 @@ class PositionScatter(ShallowCopy):
     def begin(self, learning: bool) -> None:
         """Return to the given share, and learn it from the fixes from now on, or do not."""
         given, self.learning = self._given, learning
-        self._parts = tuple(_Part.given(given, components) for components in (2, 1))
+        mean = given / MARGIN if given <= 1.0 else given + EXCESS
+        self._both = _Shown(3, 3.0 * PRIOR_COUNT * mean, 3.0 * PRIOR_COUNT)
+        self._parts = _Shown(2), _Shown(1)
+        self.learned: Shares = (given, given)
         self._normalised = np.empty(0)  # the last position's innovation
         self._walk = 1.0  # factor on the walk of the slow error
-
-    @property
-    def learned(self) -> Shares:
-        """See above."""
-        horizontal, vertical = self._parts
-        return horizontal.share, vertical.share
 
     def shares(self, claimed: Array) -> Shares:
         """Return the shares in force for a claimed covariance (m, m)."""
@@ -289,14 +283,18 @@ class PositionScatter(ShallowCopy):
         if evidence is None:
             return
         totals, counts, normalised = evidence
-        found = zip(self._parts, totals.tolist(), split.factors, counts.tolist(), strict=True)
-        self._parts = tuple(p.updated(f * total, n, interval) for p, total, f, n in found)
+        claimed, seen = (totals * split.factors).tolist(), counts.tolist()
+        self._both = self._both.updated(sum(claimed), sum(seen), interval)
+        horizontal, vertical = self._parts
+        horizontal = horizontal.updated(claimed[0], seen[0], interval)
+        vertical = vertical.updated(claimed[1], seen[1], interval)
+        self._parts = horizontal, vertical
+        self.learned = horizontal.share(self._both), vertical.share(self._both)
         m = min(len(normalised), len(self._normalised))
         if m and self.in_force and interval < LONGEST_INTERVAL:
             alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
             too_small = max(1.0 - float(np.mean(np.square(normalised))), 0.0)
-            count = float(counts.sum())
-            of_state = 1.0 - math.sqrt(min(count / len(normalised), 1.0))  # the share of S
+            of_state = 1.0 - math.sqrt(min(sum(seen) / len(normalised), 1.0))  # the share of S
             change = alike - WALK_FALL * of_state**2 * too_small
             self._walk = min(max(self._walk * math.exp(WALK_GAIN * change), SMALLEST_WALK), 1.0)
         self._normalised = normalised
