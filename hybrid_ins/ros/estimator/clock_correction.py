@@ -180,13 +180,15 @@ class ClockCorrection:
 
         The given offset is left only where the innovations contradict it, or a search, which puts
         one of its steps in force, or a drift is given; from then on the prior alone holds what
-        chance may do.
+        chance may do. A step is no better than what is found, however little is known of the
+        offset.
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
         is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT_OFFSET
         is_left |= self._given_drift.mean != 0.0
-        if sigma < USABLE and abs(missing) > 0.3 * sigma and is_left:
+        is_usable = sigma < USABLE or self._moved != 0.0
+        if is_usable and abs(missing) > 0.3 * sigma and is_left:
             self._shift(running, missing)
         if sigma < SETTLED and self._settled is None:
             self._settled = ClockPrior(self.offset, 0.0, running.t_ns)
