@@ -110,6 +110,41 @@ def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
     )
 
 
+@pytest.mark.parametrize("scatter", [2.0, 0.8, 0.0])
+def test_heights_that_scatter_by_more_than_a_constant_claim_leave_the_rest_alone(
+    scatter: float,
+) -> None:
+    # GIVEN fixes that scatter by 0.2 m, and their heights by 2 or 0.8 m, or as much; all claim 0.2 m
+    run = draw(replace(SCENE, duration=85.0), 2)
+    white = np.random.default_rng(2).normal(0.0, 0.2, (len(run.fixes), 3))
+    white[:, 2] += np.random.default_rng(3).normal(0.0, scatter, len(run.fixes))
+    run = moved(run, white)
+    run = replace(run, fixes=[replace(fix, covariance_n=0.04 * np.eye(3)) for fix in run.fixes])
+    # WHEN the filter runs
+    ins, factors = fly(run, scatter=True)
+    # THEN R of heights is what they scatter by, R of the rest is not raised, nor is the IMU's noise
+    across, upward = np.array(ins.noise.split.factors)
+    assert 0.5 < across < 2.0 and np.median(factors[150:, 2]) < 1.5
+    assert 0.4 < 0.04 * upward / (0.04 + scatter**2) < 2.5
+    assert np.median(factors[150:, :2]) < 3.0
+    assert ins.noise.split.unclaimed_stds == (0.0, 0.0)
+
+
+def test_a_slow_error_of_heights_alone_is_found_alone() -> None:
+    # GIVEN fixes that claim decimetres, and whose heights wander by metres within minutes
+    run = draw(replace(SCENE, duration=100.0), 2)
+    slow = np.zeros((len(run.fixes), 3))
+    slow[:, 2:] = gauss_markov(2.0, np.exp(-0.2 / 100.0), len(slow), np.random.default_rng(1))[:, 2:]
+    # WHEN the filter runs
+    ins, factors = fly(moved(run, slow))
+    # THEN the heights' covariance holds it, and the rest is known as before
+    across, upward = ins.noise.split.unclaimed_stds
+    assert across == 0.0 and 0.3 < upward < 3.0 and ins.noise.drifts_beyond_claim
+    assert ins.noise.found.heights < 2.0 and np.median(factors[100:, 2]) < 1.5
+    std = total_std(ins.nav)
+    assert std[2] > 0.4 and std[:2].max() < 0.3
+
+
 @pytest.mark.parametrize("slow_std", [1.2, 0.0])
 def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
     slow_std: float,

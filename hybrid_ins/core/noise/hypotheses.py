@@ -49,8 +49,8 @@ AGE_STDS = np.array([0.2, 0.6])  # s, of the age of velocities
 VELOCITY_DECADES = np.array([[1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 1.0, 2.0]])  # horizontal, vertical
 BESIDE_VELOCITY = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
 VELOCITY_COST = 4.0  # nats of evidence that velocities are old, or err by more than they claim
-HEIGHT_DECADES = np.array([1.0, 2.4])  # of the factor on R of heights alone
-BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
+HEIGHT_DECADES = np.array([0.6, 1.2, 1.8, 2.4, 3.0])  # of the factor on R of heights alone
+BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.5])  # of the accelerometer's factor beside that
 HEIGHT_COST = 2.0  # nats of evidence that it is above 1
 
 # Of one column: decades of the factors on accelerometer, gyroscope and R; standard deviations; and
