@@ -1,9 +1,9 @@
 """
 Drives whose receivers err by what they do not claim, and the same with right claims.
 
-Slow errors, multipath waves, and stamps that are those of the fixes' arrival: how long the odometry
-is silently wrong, whether that is named, and how far the published covariance holds. Odd seeds are
-for tuning, even ones judge.
+Slow errors, multipath waves, heights that scatter by more than the rest, and stamps that are those
+of the fixes' arrival: how long the odometry is silently wrong, whether that is named, and how far
+the published covariance holds. Odd seeds are for tuning, even ones judge.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid_ins import parameters
 from hybrid_ins.cli import options, program
@@ -26,6 +27,8 @@ from tools.vehicles.drives import Drive, from_simulation
 from tools.vehicles.evaluate import check_names
 from tools.vehicles.judge import Score, score
 
+Array = NDArray[np.float64]
+
 MOTIONS = (
     "car",
     "car on a motorway, clock -0.1 s",
@@ -34,8 +37,7 @@ MOTIONS = (
     "slow rover",
     "quadrotor",
 )
-SHAPE = np.array([1.0, 1.0, 1.5])  # north, east, down
-NAMED = "drift by", "stamps of fixes scatter"  # in the log
+NAMED = "drift by", "stamps of fixes scatter", "scatter by more"  # in the log
 LATEST = 0.3  # s, of a stamp
 BETWEEN_LOSSES, LOSS = 40.0, (5.0, 25.0)  # s, of ambiguities: mean time between, shortest, longest
 
@@ -53,6 +55,12 @@ class Claim:
     period: float = 60.0  # s, of that
     late: float = 0.0  # s, mean of the time by which stamps are late, exponentially distributed
     lost: float = 0.0  # m, what is claimed besides, and true, while the ambiguities are lost
+    heights: float = 1.5  # times the horizontal errors
+    claimed_heights: float = 1.5  # times the horizontal claim
+
+    def errors(self, size: float) -> Array:
+        """Return errors north, east, down of a horizontal size [m], (3,)."""
+        return size * np.array([1.0, 1.0, self.heights])
 
 
 RECEIVERS = {
@@ -66,12 +74,24 @@ RECEIVERS = {
     "wave of 1.5 m, 90 s, and 0.5 m, 300 s, claims 0.15 m": Claim(
         1.0, 0.1, 0.5, 300.0, 0.15, 1.5, 90.0
     ),
+    "0.3 m and heights 3 m, claims 1 m of both": Claim(
+        1.0, 0.3, 0.0, 100.0, 1.0, heights=10.0, claimed_heights=1.0
+    ),
+    "0.02 m and heights 0.3 m, claims 0.02 m of both": Claim(
+        5.0, 0.02, 0.0, 100.0, 0.02, heights=15.0, claimed_heights=1.0
+    ),
     "stamps late by 0.02 s, 5 Hz": Claim(5.0, 0.01, 0.0, 100.0, 0.01, late=0.02),
     "stamps late by 0.02 s, 1 Hz": Claim(1.0, 0.01, 0.0, 100.0, 0.01, late=0.02),
     "stamps late by 0.05 s, 5 Hz": Claim(5.0, 0.01, 0.0, 100.0, 0.01, late=0.05),
     "stamps late by 0.05 s, 1 Hz": Claim(1.0, 0.01, 0.0, 100.0, 0.01, late=0.05),
 }
 RIGHT = {
+    "right: 0.3 m and heights 3 m": Claim(
+        1.0, 0.3, 0.0, 100.0, 0.3, heights=10.0, claimed_heights=10.0
+    ),
+    "right: 0.02 m and heights 0.3 m": Claim(
+        5.0, 0.02, 0.0, 100.0, 0.02, heights=15.0, claimed_heights=15.0
+    ),
     "right: 0.02 m": Claim(5.0, 0.02, 0.0, 100.0, 0.02),
     "right: 0.1 m": Claim(1.0, 0.1, 0.0, 100.0, 0.1),
     "right: 0.3 m": Claim(5.0, 0.3, 0.0, 100.0, 0.3),
@@ -84,15 +104,17 @@ def recorded(motion: str, claim: Claim, seed: int) -> Recording:
     """Return a recording of a motion with a receiver."""
     receiver = Receiver(
         rate=claim.rate,
-        white_std=tuple(claim.white * SHAPE),
-        slow_std=tuple(claim.slow * SHAPE),
+        white_std=tuple(claim.errors(claim.white)),
+        slow_std=tuple(claim.errors(claim.slow)),
         slow_time=claim.slow_time,
-        claimed_std=tuple(claim.claimed * SHAPE),
+        claimed_std=(claim.claimed, claim.claimed, claim.claimed * claim.claimed_heights),
     )
     made = record(replace(VEHICLES[motion], receiver=receiver), seed)
     rng = np.random.default_rng([seed, 41])
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
-    wave = claim.wave * SHAPE * np.sin(2.0 * np.pi / claim.period * made.fix_t[:, None] + phase)
+    wave = claim.errors(claim.wave) * np.sin(
+        2.0 * np.pi / claim.period * made.fix_t[:, None] + phase
+    )
     scale = np.array([earth.curvature_scale(place) for place in made.fix_lla])
     late = np.minimum(rng.exponential(1.0, len(made.fix_t)) * claim.late, LATEST)
     return replace(made, fix_lla=made.fix_lla + wave / scale, fix_stamp=made.fix_stamp + late)
@@ -107,7 +129,7 @@ def losing_ambiguities(drive: Drive, claim: Claim, seed: int) -> Drive:
         at += losses[-1][1] + rng.exponential(BETWEEN_LOSSES)
     decay = math.exp(-1.0 / (claim.rate * claim.slow_time))
     error = gauss_markov(1.0, decay, len(t), rng)
-    std = claim.lost * SHAPE * in_outage(t, losses)[:, None]
+    std = claim.errors(claim.lost) * in_outage(t, losses)[:, None]
     scale = np.array([earth.curvature_scale(place) for place in drive.fix_lla])
     return replace(
         drive,

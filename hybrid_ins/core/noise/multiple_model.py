@@ -311,7 +311,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    hypotheses : ndarray, shape (15, WIDTH)
+    hypotheses : ndarray, shape (17, WIDTH)
         `HYPOTHESES`, the last one repeated.
     before, after : ndarray, shape (N_ROWS, WIDTH)
         Their estimates, see `advance`; ``after`` is written.
