@@ -111,6 +111,9 @@ class FilterNoise:
 
     def split_of(self, fix: PositionFix, scatter: PositionScatter) -> Split:
         """Return the split of a position's covariance, and keep it."""
+        if len(fix.claimed) == 2:
+            for bank in self._banks():
+                bank.forget_heights(fix.t_ns)
         found = self.found
         self.split = scatter.split(
             fix.claimed,

@@ -129,6 +129,9 @@ HYPOTHESES = np.vstack(
 # Vector instructions take several hypotheses at once: the last one is repeated to fill them.
 WIDTH = COUNT + -COUNT % 16
 WIDE_HYPOTHESES = np.pad(HYPOTHESES, ((0, 0), (0, WIDTH - COUNT)), "edge")
+# A heading or a clock that is searched for looks like a slow error of heights, as do new heights.
+WITHOUT_SLOW_HEIGHTS = WIDE_HYPOTHESES.copy()
+WITHOUT_SLOW_HEIGHTS[SLOW_WALK] *= WIDE_HYPOTHESES[SLOW_HEIGHT_STD] == 0.0
 # Of positions: the factor on R, and that on the height's besides; those with the same are a level.
 ON_R = np.stack((HYPOTHESES[2], 10.0 ** HYPOTHESES[ON_HEIGHT]))
 _LEVEL = np.unique(ON_R, axis=1, return_inverse=True)[1].ravel()

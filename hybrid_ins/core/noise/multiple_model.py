@@ -54,6 +54,7 @@ from hybrid_ins.core.noise.hypotheses import (
     STAMP_STD,
     WIDE_HYPOTHESES,
     WIDTH,
+    WITHOUT_SLOW_HEIGHTS,
 )
 from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
 from hybrid_ins.core.noise.position_scatter import NO_GROWTH
@@ -82,6 +83,7 @@ Array = NDArray[np.float64]
 
 OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
 TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
+NEW_HEIGHTS_NS = 60_000_000_000  # in which the filter settles on heights that there were not before
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
@@ -127,17 +129,13 @@ class NoiseMultipleModelBank(ShallowCopy):
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Of the hypotheses, see `advance`; None before the second fix.
 
-    See Also
-    --------
-    multiple_model.MultipleModelBank : in the same terms. Its hypotheses are whole filters, their
-        likelihoods do not fade, and unlikely hypotheses are dropped.
     """
 
     def __init__(self) -> None:
         self.found = NoiseFactors()
         self._values = _START
         self.estimates: Array | None = None
-        self._t_ns = 0
+        self._t_ns, self._heightless_ns = 0, -NEW_HEIGHTS_NS
 
     def restart(self, *, keep_weights: bool) -> None:
         """
@@ -147,11 +145,21 @@ class NoiseMultipleModelBank(ShallowCopy):
         """
         self.estimates = None
         if not keep_weights:
-            self._values = self._values.copy()
             of_fixes = likelihood_of_r(self._values[LOG_LIKELIHOOD], self._values[OF_FAMILY])
-            for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
-                self._values[part] = _START[part]
+            self._forget()
             self._add_log_likelihood(of_fixes)
+
+    def forget_heights(self, t_ns: int) -> None:
+        """Forget what was found where it is of heights up to a stamp [ns]: they were none."""
+        self._heightless_ns = t_ns
+        if self.found.heights > 1.0 or self.found.slow_height_std > self.found.slow_std:
+            self._forget()
+            self._read_factors()
+
+    def _forget(self) -> None:
+        self.estimates, self._values = None, self._values.copy()
+        for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
+            self._values[part] = _START[part]
 
     def weigh_jump(self, correction: Correction, R: Array) -> None:
         """
@@ -207,7 +215,10 @@ class NoiseMultipleModelBank(ShallowCopy):
         After more than ``MAX_INTERVAL`` the hypotheses start anew with the running filter's
         covariance, and their likelihoods stay as they were.
         """
-        have_risen = self._update(correction, psd, WIDE_HYPOTHESES, True)
+        are_new = correction.t_ns - self._heightless_ns < NEW_HEIGHTS_NS
+        without = are_new or correction.of_stamp is None
+        hypotheses = WITHOUT_SLOW_HEIGHTS if without else WIDE_HYPOTHESES
+        have_risen = self._update(correction, psd, hypotheses, True)
         self._read_factors()
         return self._state_correction() if have_risen else None
 

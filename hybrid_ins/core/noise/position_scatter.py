@@ -219,6 +219,8 @@ class PositionScatter(ShallowCopy):
         """
         horizontal = horizontal_variance(claimed)
         self._usual = min(self._usual, horizontal)
+        if len(claimed) == 2:  # what were heights may have been none
+            self._parts = self._parts[0], _Shown(1)
         since = (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
         interval = min(max(since, 0.0), 0.5 * SLOW_TIME) * (self._walk if self.in_force else 1.0)
         across, upward = self.shares(claimed)

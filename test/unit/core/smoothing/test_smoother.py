@@ -33,6 +33,7 @@ from hybrid_ins.core.inertial.state import (
     covariance,
 )
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.core.smoothing import hindsight
@@ -174,7 +175,9 @@ def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
 
 
 def test_a_record_keeps_the_drift_of_the_clock() -> None:
-    nothing: Any = SimpleNamespace(measurement=None, levels=lambda: np.ones(6), fix_factor=1.0)
+    nothing: Any = SimpleNamespace(
+        measurement=None, levels=lambda: np.ones(6), found=NoiseFactors()
+    )
     record, clock = FilterRecord(nothing), ClockOffsetObserver(0.1, drift=ClockDrift(3e-4))
     update: Any = SimpleNamespace(
         noise=nothing, clock=clock, scale_errors=SimpleNamespace(considered=np.ones(6))
