@@ -153,11 +153,12 @@ class NoiseMultipleModelBank(ShallowCopy):
         """Forget what was found where it is of heights up to a stamp [ns]: they were none."""
         self._heightless_ns = t_ns
         if self.found.heights > 1.0 or self.found.slow_height_std > self.found.slow_std:
+            self.estimates = None
             self._forget()
             self._read_factors()
 
     def _forget(self) -> None:
-        self.estimates, self._values = None, self._values.copy()
+        self._values = self._values.copy()
         for part in (FACTORS, LOWEST, LOG_LIKELIHOOD, OF_FAMILY):
             self._values[part] = _START[part]
 

@@ -112,7 +112,7 @@ class _Shown(NamedTuple):
     def updated(self, total: float, count: float, interval: float) -> _Shown:
         """Return it after an interval [s], with what a fix shows, see `scatter_evidence`."""
         least = PRIOR_COUNT * self.components
-        fading = max(math.exp(-interval / SCATTER_MEMORY), min(least / max(self.seen, least), 1.0))
+        fading = max(math.exp(-interval / SCATTER_MEMORY), least / max(self.seen, least))
         largest = LARGEST_RESIDUAL * self.components * max(1.0, self.total / max(self.seen, 1.0))
         seen = fading * self.seen + count
         total = max(fading * self.total + min(total, largest), SMALLEST * seen)

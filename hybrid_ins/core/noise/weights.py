@@ -56,6 +56,7 @@ FAMILIES = len(FAMILY_STD)
 _PRIOR_OF_FAMILY = np.array(
     [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
 )
+_PRIOR_OF_R = [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][level]) for level in R_LEVELS]
 
 
 class NoiseFactors(NamedTuple):
@@ -138,8 +139,7 @@ def likelihood_of_r(log_likelihood: Array, of_family: Array) -> Array:
     """Return the log-likelihood of what the hypotheses assume of R alone, for each, (COUNT,)."""
     posterior, found = np.empty(COUNT), np.empty(COUNT)
     weigh(log_likelihood, of_family, ANY_CLAIM, posterior)
-    for level in R_LEVELS:
-        prior = np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][level])
+    for level, prior in zip(R_LEVELS, _PRIOR_OF_R, strict=True):
         found[level] = np.log(posterior[level].sum()) - prior
     return np.asarray(found - found.max())
 

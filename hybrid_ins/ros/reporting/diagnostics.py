@@ -205,14 +205,21 @@ def noise_status(navigator: Navigator, reader: NoiseReader | None, mode: str) ->
             "source": source,
             "mode": mode,
             **factors,
-            **({"slow_error_of_fixes": max(running.noise.split.unclaimed_stds)} if running else {}),
-            **({"stamp_scatter_of_fixes": running.noise.found.stamp_std} if running else {}),
-            **({"age_of_velocities": running.noise.found.age_std} if running else {}),
+            **({} if running is None else _errors_of_fixes(running.noise)),
             **({} if running is None else _scale_errors(running.scale_errors)),
             **{f"refused: {why}": n for why, n in sorted(refusals.items())},
             **{f"q_{c}": float(value) for c, value in zip(CHANNELS, levels, strict=True)},
         },
     )
+
+
+def _errors_of_fixes(noise: FilterNoise) -> dict[str, float]:
+    """Return the standard deviations of what fixes do not claim, as the innovations show it."""
+    return {
+        "slow_error_of_fixes": max(noise.split.unclaimed_stds),
+        "stamp_scatter_of_fixes": noise.found.stamp_std,
+        "age_of_velocities": noise.found.age_std,
+    }
 
 
 def _scale_errors(found: ScaleErrors) -> dict[str, float]:
