@@ -133,7 +133,7 @@ class OnnxModel:
 
 def _session(path: Path) -> Any:
     """Return a session of the runtime for a model file."""
-    content = read_regular_file(path, LARGEST_MODEL_BYTES, "a model, an .onnx file")
+    read_regular_file(path, LARGEST_MODEL_BYTES, "a model, an .onnx file")  # refuses others
     # Otherwise the runtime keeps a database in the user's cache and calls its maker's server.
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"
     try:
@@ -151,7 +151,8 @@ def _session(path: Path) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        # Given the content instead, a session keeps it.
+        return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # The runtime's own exceptions share no public base.
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: no usable ONNX model ({reason[:200]})") from None
