@@ -153,6 +153,8 @@ def _compile_filter() -> None:
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
     scatter_evidence.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), np.eye(3))
+    measurements.scaled_by_axis(np.eye(3), 1.0, 1.0)
+    position_scatter.slow_part(np.eye(3), 1.0, 1.0, 0.0, 0.0, 0.0, np.empty(0), 0.0)
     position_scatter.change_slow_error(nav, np.zeros(3), 0.0, position_scatter.NO_GROWTH)
     clock = clock_offset.ClockOffsetObserver(0.1).values
     fix_update.fuse_ordinary_fix(

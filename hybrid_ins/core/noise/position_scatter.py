@@ -230,18 +230,11 @@ class PositionScatter(ShallowCopy):
         upward = _without(common * height_factor, upward, largest)
         excess = max(across / largest, 1.0), max(upward / largest, 1.0)
         lost = 1.0 - self._usual / horizontal
-        slow = claimed_slow = claimed.diagonal() * np.maximum(
-            1.0 - np.array((across, across, upward)[: len(claimed)]),
-            max(_least_slow(claimed), lost),
-        )
-        growth = np.zeros(3)
-        for i, (before, after) in enumerate(zip(self._claimed_slow, slow, strict=False)):
-            is_new = after > NEW_SOLUTION * before
-            growth[i] = after if is_new else slow_error_growth(before, after, interval)
-        if slow_stds[1] > 0.0:
-            shown = SLOW_AXES * np.square((slow_stds[0], *slow_stds))
-            slow = np.maximum(slow, shown[: len(slow)])
         claimed_std = math.sqrt(horizontal)
+        least_slow = max(LEAST_SLOW * uncorrected(claimed_std), lost)
+        slow, claimed_slow, growth = slow_part(
+            claimed, across, upward, least_slow, *slow_stds, self._claimed_slow, interval
+        )
         unclaimed = [std if std > claimed_std else 0.0 for std in slow_stds]
         on_R = across, upward * height_factor
         return Split(
@@ -312,11 +305,6 @@ def horizontal_variance(covariance_n: Array) -> float:
     return 0.5 * float(covariance_n.item(0, 0) + covariance_n.item(1, 1))
 
 
-def _least_slow(claimed: Array) -> float:
-    """Return the share of a claimed covariance (m, m) that is slow at the least."""
-    return LEAST_SLOW * uncorrected(math.sqrt(horizontal_variance(claimed)))
-
-
 def uncorrected(claimed_std: float) -> float:
     """Return how far a claimed σ [m] is that of a receiver without corrections, 0 to 1."""
     share = (claimed_std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
@@ -327,6 +315,43 @@ def uncorrected(claimed_std: float) -> float:
 def slow_error_growth(before, after, interval):  # type: ignore[no-untyped-def]
     """Return the variance [m²] that a slow error leaves in the state over an interval [s]."""
     return before if before > NEW_SOLUTION * after else 2.0 * before * interval / SLOW_TIME
+
+
+@kernel()
+def slow_part(  # type: ignore[no-untyped-def]
+    claimed, across, upward, least, shown_across, shown_upward, before, interval
+):
+    """
+    Return the slow part of a claimed variance.
+
+    Parameters
+    ----------
+    claimed : ndarray, shape (m, m)
+        Covariance that a position claims [m²], NED.
+    across, upward, least : float
+        Shares that are white, horizontally and vertically, and the least that is slow.
+    shown_across, shown_upward : float
+        ``slow_stds`` of `PositionScatter.split`.
+    before : ndarray, shape (n,)
+        Slow part [m²] of the claim before; empty: there was none.
+    interval : float
+        Since that [s].
+
+    Returns
+    -------
+    slow, claimed_slow, growth : ndarray, shape (m,), (m,), (3,)
+        See `Split`.
+    """
+    m = len(claimed)
+    slow, claimed_slow, growth = np.empty(m), np.empty(m), np.zeros(3)
+    for i in range(m):
+        white, shown = (upward, shown_upward) if i == 2 else (across, shown_across)
+        after = claimed_slow[i] = claimed[i, i] * max(1.0 - white, least)
+        slow[i] = max(after, SLOW_AXES[i] * shown**2)
+        if i < len(before):
+            is_new = after > NEW_SOLUTION * before[i]
+            growth[i] = after if is_new else slow_error_growth(before[i], after, interval)
+    return slow, claimed_slow, growth
 
 
 @kernel()

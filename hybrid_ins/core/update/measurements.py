@@ -241,12 +241,17 @@ def roots_by_axis(horizontally: ArrayLike, vertically: ArrayLike) -> Array:
     return np.sqrt(np.array([horizontally, horizontally, vertically]))
 
 
-def scaled_by_axis(R: Array, horizontally: float, vertically: float) -> Array:
+@kernel()
+def scaled_by_axis(R, horizontally, vertically):  # type: ignore[no-untyped-def]
     """Return a covariance (m, m), NED, multiplied by these factors."""
-    if horizontally == vertically:
-        return R * horizontally
-    roots = roots_by_axis(horizontally, vertically)[: len(R)]
-    return R * np.outer(roots, roots)
+    scaled, across = np.empty(R.shape), np.sqrt(horizontally * vertically)
+    for i in range(len(R)):
+        for j in range(len(R)):
+            factor = across
+            if (i == 2) == (j == 2):
+                factor = vertically if i == 2 else horizontally
+            scaled[i, j] = R[i, j] * factor
+    return scaled
 
 
 def _given(R: Array, measured: Array) -> Array:
