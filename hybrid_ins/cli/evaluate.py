@@ -15,7 +15,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation import report
 from hybrid_ins.evaluation.evaluate import evaluate_run
-from hybrid_ins.evaluation.result import Result, Scoring
+from hybrid_ins.evaluation.result import GNSS_CLOCK, IMU_CLOCK, Result, Scoring
 from hybrid_ins.evaluation.run import Run, Topics
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
@@ -31,9 +31,9 @@ Compare an estimate with the truth: PRMSE and PMAE, velocity and attitude RMSE, 
 covariances (NEES, NIS with 95 % bands), and the error at the end of outages.
 
 The estimate is interpolated to the epochs of the truth. Truth epochs at the stamp of a fix are not
-scored: the filter was given these positions. Truth and GNSS share a clock; its offset to the IMU
-clock is read from gnss/verdict. The datums of the bags may differ. Without --skip, scoring begins
-with the first estimate whose heading is known."""
+scored: the filter was given these positions. Truth and GNSS share a clock, unless --truth-clock
+says otherwise; its offset to the IMU clock is read from gnss/verdict. The datums of the bags may
+differ. Without --skip, scoring begins with the first estimate whose heading is known."""
 
 EXAMPLE = "ins_evaluate flight_estimate --truth flight.mcap --plot flight.png"
 
@@ -86,7 +86,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     scoring.add_argument(
         "--time-offset", metavar="S", type=options.number,
-        help="seconds to add to truth and fix stamps (default: from gnss/verdict, else 0)",
+        help="seconds to add to stamps of the fixes' clock (default: from gnss/verdict, else 0)",
+    )  # fmt: skip
+    scoring.add_argument(
+        "--truth-clock", choices=(GNSS_CLOCK, IMU_CLOCK), default=defaults.truth_clock,
+        help="whose clock the truth has: that of the fixes, or, as the estimate of another "
+        "program, that of the IMU (default %(default)s)",
     )  # fmt: skip
     scoring.add_argument(
         "--max-gap", metavar="S", type=options.not_negative, default=defaults.max_gap,
@@ -140,6 +145,7 @@ def _run(args: argparse.Namespace) -> int:
         args.include_fed,
         args.max_gap,
         args.outage_gap,
+        args.truth_clock,
     )
     if len(args.estimate) > 1 or not batch.is_bag(args.estimate[0]):
         if args.json or args.report or args.export:

@@ -19,8 +19,17 @@ import numpy as np
 
 from hybrid_ins.errors import InputError
 from hybrid_ins.evaluation.matching import after, match
-from hybrid_ins.evaluation.result import Errors, FixCount, Outage, Result, Scoring, TimeOffset
-from hybrid_ins.evaluation.run import Run, Verdicts
+from hybrid_ins.evaluation.result import (
+    GNSS_CLOCK,
+    IMU_CLOCK,
+    Errors,
+    FixCount,
+    Outage,
+    Result,
+    Scoring,
+    TimeOffset,
+)
+from hybrid_ins.evaluation.run import Run, Topics, Verdicts
 from hybrid_ins.evaluation.statistics import Consistency, nees
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
@@ -44,8 +53,9 @@ def evaluate(
     estimate : Trajectory
         Stamps in the IMU clock; interpolated, never extrapolated.
     truth : Trajectory or None
-        Stamps in the reference clock. In the estimate's map; where both datums are known and
-        differ it is transformed to it. None: only the verdicts are evaluated.
+        Stamps in the reference clock, or in the IMU's as ``scoring.truth_clock`` says. In the
+        estimate's map; where both datums are known and differ it is transformed to it. None: only
+        the verdicts are evaluated.
     fix_stamp_ns : ndarray, shape (K,), optional
         Stamps of the position fixes (reference clock). Truth epochs at these stamps are not
         scored; without verdicts all of them count as accepted.
@@ -92,9 +102,11 @@ def evaluate(
             raise InputError("the truth is empty")
         if estimate.datum_lla is not None and truth.datum_lla is not None:
             truth = truth.in_map_of(estimate.datum_lla)
-        truth_imu_ns = clock.to_imu(truth.stamp_ns)
+        truth_imu_ns, fed_ns = clock.to_imu(truth.stamp_ns), fix_ns
+        if scoring.truth_clock == IMU_CLOCK:
+            truth_imu_ns, fed_ns = truth.stamp_ns, np.sort(clock.to_imu(fix_ns))
         origin_ns = int(truth_imu_ns[0])
-        errors, epochs, coverage, notes = match(estimate, truth, truth_imu_ns, fix_ns, scoring)
+        errors, epochs, coverage, notes = match(estimate, truth, truth_imu_ns, fed_ns, scoring)
         scored_ns = errors.stamp_ns[errors.scored]
         window = int(scored_ns[0]), int(scored_ns[-1])
         covered = (estimate.stamp_ns >= truth_imu_ns[0]) & (estimate.stamp_ns <= truth_imu_ns[-1])
@@ -132,7 +144,7 @@ def evaluate(
 
 def evaluate_run(run: Run, scoring: Scoring | None = None) -> Result:
     """Evaluate a run as read from its bags; its notes are added to those of the result."""
-    estimate, truth = run.estimate, run.truth
+    estimate, truth, scoring = run.estimate, run.truth, scoring or Scoring()
     notes = list(run.notes)
     if truth is not None and (estimate.datum_lla is None) != (truth.datum_lla is None):
         missing = "estimate's" if estimate.datum_lla is None else "truth's"
@@ -144,6 +156,12 @@ def evaluate_run(run: Run, scoring: Scoring | None = None) -> Result:
         verdicts=run.verdicts,
         scoring=scoring,
     )
+    is_shifted = result.time_offset.source == "verdicts" and result.time_offset.mean != 0.0
+    if is_shifted and run.truth_topic != Topics.truth and scoring.truth_clock == GNSS_CLOCK:
+        notes.append(
+            f"{run.truth_topic} is taken to have the clock of the fixes: where it has the IMU's, "
+            "as the estimate of another program, give --truth-clock imu"
+        )
     return replace(result, notes=(*result.notes, *notes))
 
 

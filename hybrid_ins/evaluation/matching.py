@@ -33,7 +33,7 @@ def match(
     truth_imu_ns : ndarray, shape (N,)
         Stamps of the truth, IMU clock.
     fix_ns : ndarray, shape (K,)
-        Sorted stamps of the position fixes, reference clock.
+        Sorted stamps of the position fixes, in the clock of the truth's stamps.
     scoring : Scoring
 
     Returns

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from hybrid_ins.evaluation.statistics import Consistency
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
+GNSS_CLOCK, IMU_CLOCK = "gnss", "imu"
+
 
 @dataclass(frozen=True)
 class Scoring:
@@ -31,6 +33,7 @@ class Scoring:
     include_fed: bool = False  # also score epochs at the stamps of fixes
     max_gap: float = 0.25  # longest between two estimates to interpolate
     outage_gap: float = 3.0  # shortest outage; it also exceeds 3 fix intervals
+    truth_clock: str = GNSS_CLOCK  # or IMU_CLOCK, of which the truth's stamps are
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Epochs:
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """The clock offset added to the stamps of truth and fixes [s]."""
+    """The clock offset added to the stamps of fixes, and of truth of their clock [s]."""
 
     mean: float
     low: float

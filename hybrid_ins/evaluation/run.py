@@ -105,10 +105,11 @@ class Run:
 
     name: str
     estimate: Trajectory
-    truth: Trajectory | None = None  # stamps in the reference clock
+    truth: Trajectory | None = None  # stamps in the reference clock, unless it is the IMU's
     fixes: Fixes = field(default_factory=Fixes.none)
     verdicts: Verdicts = field(default_factory=lambda: Verdicts.of(()))
     sensor_errors: SensorErrors = field(default_factory=SensorErrors)
     true_sensor_errors: SensorErrors = field(default_factory=SensorErrors)  # of a simulation
     noise_source: tuple[tuple[int, str], ...] = ()  # (stamp_ns, name) at each change
     notes: tuple[str, ...] = ()
+    truth_topic: str = Topics.truth

@@ -94,6 +94,7 @@ def read_run(
         true_sensor_errors,
         noise_source,
         tuple(notes),
+        absolute(topics.truth),
     )
 
 

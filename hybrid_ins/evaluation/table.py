@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from hybrid_ins.evaluation.result import Result, degrees
+from hybrid_ins.evaluation.result import IMU_CLOCK, Result, degrees
 
 _BANDS = (
     "1 for a correct covariance. NEES of one run is correlated: it is judged by the second band, of"
@@ -71,9 +71,11 @@ def _scored_lines(result: Result) -> list[str]:
         f"{result.largest_gap:.3g} s; skipped {result.scoring.skip:g} s (--skip)",
     ]
     if offset.low or offset.high:
+        shifted = "fix" if result.scoring.truth_clock == IMU_CLOCK else "truth"
         spread = f" ({offset.low:+.4f} to {offset.high:+.4f})" if offset.high > offset.low else ""
         lines.append(
-            f"truth stamps shifted by {offset.mean:+.4f} s{spread}, as given by the {offset.source}"
+            f"{shifted} stamps shifted by {offset.mean:+.4f} s{spread}, as given by the "
+            f"{offset.source}"
         )
     return lines
 

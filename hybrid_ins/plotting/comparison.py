@@ -143,7 +143,7 @@ def _draw_tracks(axes: Axes, views: Sequence[RunView]) -> None:
 def _draw_heights(axes: Axes, views: Sequence[RunView]) -> None:
     truth = views[0].truth
     if truth is not None:
-        at = views[0].since(views[0].to_imu(truth.stamp_ns))
+        at = views[0].since(views[0].truth_stamp_ns(truth))
         axes.plot(*thin(at, truth.position_enu[:, 2]), color=BLACK, lw=2.4, alpha=0.5)
     for view, colour in zip(views, COLOURS, strict=False):
         axes.plot(*thin(view.seconds, view.estimate.position_enu[:, 2]), color=colour)

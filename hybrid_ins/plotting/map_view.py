@@ -136,7 +136,7 @@ def draw_height(axes: Axes, view: RunView) -> None:
         at = view.since(view.to_imu(view.run.fixes.stamp_ns))
         axes.plot(at[accepted], fixes[accepted, 2], ".", ms=3, color=MUTED, label="fix")
     if view.truth is not None:
-        at = view.since(view.to_imu(view.truth.stamp_ns))
+        at = view.since(view.truth_stamp_ns(view.truth))
         up = view.truth.position_enu[:, 2]
         axes.plot(*thin(at, up), color=BLACK, lw=2.2, label="truth")
     axes.plot(*thin(view.seconds, view.estimate.position_enu[:, 2]), color=SKY, label="estimate")

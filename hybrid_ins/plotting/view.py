@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.evaluation.result import Result
+from hybrid_ins.evaluation.result import IMU_CLOCK, Result
 from hybrid_ins.evaluation.run import Run
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory, enu_from_lla
 
@@ -70,6 +70,11 @@ class RunView:
         """Convert stamps of the reference clock to the IMU clock by the mean offset."""
         return stamp_ns + round(1e9 * self.result.time_offset.mean)
 
+    def truth_stamp_ns(self, truth: Trajectory) -> Stamps:
+        """Return the truth's stamps in the IMU clock."""
+        is_imu = self.result.scoring.truth_clock == IMU_CLOCK
+        return truth.stamp_ns if is_imu else self.to_imu(truth.stamp_ns)
+
     def outages(self) -> list[tuple[float, float]]:
         """Return start and end of each outage [s]."""
         later = (self.result.origin_ns - self.origin_ns) * 1e-9
@@ -129,7 +134,7 @@ class RunView:
         if len(fixes):
             first.append((int(self.to_imu(self.run.fixes.stamp_ns[:1])[0]), fixes[0]))
         if self.truth is not None:
-            first.append((int(self.to_imu(self.truth.stamp_ns[:1])[0]), self.truth.position_enu[0]))
+            first.append((int(self.truth_stamp_ns(self.truth)[0]), self.truth.position_enu[0]))
         return min(first, key=lambda stamped: stamped[0])[1]
 
     def fix_positions(self) -> tuple[Array, NDArray[np.bool_]]:

@@ -179,6 +179,21 @@ class TestTime:
         assert (ignored.time_offset.source, said.time_offset.source) == ("option", "verdicts")
         assert said.time_offset.mean == pytest.approx(0.1)
 
+    def test_truth_of_the_imus_clock_is_not_shifted(self) -> None:
+        # GIVEN fixes stamped 0.1 s behind the IMU's clock, which estimate and truth share
+        at = np.arange(0.05, 20.0, 0.2) - 0.1
+        known = verdicts(at, time_offset=np.full(len(at), 0.1))
+
+        result = evaluate(
+            flight(FAST), flight(TRUTH + 0.05), verdicts=known, scoring=Scoring(truth_clock="imu")
+        )
+
+        assert result.prmse == pytest.approx(0.0, abs=1e-9)
+        assert result.time_offset.mean == pytest.approx(0.1)  # of the fixes
+        assert result.epochs is not None
+        assert result.epochs.fed == 100  # where the fixes are in the IMU's clock
+        assert any("fix stamps shifted by +0.1000 s" in line for line in table(result).split("\n"))
+
     def test_an_offset_that_is_learned_in_flight_counts_from_when_it_is_in_force(self) -> None:
         estimate = flight(FAST)
         at = np.array([0.05, 9.95])

@@ -153,6 +153,26 @@ def test_other_topics_and_frames(
     assert any("'odom'" in note for note in json.loads(text)["notes"])
 
 
+def test_the_clock_of_another_programs_estimate_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # GIVEN fixes stamped 0.1 s behind the IMU's clock, which both estimates share
+    with bag(tmp_path / "both") as out:
+        write_track(out, "/odometry", flight(FAST))
+        write_track(out, "/odometry/filtered", flight(TRUTH))
+        for stamp_ns in stamps(TRUTH[::2] - 0.1):
+            write_verdict(out, stamp_ns, accepted="true", nis="3.0", dof="3", time_offset="0.1")
+    other = tmp_path / "both", "--truth-topic", "odometry/filtered", "--json"
+
+    taken, _ = run_program(capsys, 0, *other)
+    said, _ = run_program(capsys, 0, *other, "--truth-clock", "imu")
+
+    assert json.loads(taken)["prmse_m"] == pytest.approx(1.0)
+    assert any("--truth-clock imu" in note for note in json.loads(taken)["notes"])
+    assert json.loads(said)["prmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert not any("--truth-clock" in note for note in json.loads(said)["notes"])
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
