@@ -51,6 +51,30 @@ def test_fixes_by_another_clock_are_named_with_the_remedy(ahead: float, words: s
         assert words in text and "use_receive_time: true" in text
 
 
+def test_an_imu_that_stops_is_no_fault_of_the_clocks() -> None:
+    """
+    GIVEN an estimate
+    WHEN fixes go on without IMU samples, and both after a jump of the receiver's clock
+    THEN the IMU is blamed for the first, and the clocks for the second.
+    """
+    drive = Spoiled(**KNOWN)
+    drive.play(0.0, 6.0)
+    assert drive.estimator.aligned
+    for k in np.flatnonzero((drive.fix_t > 6.0) & (drive.fix_t < 12.0)):
+        drive.fix(int(k))
+
+    [line] = [text for text in drive.warnings() if "of no use" in text]
+    assert "s before this one: restart the driver of the IMU" in line
+
+    jumped = Spoiled(**KNOWN)
+    jumped.play(0.0, 6.0)
+    jumped.ahead_ns = 30_000_000_000
+    jumped.play(6.0, 12.0)
+
+    [line] = [text for text in jumped.warnings() if "of no use" in text]
+    assert "s ahead of the IMU's (two clocks that were set differently)" in line
+
+
 def test_fixes_without_a_position_are_named_as_what_it_waits_for() -> None:
     drive = Spoiled(status=-1)
     drive.play(0.0, 6.0)

@@ -99,6 +99,7 @@ class Reporter:
         """Announce the filter again once it runs, and send diagnostics at once."""
         self._announced = False
         self._diagnostics_ns = self.fused_ns = 0
+        self._imu_at_refusal_ns = 0  # stamp of the last sample when a fix was stamped wrongly
 
     def pop(self) -> Sequence[Report]:
         """Return what is to be published since the last call."""
@@ -164,10 +165,11 @@ class Reporter:
                 counts["gnss: state opened"] += 1
                 self._inputs.log("warn", f"gnss: {verdict.reason}")
         elif verdict.reason in (TOO_OLD, STAMPED_AHEAD):
-            count = counts[f"{sensor}: {verdict.reason}"]
+            count, imu_ns = counts[f"{sensor}: {verdict.reason}"], self._navigator.last_ns
+            stopped, self._imu_at_refusal_ns = imu_ns == self._imu_at_refusal_ns, imu_ns
             is_due = count >= MISSTAMPED_FIXES and is_logged(count)
             if is_due and self._navigator.filter is not None:  # before, `FixRefusals` says it
-                self._inputs.log("warn", describe_wrong_stamp(verdict.age, count))
+                self._inputs.log("warn", describe_wrong_stamp(verdict.age, count, stopped))
         elif verdict.reason == PUBLISHED_AGAIN:
             count = counts[f"{sensor}: {PUBLISHED_AGAIN}"]
             if is_logged(count):

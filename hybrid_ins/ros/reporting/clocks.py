@@ -35,12 +35,18 @@ def describe_clocks(ahead: float) -> str:
     return f"their stamps are {text} {side} the IMU's ({cause})"
 
 
-def describe_wrong_stamp(age: float, count: int) -> str:
+def describe_wrong_stamp(age: float, count: int, imu_stopped: bool) -> str:
     """
     Return why fixes of that age [s] are not used, and the remedy.
 
-    The age of a fix that is stamped ahead of the IMU is negative.
+    The age of a fix that is stamped ahead of the IMU is negative. ``imu_stopped`` says that no
+    sample has come since the fix before: the clocks are not to blame then.
     """
+    if imu_stopped and age < 0.0:
+        return (
+            f"gnss/fix: {count} fixes are of no use: the last IMU sample is {-age:.1f} s before "
+            "this one: restart the driver of the IMU, check the cable"
+        )
     needed = math.ceil(age) + 1
     if age >= 0.0 and needed <= LONGEST_DELAY:
         return (
