@@ -19,7 +19,7 @@ from hybrid_ins.evaluation.result import GNSS_CLOCK, IMU_CLOCK, Result, Scoring
 from hybrid_ins.evaluation.run import Run, Topics
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.evaluation.table import summary, table
-from hybrid_ins.export.writer import check_export, export
+from hybrid_ins.export.writer import check_export, export_run
 from hybrid_ins.output_file import write_text
 from hybrid_ins.plotting import style
 from hybrid_ins.plotting.comparison import MOST_RUNS, comparison
@@ -177,7 +177,7 @@ def _write_files(args: argparse.Namespace, run: Run, result: Result) -> list[tup
         write_text(args.report, report.page(run, result, picture.getvalue()))
         written.append(("report", args.report))
     for path in args.export:
-        export(run.estimate, run.name, path)
+        export_run(run, path)
         written.append(("trajectory", path))
     return written
 

@@ -104,7 +104,7 @@ class Run:
     """One run of the filter, as far as it was recorded."""
 
     name: str
-    estimate: Trajectory
+    estimate: Trajectory  # from when its heading is known, where it ever was
     truth: Trajectory | None = None  # stamps in the reference clock, unless it is the IMU's
     fixes: Fixes = field(default_factory=Fixes.none)
     verdicts: Verdicts = field(default_factory=lambda: Verdicts.of(()))
@@ -113,3 +113,4 @@ class Run:
     noise_source: tuple[tuple[int, str], ...] = ()  # (stamp_ns, name) at each change
     notes: tuple[str, ...] = ()
     truth_topic: str = Topics.truth
+    positions: Trajectory | None = None  # the estimate with the epochs before, if there are some

@@ -58,8 +58,8 @@ def read_run(
     notes: list[str] = []
     with BagReader(estimate_path) as reader:
         bag = _Bag(reader, topics)
-        estimate, frames = _trajectory(bag, topics.odometry, "--odometry", topics.datum, notes)
-        estimate = _of_known_heading(reader, topics.odometry, estimate, notes)
+        positions, frames = _trajectory(bag, topics.odometry, "--odometry", topics.datum, notes)
+        estimate = _of_known_heading(reader, topics.odometry, positions, notes)
         truth = truth_frames = None
         if truth_path is None and reader.count(topics.truth):
             truth, truth_frames = _trajectory(
@@ -95,6 +95,7 @@ def read_run(
         noise_source,
         tuple(notes),
         absolute(topics.truth),
+        positions if len(positions) > len(estimate) else None,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.run import Run
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.export.maps import geojson, gpx, kml
 from hybrid_ins.export.tables import csv, tum
@@ -51,6 +52,23 @@ def export(trajectory: Trajectory, name: str, path: Path) -> None:
         file.writelines(lines)
 
 
+def export_run(run: Run, path: Path) -> None:
+    """
+    Export the estimate of a run.
+
+    Its positions before the heading is known are on maps and in tables, not in TUM files, which
+    have poses and no uncertainty.
+
+    Raises
+    ------
+    InputError
+        See `export`.
+
+    """
+    positions = None if path.suffix.lower() == ".tum" else run.positions
+    export(run.estimate if positions is None else positions, run.name, path)
+
+
 def export_bag(bag: Path, path: Path) -> None:
     """
     Export the estimate in a bag.
@@ -61,5 +79,4 @@ def export_bag(bag: Path, path: Path) -> None:
         The bag has no estimate; or see `export`.
 
     """
-    run = read_run(bag)
-    export(run.estimate, run.name, path)
+    export_run(read_run(bag), path)

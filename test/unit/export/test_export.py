@@ -238,3 +238,20 @@ def test_a_bag_is_exported_and_the_program_does_it(
     assert all(f"trajectory: {tmp_path / f'run{s.upper()}'}" in text for s in FORMATS)
     assert (tmp_path / "run.CSV").read_bytes() == (tmp_path / "library.csv").read_bytes()
     assert "lies in the input" in error
+
+
+def test_positions_before_the_heading_is_known_are_on_maps_and_in_tables(tmp_path: Path) -> None:
+    # GIVEN an estimate whose heading is known from 5 s on
+    with bag(tmp_path / "run") as out:
+        write_track(out, "/odometry", with_sigma(flight(TRUTH), 0.5))
+        write_track(out, "/odometry/local", flight(TRUTH[50:]), ("odom", "base_link"))
+        out.write("/datum", navsatfix(int(stamps(0.0)), DATUM), int(stamps(0.0)))
+
+    for suffix in FORMATS:
+        export_bag(tmp_path / "run", tmp_path / f"run{suffix}")
+
+    assert len(rows(tmp_path / "run.csv")) == len(TRUTH)
+    for suffix in (".kml", ".gpx", ".geojson"):
+        assert map_parts(tmp_path / f"run{suffix}")[0][1][0] == stamps(0.0) * 1e-9
+    poses = (tmp_path / "run.tum").read_text().splitlines()
+    assert len(poses) == len(TRUTH) - 50
