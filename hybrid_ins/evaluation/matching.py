@@ -101,26 +101,26 @@ def match(
         invalid=int(np.sum(~valid)),
     )
     coverage = float(np.sum(covered) / np.sum(inside))
-    notes = _coverage_notes(estimate, truth_imu_ns[inside], coverage, epochs)
+    in_gaps = float(np.sum(reached & ~covered) / np.sum(inside))
+    notes = _coverage_notes(estimate, truth_imu_ns[inside], coverage, in_gaps, scoring.max_gap)
+    if epochs.scored < _FEW_EPOCHS:
+        notes.append(f"only {epochs.scored} epochs scored: too few for reliable figures")
     return errors, epochs, coverage, notes
 
 
 def _coverage_notes(
-    estimate: Trajectory, truth_ns: Stamps, coverage: float, epochs: Epochs
+    estimate: Trajectory, truth_ns: Stamps, coverage: float, in_gaps: float, max_gap: float
 ) -> list[str]:
-    notes = []
-    if coverage < _LOW_COVERAGE:
-        late = (estimate.stamp_ns[0] - truth_ns[0]) * 1e-9
-        early = (truth_ns[-1] - estimate.stamp_ns[-1]) * 1e-9
-        where = [f"it begins {late:.1f} s late"] if late > 0 else []
-        where += [f"it ends {early:.1f} s early"] if early > 0 else []
-        notes.append(
-            f"the estimate covers only {100 * coverage:.1f} % of the truth: "
-            + (" and ".join(where) if where else "it has gaps")
-        )
-    if epochs.scored < _FEW_EPOCHS:
-        notes.append(f"only {epochs.scored} epochs scored: too few for reliable figures")
-    return notes
+    """Return why the estimate covers few epochs of the truth, with the shares of them."""
+    if coverage >= _LOW_COVERAGE:
+        return []
+    late = (estimate.stamp_ns[0] - truth_ns[0]) * 1e-9
+    early = (truth_ns[-1] - estimate.stamp_ns[-1]) * 1e-9
+    where = [f"it begins {late:.1f} s late"] if late > 0 else []
+    where += [f"it ends {early:.1f} s early"] if early > 0 else []
+    if in_gaps:
+        where.append(f"{100 * in_gaps:.1f} % lie in gaps of more than {max_gap:g} s (--max-gap)")
+    return [f"the estimate covers only {100 * coverage:.1f} % of the truth: {' and '.join(where)}"]
 
 
 def _no_overlap(estimate_ns: Stamps, truth_ns: Stamps) -> str:

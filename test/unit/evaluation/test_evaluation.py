@@ -242,6 +242,16 @@ class TestTime:
         assert result.epochs.uncovered == 41  # 40 before, and the very last
         assert result.epochs.skipped == 20
 
+    def test_what_a_low_coverage_comes_from_is_said(self) -> None:
+        # GIVEN an estimate that begins 2 s late and has a gap of 5 s
+        t = np.concatenate((np.arange(2.0, 10.0, 0.01), np.arange(15.0, 20.0, 0.01)))
+
+        result = evaluate(flight(t), flight(TRUTH))
+
+        [note] = [note for note in result.notes if "covers only" in note]
+        assert "2.0 s late" in note
+        assert "24.9 % lie in gaps of more than 0.25 s (--max-gap)" in note
+
 
 class TestWhatIsScored:
     def test_epochs_at_fix_stamps_are_not(self) -> None:
