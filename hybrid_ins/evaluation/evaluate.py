@@ -34,6 +34,7 @@ from hybrid_ins.evaluation.statistics import Consistency, nees
 from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 
 HEADING_UNKNOWN = 1.0  # rad, σ: any heading would have 1.8
+_ELSEWHERE = 10_000.0  # m, between a run and the truth of another
 _WHITE = 0.5  # share of independent NIS values below which they are reported as correlated
 
 
@@ -149,6 +150,7 @@ def evaluate_run(run: Run, scoring: Scoring | None = None) -> Result:
     if truth is not None and (estimate.datum_lla is None) != (truth.datum_lla is None):
         missing = "estimate's" if estimate.datum_lla is None else "truth's"
         notes.append(f"the {missing} datum is not in the bag: both maps are assumed to be the same")
+    notes += _another_place(estimate, truth)
     result = evaluate(
         estimate,
         truth,
@@ -163,6 +165,20 @@ def evaluate_run(run: Run, scoring: Scoring | None = None) -> Result:
             "as the estimate of another program, give --truth-clock imu"
         )
     return replace(result, notes=(*result.notes, *notes))
+
+
+def _another_place(estimate: Trajectory, truth: Trajectory | None) -> list[str]:
+    """Return a note where the truth is that of another run, elsewhere."""
+    if truth is None or estimate.datum_lla is None or truth.datum_lla is None:
+        return []
+    true = truth.in_map_of(estimate.datum_lla).position_enu[:, :2]
+    beside = estimate.position_enu[:, :2] - np.clip(
+        estimate.position_enu[:, :2], np.nanmin(true, axis=0), np.nanmax(true, axis=0)
+    )
+    distance = float(np.nanmin(np.linalg.norm(beside, axis=1)))
+    if distance < _ELSEWHERE:
+        return []
+    return [f"the truth is {distance / 1000.0:.0f} km off, in another place: is it of this run?"]
 
 
 class _ClockOffset:

@@ -114,7 +114,8 @@ def _consistency_lines(result: Result) -> list[str]:
         rows.insert(4, ("  with rejected", result.nis_tested))
     rows = [row for row in rows if row[1] is not None]
     if not rows:
-        return ["", "consistency: not known without covariances and verdicts"]
+        needed = "verdicts on fixes" if result.errors is None else "covariances and verdicts"
+        return ["", f"consistency: not known without {needed}"]
     lines = ["", "consistency         /dof     n  95 % band  eff. n  95 % band"]
     for name, c in rows:
         assert c is not None

@@ -66,6 +66,19 @@ def test_two_bags_with_different_datums(
     assert figures["notes"] == []
 
 
+def test_truth_of_another_place_is_doubted(
+    tmp_path: Path, truth_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    elsewhere = np.array([DATUM[0] + 0.01, *DATUM[1:]])
+    with bag(tmp_path / "estimate") as out:
+        write_track(out, "/odometry", replace(flight(FAST), datum_lla=elsewhere))
+        out.write("/datum", navsatfix(START_NS, elsewhere), START_NS)
+
+    text, _ = run_program(capsys, 0, tmp_path / "estimate", "--truth", truth_bag)
+
+    assert "the truth is 64 km off, in another place: is it of this run?" in text
+
+
 def test_table_and_truth_beside_the_estimate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
