@@ -33,6 +33,7 @@ TEXT = "#333333"
 
 DPI = 100
 SMALLEST = 6.0  # points, of a text that is to be read
+_TITLE_SPACE = 4.0  # pixels, between a title and the legend beside it
 _POINTS = 1500  # per line: what a panel of this width can show
 STYLE = {
     "font.size": 9.0,
@@ -100,8 +101,8 @@ def write(figure: Figure, file: BinaryIO, kind: str) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """Put the legend beside the title, outside the panel."""
-    axes.legend(
+    """Put the legend beside the title, outside the panel; a long title becomes smaller."""
+    legend = axes.legend(
         ncols=4,
         loc="lower right",
         bbox_to_anchor=(1.0, 0.99),
@@ -111,6 +112,8 @@ def legend_above(axes: Axes) -> None:
         columnspacing=0.7,
         handletextpad=0.4,
     )
+    title = axes.set_title(axes.get_title(loc="left"), loc="left")
+    fit_width(title, legend.get_window_extent().x0 - _TITLE_SPACE)
 
 
 def legend_inside(axes: Axes) -> float:

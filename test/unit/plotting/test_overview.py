@@ -146,6 +146,17 @@ def test_a_wide_headline_ends_within_the_picture_and_short_reasons_are_whole(who
     assert "rejected: innovation beyond the gate (" in texts(figure)
 
 
+def test_a_long_title_ends_before_the_legend_beside_it() -> None:
+    axes = Figure(figsize=(5.0, 2.0)).add_subplot()
+    for name in "xyz":
+        axes.plot([0.0, 1.0], label=name)
+    title = axes.set_title("body velocity error: RMS 0.98 m/s, 74.2 % in ±3σ, log > 2", loc="left")
+
+    style.legend_above(axes)
+
+    assert title.get_window_extent().x1 < axes.get_legend().get_window_extent().x0
+
+
 def test_a_bare_estimate_makes_a_picture_that_says_what_is_missing(tmp_path: Path) -> None:
     bare = Run("bare", replace(flight(FAST), quat_xyzw=None, velocity_enu=None))
 
