@@ -83,6 +83,18 @@ def test_fixes_without_a_position_are_named_as_what_it_waits_for() -> None:
     assert sum("of no use" in text for text in drive.warnings()) == 1
 
 
+def test_samples_of_which_none_is_of_use_are_named_as_what_it_waits_for() -> None:
+    drive = Drive()
+    drive.play(0.0, 2.0, force=lambda f: f * np.nan)
+
+    expected = "IMU samples; NaN or inf in the reading: check the driver"
+    assert drive.estimator.status.waiting_for == expected
+
+    drive.play(2.0, 3.5)
+
+    assert "NaN" not in drive.estimator.status.waiting_for
+
+
 def test_usable_fixes_are_not_blamed() -> None:
     drive = Drive()
     drive.play(0.0, 3.5)

@@ -32,6 +32,8 @@ class InputLog:
         What is used in place of input that is missing, by name; for diagnostics.
     receiver : dict
         What the GNSS receiver says of its fixes, by name; for diagnostics.
+    last_refused : dict of str
+        Why a message was refused or is odd, the last on each topic.
     """
 
     def __init__(self, log: Log) -> None:
@@ -39,12 +41,14 @@ class InputLog:
         self.log = log
         self.notes: dict[str, str] = {}
         self.receiver: dict[str, object] = {}
+        self.last_refused: dict[str, str] = {}
         self._informed: Counter[str] = Counter()
         self._totals: deque[tuple[int, int]] = deque(maxlen=64)  # stamp [ns], total
 
     def count_and_warn(self, topic: str, refused: Refused) -> None:
         """Count what was refused or is odd on a topic, and warn where it is due."""
         self.counts[refused.name] += 1
+        self.last_refused[topic] = refused.text
         count = self.counts[refused.name]
         if is_logged(count):
             so_far = f" ({count} so far)" if count > 1 else ""

@@ -63,8 +63,10 @@ class InputReview:
     @property
     def causes(self) -> list[str]:
         """Why no filter starts, as far as the input shows it."""
-        fault, refusals = self.axes.fault, self._refusals.dominant
-        return [text for text in (refusals, "" if fault is None else fault.text) if text]
+        fault, refusals, unused = self.axes.fault, self._refusals.dominant, ""
+        if self._navigator.last_ns == 0:  # no sample was of use
+            unused = self._inputs.last_refused.get("imu/data", "")
+        return [text for text in (unused, refusals, "" if fault is None else fault.text) if text]
 
     def on_fix(self, message: Message, fix: PositionFix | Refused) -> None:
         """Note a NavSatFix, and what it was converted to."""
