@@ -57,6 +57,33 @@ def test_each_part_is_judged_by_its_sigma_and_the_fixes(
     )
 
 
+@pytest.mark.parametrize(
+    ("axis", "part", "limit"),
+    [(0, 0, 10.0), (1, 0, 10.0), (3, 1, 1.0), (4, 1, 1.0), (8, 2, 0.2)],
+)
+def test_every_horizontal_axis_and_the_heading_count_from_their_limit_on(
+    axis: int, part: int, limit: float
+) -> None:
+    watched = monitor(0.1, 0.1, 0.1, 99.0)
+    variances = watched._navigator.phase.nav[COVARIANCE]
+    place = np.arange(len(variances))[DIAGONAL][axis]
+
+    variances[place] = (0.99 * limit) ** 2
+    assert watched.judge(100 * SECOND)[0] == (GOOD, GOOD, GOOD)
+    variances[place] = (1.01 * limit) ** 2
+    judged, sigma = watched.judge(100 * SECOND)
+    assert [one is LOST for one in judged] == [part == k for k in range(3)]
+    assert sigma[part] == pytest.approx(1.01 * limit)
+
+
+def test_height_climb_and_tilt_do_not_count() -> None:
+    watched = monitor(0.1, 0.1, 0.1, 99.0)
+    variances = watched._navigator.phase.nav[COVARIANCE]
+    variances[np.arange(len(variances))[DIAGONAL][[2, 5, 6, 7]]] = 1e4
+
+    assert watched.judge(100 * SECOND)[0] == (GOOD, GOOD, GOOD)
+
+
 def test_before_the_first_alignment_all_waits_and_after_it_all_is_lost() -> None:
     watched = monitor(1.0, 0.1, 0.1, 99.0)
     running, watched._navigator.phase = watched._navigator.phase, NO_PHASE  # type: ignore[assignment,misc]
