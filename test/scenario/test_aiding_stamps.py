@@ -64,6 +64,19 @@ def test_one_reading_with_a_stray_stamp_is_refused_by_name(aided: Aided, ahead: 
     assert len(aided.aiding_warnings) == 1
 
 
+def test_a_late_reading_is_compared_with_the_state_of_its_own_time() -> None:
+    drive = Aided(**KNOWN)
+    for k in range(round(25.0 / PERIOD)):
+        t = PERIOD * (k + 1)
+        drive.play(t - PERIOD, t)
+        if t > 4.0:
+            drive.read(t - 0.8)
+
+    values = dict(drive.status("aiding").values)
+    assert drive.state == "aiding" and not drive.aiding_warnings
+    assert float(values["velocity_nis"]) < 1.0
+
+
 def test_readings_go_on_after_all_stamps_have_gone_back(aided: Aided) -> None:
     # WHEN simulated time starts again, or a bag is played again
     aided.shift_ns = -1_000_000_000_000

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
 QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
 STATES_KEPT = 12  # states, one with each tenth of a second: readings may be a second late
-OLDEST_NS = 1_200_000_000  # before there are any
+OLDEST_NS = 1_200_000_000  # late readings are refused from here on
 EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
     "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
@@ -126,7 +126,7 @@ class AidingSources:
             text = _describe_stamp((reading.t_ns - running.t_ns) * 1e-9)
             self._inputs.count_and_warn(topic, Refused(f"{sensor.name}: {fault}", text))
             return
-        if not sensor.admit(reading.t_ns):
+        if self._precedes_states(reading.t_ns) or not sensor.admit(reading.t_ns):
             return
         nav = self._state_at(reading.t_ns, running)
         fixes_come = self._fixes.settled(self._navigator.last_ns)
@@ -140,8 +140,11 @@ class AidingSources:
         """Return why there is no state to check a reading with a stamp [ns] against, if so."""
         if self._navigator.stamps.is_ahead(t_ns):
             return STAMPED_AHEAD
-        oldest_ns = self._states[0][0] - 60_000_000 if self._states else running.t_ns - OLDEST_NS
-        return TOO_OLD if t_ns < oldest_ns else ""
+        return TOO_OLD if t_ns < running.t_ns - OLDEST_NS else ""
+
+    def _precedes_states(self, t_ns: int) -> bool:
+        """Return whether a stamp [ns] is before the states that are kept since a sensor came."""
+        return bool(self._states) and t_ns < self._states[0][0] - 60_000_000
 
     def _state_at(self, t_ns: int, running: InsFilter) -> Array:
         """Return the flat state nearest to a stamp [ns]."""
