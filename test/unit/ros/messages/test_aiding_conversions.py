@@ -1,4 +1,4 @@
-"""Twists of wheels: which axes they measure, by variances that drivers leave at zero."""
+"""Messages of aiding sensors: axes, signs and variances, which drivers often leave at zero."""
 
 import math
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
-from hybrid_ins.core.aiding.measurements import BodyVelocity
+from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.ros.messages.aiding_conversions import AidingMessages, substituted
 from hybrid_ins.ros.messages.conversions import Refused, set_stamp
 
@@ -69,6 +69,56 @@ def test_why_no_axis_is_usable_is_said_with_the_remedy(
     assert isinstance(refused, Refused)
     assert "a variance has to be above 0 and below 100 (m/s)²" in refused.text
     assert "let the driver set twist.covariance" in refused.text
+
+
+def test_a_velocity_is_turned_into_b_with_its_cross_terms() -> None:
+    message = odometry((0.04, 0.09, 0.16), x=3.0, cross=0.01)
+    message.twist.twist.linear.y, message.twist.twist.linear.z = 0.5, -0.2
+
+    found = MESSAGES.odometry(message)
+
+    assert isinstance(found, BodyVelocity)
+    assert found.velocity_b.tolist() == [3.0, -0.5, 0.2]
+    expected = [[0.04, -0.01, -0.01], [-0.01, 0.09, 0.01], [-0.01, 0.01, 0.16]]
+    np.testing.assert_allclose(found.covariance_b, expected)
+
+
+def test_the_point_whose_velocity_is_measured_is_relative_to_the_imu() -> None:
+    values = {**parameters.defaults(), "aiding.velocity_position": [1.0, 2.0, 3.0]}
+    messages = AidingMessages.from_parameters(values, np.array([0.1, 0.2, 0.3]))
+
+    found = messages.odometry(odometry((0.04, 0.04, 0.04)))
+
+    assert isinstance(found, BodyVelocity)
+    assert found.point_b == pytest.approx([0.9, -2.2, -3.3])
+
+
+def test_a_heading_has_the_variance_of_its_yaw() -> None:
+    message = new_message("sensor_msgs/msg/Imu")
+    set_stamp(message.header.stamp, 1_000_000_000)
+    message.orientation.z, message.orientation.w = math.sin(0.15), math.cos(0.15)
+    message.orientation_covariance = np.diag([0.04, 0.05, 0.09]).ravel()
+
+    found = MESSAGES.heading(message)
+
+    assert isinstance(found, Heading)
+    assert found.yaw == pytest.approx(math.pi / 2 - 0.3)
+    assert found.variance == pytest.approx(0.09)
+
+
+def test_a_height_has_the_variance_of_its_pressure() -> None:
+    def height(pascal: float) -> BarometricHeight:
+        message = new_message("sensor_msgs/msg/FluidPressure")
+        set_stamp(message.header.stamp, 1_000_000_000)
+        message.fluid_pressure, message.variance = pascal, 400.0
+        found = MESSAGES.pressure(message)
+        assert isinstance(found, BarometricHeight)
+        return found
+
+    at = height(90_000.0)
+    slope = (height(90_001.0).height - height(89_999.0).height) / 2.0
+    assert at.height == pytest.approx(988.0, abs=1.0)
+    assert at.variance == pytest.approx(400.0 * slope**2, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,8 @@ def test_millimetres_are_held_to_the_floor_and_kilometres_refused() -> None:
     made = GNSS.position(fix(9e-6 * np.eye(3)))
     np.testing.assert_allclose(np.diag(made.covariance_n), floor**2)
     assert GNSS.position(fix(1e6 * np.eye(3))).name == "gnss: poor fix"
+    for east, north in ((1e6, 1.0), (1.0, 1e6)):
+        assert GNSS.position(fix(np.diag([east, north, 1.0]))).name == "gnss: poor fix"
 
 
 @pytest.mark.parametrize("vertical", [np.nan, np.inf, 0.0, -1.0])
@@ -153,9 +155,7 @@ def test_a_fix_without_altitude_keeps_its_horizontal_part() -> None:
     covariance = np.diag([0.01, 0.04, NAN])
     made = GNSS.position(fix(covariance, alt=NAN))
     assert math.isnan(made.lla[2])
-    assert np.diag(made.covariance_n)[:2] == pytest.approx([0.04, 0.01], rel=0.2) or (
-        np.diag(made.covariance_n)[:2] == pytest.approx([0.04, 0.01])
-    )
+    assert np.diag(made.covariance_n) == pytest.approx([0.04, 0.01, DEFAULT[2, 2]])
 
 
 def test_velocity_is_turned_and_an_unknown_climb_leaves_the_rest() -> None:
@@ -239,6 +239,8 @@ def test_headings() -> None:
     level = quat_from_rpy(0.0, 0.0, 0.0)
     assert imu_yaw(tuple(level), mount_matrix((0.0, 0.0, 0.0))) == pytest.approx(math.pi / 2)
     assert imu_yaw((0.0, 0.0, 0.0, 0.0), np.eye(3)) is None
+    rpy = (0.3, -0.2, 1.0)  # of an IMU in a vehicle whose nose points to the east
+    assert imu_yaw(tuple(quat_from_rpy(*rpy)), mount_matrix(rpy)) == pytest.approx(math.pi / 2)
     assert imu_yaw((NAN, 0.0, 0.0, 1.0), np.eye(3)) is None
 
 
