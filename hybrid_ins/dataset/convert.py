@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags import flight_bag
 from hybrid_ins.bags.flight_bag import GnssRecord, ImuRecord, TruthRecord, stamps
+from hybrid_ins.bags.formats import METADATA
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, skew
 from hybrid_ins.dataset.column_map import ColumnMap
@@ -29,6 +30,7 @@ from hybrid_ins.dataset.csv_flight import (
     read_position,
 )
 from hybrid_ins.dataset.csv_table import Faults
+from hybrid_ins.dataset.logs.formats import IS_A_BAG
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 from hybrid_ins.simulation.sensors import RTK_STD, in_outage, report_empty_outages
@@ -78,6 +80,8 @@ def convert(
     """
     if not flight.is_dir():
         raise InputError(f"{flight}: no such directory")
+    if (flight / METADATA).is_file():
+        raise InputError(f"{flight}: {IS_A_BAG}")
     faults = Faults()
     try:
         imu = read_imu(flight, layout.imu, conversion.imu, faults)

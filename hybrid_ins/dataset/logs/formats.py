@@ -13,6 +13,7 @@ from hybrid_ins.ros.messages.trajectory import Array
 FORMATS: tuple[ModuleType, ...] = (ulog, ardupilot, rtklib, ubx, nmea, gnss_text, imu_text)
 """Each has ``recognise(head)``, and ``read_imu(path)`` or ``read_gnss(path)`` or both."""
 BAGS = b"\x89MCAP", b"SQLite format 3", b"#ROSBAG"
+IS_A_BAG = "is a bag already: ins_replay and ins_calibrate read it as it is"
 HEAD = 1 << 16  # bytes
 
 
@@ -97,7 +98,7 @@ def format_of(path: Path) -> ModuleType:
     except (OSError, EOFError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     if head.startswith(BAGS):
-        raise InputError(f"{path}: is a bag already: ins_replay and ins_calibrate read it as it is")
+        raise InputError(f"{path}: {IS_A_BAG}")
     for module in FORMATS:
         if module.recognise(head):
             return module

@@ -362,6 +362,9 @@ def test_options_between_the_files_and_options_that_do_not_apply(
     assert "--gnss-rate is for a folder of CSV files" in capsys.readouterr().err
     assert convert.main([logs[0], out, str(tmp_path / "other.mcap")]) == 2
     assert "is a bag already" in capsys.readouterr().err
+    assert convert.main([*logs, str(tmp_path / "folder")]) == 0
+    assert convert.main([str(tmp_path / "folder"), str(tmp_path / "other.mcap")]) == 2
+    assert "is a bag already" in capsys.readouterr().err
 
 
 def test_a_date_that_no_stamp_holds_is_refused(tmp_path: Path) -> None:
