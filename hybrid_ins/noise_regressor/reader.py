@@ -21,6 +21,7 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.models import NoiseRegressor, Regressor, SpectralRegressor
 from hybrid_ins.noise_regressor.onnx_model import LARGEST_MODEL_BYTES
 from hybrid_ins.noise_regressor.window import (
+    WindowFault,
     find_fault,
     own_axes,
     quantisation_step,
@@ -147,6 +148,7 @@ class NoiseReader:
         self.regressor = load_regressor(values["noise.model"], log)
         self.refusals: Counter[str] = Counter()
         self.fault = ""
+        self._cut_off = False
         self.set_mount(mount)
         limits = [
             (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
@@ -175,11 +177,16 @@ class NoiseReader:
         self._lookahead = t_ns, force, rate
 
     def read(self, ring: ImuRing, t_ns: int) -> NoiseEstimate:
-        """Return the levels at ``t_ns`` [ns], or an estimate without them."""
+        """
+        Return the levels at ``t_ns`` [ns], or an estimate without them.
+
+        Of readings that are cut off at their limit, the levels are lower bounds.
+        """
+        self._cut_off = False
         q, self.fault = self._estimate(ring)
         if self.fault:
             self.refusals[self.fault] += 1
-        return NoiseEstimate(t_ns, q)
+        return NoiseEstimate(t_ns, q, at_least=self._cut_off)
 
     def _estimate(self, ring: ImuRing) -> tuple[Array | None, str]:
         size = self.regressor.window
@@ -188,7 +195,8 @@ class NoiseReader:
             return None, "window not full yet"
         readings = own_axes(as_numbers(samples), self._mount)
         fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
-        if fault is not None:
+        self._cut_off = fault is WindowFault.SATURATED
+        if fault is not None and not self._cut_off:
             return None, fault.value
         try:
             q = self._ask(samples["t_ns"], readings)

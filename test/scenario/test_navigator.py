@@ -16,6 +16,7 @@ from hybrid_ins.core.inertial.state import (
     ANTENNA_VARIANCE,
     COVARIANCE,
     DIAGONAL,
+    DV,
     LLA,
     VELOCITY,
     covariance,
@@ -551,6 +552,26 @@ def test_a_saturated_accelerometer_leads_no_further_astray_than_the_covariance_a
     assert max(largest) < 1.5
     refused = [v for v in run.verdicts if not v.accepted]
     assert len(refused) < 10
+
+
+def test_bounces_beyond_the_range_take_nothing_of_what_is_known_across_them() -> None:
+    """A robot that trots, on an IMU with a range of 2 g: each step lacks some upward velocity."""
+    run = scene(quadrotor_flight(40.0, 3, heading=0.5), seed=3)
+    trot = np.where(run.t > 12.0, 14.0 * np.sin(2.0 * np.pi * 5.0 * run.t), 0.0)
+    run.force[:, 2] = np.maximum(run.force[:, 2] - trot, -19.6)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    across, down = [], []
+
+    def note(t: float) -> None:
+        std = sigma(navigator)[DV]
+        across.append(std[:2].max())
+        down.append(std[2])
+
+    play(run, navigator, stop=20.0)
+    play(run, navigator, start=20.0, stop=39.0, after=note)
+
+    assert navigator.monitor.fault is not None
+    assert max(across) < 0.6 < max(down)
 
 
 @pytest.mark.parametrize("start", [12.0, 40.0])

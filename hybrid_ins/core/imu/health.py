@@ -70,12 +70,15 @@ class ImuFault:
         Of a saturated sensor: 0 to 2 for x, y, z of b.
     lost_turn : float
         Of a saturated gyroscope: by how much more than it says the IMU may have turned [rad].
+    lost_speed : tuple of float
+        Of a saturated accelerometer: what its axes may lack of a second's velocity [m/s], b.
     """
 
     kind: FaultKind
     value: float = 0.0
     axis: int = 0
     lost_turn: float = field(default=0.0, compare=False)
+    lost_speed: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), compare=False)
 
     @property
     def unusable(self) -> bool:
@@ -105,8 +108,10 @@ def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))
             if frozen < steps and at_limit[sensor][axis] >= most:
                 limit = float(top[sensor][axis])
-                lost = _lost_turn(samples, limit) if sensor is RATE else 0.0
-                return ImuFault(kind, round(limit, 2), axis, lost)
+                if sensor is RATE:
+                    return ImuFault(kind, round(limit, 2), axis, _lost_turn(samples, limit))
+                lost = _lost_speed(samples, limit)
+                return ImuFault(kind, round(limit, 2), axis, lost_speed=lost)
     for kind, sensor, least in (
         (FaultKind.SPIKES_FORCE, FORCE, SPIKE_FORCE),
         (FaultKind.SPIKES_RATE, RATE, SPIKE_RATE),
@@ -181,6 +186,34 @@ def _lost_turn(samples: NDArray[np.void], limit: float) -> float:
             slope = max(slopes, default=math.inf)
             lost[axis] += math.copysign(min(slope * lasted / 6.0, limit) * lasted, rate[begin])
     return float(np.abs(lost).sum())
+
+
+def _lost_speed(samples: NDArray[np.void], limit: float) -> tuple[float, float, float]:
+    """
+    Return what the axes of an accelerometer that stays at ``limit`` may lack of the velocity.
+
+    A force is beyond the limit for no longer than from the sample before those at the limit to the
+    one after them, d, and exceeds it like a parabola, as a rate of `_lost_turn`, by s d²/6.
+    Vibration loses as much to as fro, but not each time the same: squares add up beside the sum.
+
+    Returns
+    -------
+    tuple of float
+        Along x, y, z of b [m/s].
+    """
+    t, lost = samples["t_ns"] * 1e-9, np.zeros(3)
+    for axis, force in enumerate(samples["f"].T):
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], abs(force) >= limit, [0]))))
+        parts = []
+        for begin, end in edges.reshape(-1, 2):  # of the samples at the limit
+            before, after = max(begin - 1, 0), min(end, len(t) - 1)
+            slopes = [abs(force[k + 1] - force[k]) / (t[k + 1] - t[k]) for k in {before, after - 1}]
+            lasted = t[after] - t[before]
+            part = min(max(slopes) * lasted / 6.0, limit) * lasted
+            parts.append(math.copysign(part, force[begin]))
+        lost[axis] = math.hypot(sum(parts), math.hypot(*parts))
+    x, y, z = lost.tolist()
+    return x, y, z
 
 
 def _largest_spike(readings: Array, least: float) -> float:

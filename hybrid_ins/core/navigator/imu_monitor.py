@@ -20,7 +20,17 @@ from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.imu.lift_watch import LiftWatch
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.imu.standstill import StandingForce, is_standing, may_be_zero
-from hybrid_ins.core.inertial.state import B_A, B_G, DV, EPS, N_ERROR, VELOCITY, covariance
+from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.state import (
+    B_A,
+    B_G,
+    DV,
+    EPS,
+    N_ERROR,
+    QUAT,
+    VELOCITY,
+    covariance,
+)
 from hybrid_ins.core.navigator.notices import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
@@ -156,7 +166,9 @@ class ImuMonitor:
         if manoeuvres:
             self.fault = None
         for fault in (before, self.fault):  # what happened between the checks misled the filters
-            std = None if fault is None else _error_std_after(fault)
+            std = (
+                None if fault is None else _error_std_after(fault, matrix_from_quat(best.nav[QUAT]))
+            )
             if std is not None:
                 phases.submit(CovarianceInflation(t_ns, std, self._parts.settings.lever_b))
         if self.fault is not None and self.fault.unusable:
@@ -218,7 +230,7 @@ class ImuMonitor:
         return is_short and (self._fix_agreed_ns > 0 or not running)
 
 
-def _error_std_after(fault: ImuFault) -> Array | None:
+def _error_std_after(fault: ImuFault, C_nb: Array) -> Array | None:
     """
     Return what readings with a fault may have done to the state between two checks.
 
@@ -226,7 +238,11 @@ def _error_std_after(fault: ImuFault) -> Array | None:
     not mislead.
     """
     std = np.zeros(N_ERROR)
-    if fault.kind in MISLEADING_FORCE:
+    if fault.kind is FaultKind.SATURATED_FORCE:  # of a second: the mean force lacks as much
+        std[B_A] = fault.lost_speed
+        north, east, down = np.sqrt(C_nb**2 @ np.square(fault.lost_speed))
+        std[DV] = math.hypot(north, east), math.hypot(north, east), down  # whatever the heading
+    elif fault.kind in MISLEADING_FORCE:
         std[B_A], std[DV] = UNKNOWN_BIAS_STD_A, MISLED_SPEED
     elif fault.kind in MISLEADING_RATE:
         std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, max(MISLED_TURN, fault.lost_turn)

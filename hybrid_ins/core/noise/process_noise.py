@@ -30,6 +30,7 @@ class NoiseEstimate:
 
     t_ns: int  # ns, end of the window
     q: Array | None  # (6,) per-sample variances; None where the window was unusable
+    at_least: bool = False  # readings were cut off: the noise may be more, and is no less
     kind: ClassVar[str] = "noise estimate"
 
 
@@ -242,6 +243,8 @@ class LearnedNoise(ShallowCopy):
         if q is not None:
             replaced = self._estimated_ns is None
             self._q, self._estimated_ns = self._above_background(q), t_ns
+            if observation.at_least:
+                self._q = np.maximum(self._q, self._fallback)
             return replaced
         if self._estimated_ns is not None and t_ns - self._estimated_ns > self.HOLD_NS:
             self._q, self._estimated_ns = self._fallback, None

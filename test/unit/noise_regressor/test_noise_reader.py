@@ -205,7 +205,6 @@ def not_a_number(values: Array) -> Array:
 
 FAULTS: dict[str, Callable[[Array], Array]] = {
     "samples repeat": frozen,
-    "a channel is saturated": cut_off,
     "a reading is not finite": not_a_number,
 }
 
@@ -220,6 +219,17 @@ def test_a_bad_window_is_refused_by_name_and_counted(fault: str, mount: Array) -
     assert noise.read(ring, 6).q is None
     assert noise.fault == fault
     assert noise.refusals == {fault: 2}
+
+
+@pytest.mark.parametrize("mount", [NO_TURN, MOUNT], ids=["straight", "turned"])
+def test_readings_that_are_cut_off_show_the_least_noise_there_is(mount: Array) -> None:
+    noise = reader(mount, answer=1e-4)
+
+    estimate = noise.read(ring_of(cut_off(readings()), mount), 5)
+
+    assert estimate.q == pytest.approx(np.full(6, 1e-4)) and estimate.at_least
+    assert noise.fault == "" and not noise.refusals
+    assert not noise.read(ring_of(readings(), mount), 6).at_least
 
 
 def test_a_good_window_ends_the_fault_but_not_the_count() -> None:

@@ -106,6 +106,39 @@ def test_vibration_beyond_the_range_hides_hardly_any_turn() -> None:
     assert fault.lost_turn < 0.2
 
 
+@pytest.mark.parametrize(
+    ("bounce", "shake"), [(14.0, 0.5), (8.0, 4.0), (0.0, 8.0)], ids=["trot", "both", "vibration"]
+)
+def test_a_force_beyond_the_range_is_missing_along_its_axis_alone(
+    bounce: float, shake: float
+) -> None:
+    # GIVEN a trot at 5 Hz, or vibration, and a range of 2 g
+    samples = window(force_std=0.5)
+    t = samples["t_ns"] * 1e-9
+    rng = np.random.default_rng(1)
+    samples["f"][:, 2] += bounce * np.sin(2.0 * np.pi * 5.0 * t) + rng.normal(0.0, shake, len(t))
+    lost = np.sum(np.maximum(-samples["f"][:, 2] - 19.6, 0.0)) / RATE
+    samples["f"] = np.clip(samples["f"], -19.6, 19.6)
+
+    fault = find_fault(samples)
+
+    assert fault is not None and fault.kind is FaultKind.SATURATED_FORCE
+    assert fault.lost_speed[:2] == (0.0, 0.0)
+    assert 0.7 * lost < fault.lost_speed[2] < 3.0 * lost
+
+
+def test_vibration_beyond_both_ends_of_the_range_loses_as_much_to_as_fro() -> None:
+    samples = window()
+    samples["f"][:, 0] += 30.0 * np.sin(2.0 * np.pi * 31.0 * samples["t_ns"] * 1e-9)
+    lost = np.sum(np.maximum(np.abs(samples["f"][:, 0]) - 16.0, 0.0)) / RATE
+    samples["f"] = np.clip(samples["f"], -16.0, 16.0)
+
+    fault = find_fault(samples)
+
+    assert fault is not None and fault.lost_speed[1:] == (0.0, 0.0)
+    assert 0.0 < fault.lost_speed[0] < 0.3 * lost
+
+
 @pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])
 def test_sound_readings_have_none(noise: tuple[float, float]) -> None:
     assert find_fault(window(*noise)) is None

@@ -120,6 +120,16 @@ def test_an_estimate_is_in_force_at_once() -> None:
     assert not noise.on_fallback
 
 
+def test_an_estimate_of_readings_that_are_cut_off_never_makes_the_noise_less_than_usual() -> None:
+    noise = LearnedNoise(FALLBACK)
+    read = FALLBACK * [100.0, 1.0, 0.01, 100.0, 1.0, 0.01]
+
+    noise.learn(NoiseEstimate(10**9, read, at_least=True))
+
+    assert noise.levels() == pytest.approx(np.maximum(read, FALLBACK))
+    assert not noise.on_fallback
+
+
 def test_refused_estimates_fall_back_within_a_second_and_the_next_good_one_counts() -> None:
     # GIVEN a good estimate
     noise = LearnedNoise(FALLBACK)
