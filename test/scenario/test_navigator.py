@@ -423,6 +423,11 @@ def pull_up() -> Motion:
     return vertical([10.0, 11.6], [0.0, -44.0])
 
 
+def coast() -> Motion:
+    """Stand for 10 s, be thrown up by three times gravity for 2 s, and fall for seven."""
+    return vertical([10.0, 12.0, 19.0], [0.0, -29.4, 9.8])
+
+
 def vertical(until: list[float], downward: list[float]) -> Motion:
     """Move up and down with accelerations [m/s²] that last until times [s]."""
     t = np.arange(0.0, 20.0, 0.02)
@@ -436,7 +441,7 @@ def vertical(until: list[float], downward: list[float]) -> Motion:
 
 
 @pytest.mark.parametrize(("fix_rate", "delay"), [(5.0, 0.0), (1.0, 0.0), (1.0, 0.6)])
-@pytest.mark.parametrize("motion", [drop, pull_up])
+@pytest.mark.parametrize("motion", [drop, pull_up, coast])
 def test_a_manoeuvre_is_no_fault_of_gravity(motion, fix_rate: float, delay: float) -> None:
     run = scene(motion(), fix_rate=fix_rate)
     navigator = make_navigator("parameter", yaw=1.2)

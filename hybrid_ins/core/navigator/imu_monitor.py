@@ -51,6 +51,7 @@ SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 LONGEST_BRAKING_NS = 10_000_000_000
 STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
 LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
+CONVINCING = 4  # fixes since its begin that agree: it may be longer
 GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
 MISLED_SPEED, MISLED_TURN = 1.5, 0.1  # m/s, rad: between two checks of such readings
@@ -114,6 +115,7 @@ class ImuMonitor:
         self._next_ns = 0
         self._fix_agreed_ns = 0  # stamp of the last fix, if it was fused without a reset
         self._weighed_ns = 0  # last check that found gravity, and not several times as much
+        self._agreed: int | None = 0  # fixes since; None: one did not agree
 
     @property
     def biases(self) -> Biases | None:
@@ -134,6 +136,9 @@ class ImuMonitor:
         if verdict.measurement.kind == "position":
             agreed = verdict.accepted and not verdict.inflated
             self._fix_agreed_ns = verdict.measurement.t_ns if agreed else 0
+            if self._agreed is not None:
+                plainly = agreed and verdict.nis <= verdict.threshold
+                self._agreed = self._agreed + 1 if plainly else None
             self._lift.reset()
 
     def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, fixes_move: bool) -> bool:
@@ -220,12 +225,17 @@ class ImuMonitor:
         To the filter both are a motion. Where the vehicle does not move so, the next fix is beyond
         the gate, once one filter runs (``running``); before, a short motion is believed. A rolling
         aircraft feels gravity where it always does, as if it hardly turned.
+
+        A longer one is believed as long as every fix since its begin agrees: without gravity an IMU
+        is metres off after a second.
         """
         if self.fault is not None and self.fault.kind is FaultKind.DEGREES:
             return running and self._fix_agreed_ns > 0
         if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
-            self._weighed_ns = t_ns
+            self._weighed_ns, self._agreed = t_ns, 0
             return False
+        if running and (self._agreed or 0) >= CONVINCING:
+            return True
         is_short = t_ns - self._weighed_ns < LONGEST_MANOEUVRE_NS
         return is_short and (self._fix_agreed_ns > 0 or not running)
 
