@@ -148,7 +148,6 @@ class NoiseReader:
         self.regressor = load_regressor(values["noise.model"], log)
         self.refusals: Counter[str] = Counter()
         self.fault = ""
-        self._cut_off = False
         self.set_mount(mount)
         limits = [
             (values[f"noise.q_{sensor}_min"], values[f"noise.q_{sensor}_max"])
@@ -182,24 +181,24 @@ class NoiseReader:
 
         Of readings that are cut off at their limit, the levels are lower bounds.
         """
-        self._cut_off = False
-        q, self.fault = self._estimate(ring)
+        q, at_least, self.fault = None, False, "window not full yet"
+        samples = ring.latest(self.regressor.window)
+        if len(samples) == self.regressor.window:
+            readings = own_axes(as_numbers(samples), self._mount)
+            fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
+            at_least = fault is WindowFault.SATURATED
+            if fault is None or at_least:
+                q, self.fault = self._levels(samples["t_ns"], readings)
+            else:
+                self.fault = fault.value
         if self.fault:
             self.refusals[self.fault] += 1
-        return NoiseEstimate(t_ns, q, at_least=self._cut_off)
+        return NoiseEstimate(t_ns, q, at_least)
 
-    def _estimate(self, ring: ImuRing) -> tuple[Array | None, str]:
-        size = self.regressor.window
-        samples = ring.latest(size)
-        if len(samples) < size:
-            return None, "window not full yet"
-        readings = own_axes(as_numbers(samples), self._mount)
-        fault = find_fault(samples["t_ns"], readings, self.regressor.rate_range)
-        self._cut_off = fault is WindowFault.SATURATED
-        if fault is not None and not self._cut_off:
-            return None, fault.value
+    def _levels(self, t_ns: NDArray[np.int64], readings: Array) -> tuple[Array | None, str]:
+        """Return the levels (6,) by a window, b frame, or why the answer is refused."""
         try:
-            q = self._ask(samples["t_ns"], readings)
+            q = self._ask(t_ns, readings)
         except Exception:  # A model that answered at start may fail later; the filter goes on.
             return None, "the model failed"
         if not np.all(np.isfinite(q) & (q >= 0.0)):
