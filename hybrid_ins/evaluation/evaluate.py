@@ -123,6 +123,8 @@ def evaluate(
             f"the heading was never known (its σ is {np.degrees(least):.0f}° at least): it is not "
             "scored; it needs motion, or an initial heading"
         )
+    elif errors is not None:
+        errors = _where_heading_is_known(errors, notes)
     verdict_ns = clock.to_imu(verdicts.stamp_ns)
     in_window = verdicts.rows((verdict_ns >= window[0]) & (verdict_ns <= window[1]))
     fused_ns = positions.stamp_ns[positions.accepted] if len(positions) else fix_ns
@@ -217,6 +219,30 @@ def _least_heading_std(estimate: Trajectory) -> float:
     variance = estimate.attitude_cov[:, 2, 2]
     stated = variance[np.isfinite(variance) & (variance > 0.0)]
     return float(np.sqrt(np.min(stated))) if len(stated) else 0.0
+
+
+def _where_heading_is_known(errors: Errors, notes: list[str]) -> Errors:
+    """Return errors without attitudes and body velocities of a heading that is searched for."""
+    covariance = errors.estimate.attitude_cov
+    if covariance is None:
+        return errors
+    unknown = covariance[:, 2, 2] >= HEADING_UNKNOWN**2
+    left_out = np.count_nonzero(unknown & errors.scored)
+    if left_out:
+        notes.append(
+            f"the heading was not known at {left_out} of {np.count_nonzero(errors.scored)} scored "
+            f"epochs (its σ is {np.degrees(HEADING_UNKNOWN):.0f}° or more): attitude and velocity "
+            "along the body's axes are not scored there"
+        )
+
+    def of_known(values: Array | None) -> Array | None:
+        return None if values is None else np.where(unknown[:, None], np.nan, values)
+
+    return replace(
+        errors,
+        velocity_base=of_known(errors.velocity_base),
+        rotation_enu=of_known(errors.rotation_enu),
+    )
 
 
 def _accuracy(errors: Errors | None, heading_known: bool) -> dict[str, Any]:

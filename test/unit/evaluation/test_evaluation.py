@@ -370,6 +370,27 @@ class TestWhatIsScored:
         assert "heading -   tilt 0" in table(unknown)
         assert any("heading was never known (its σ is 105° at least)" in n for n in unknown.notes)
 
+    def test_a_heading_that_is_searched_for_anew_is_not_scored_meanwhile(self) -> None:
+        """GIVEN a heading 90° off for a while WHEN its σ says so THEN the rest is scored."""
+        right = with_sigma(flight(FAST), 0.5)
+        assert right.attitude_cov is not None and right.quat_xyzw is not None
+        meanwhile = slice(len(right) // 3, len(right) // 2)
+        quat, attitude_cov = right.quat_xyzw.copy(), right.attitude_cov.copy()
+        quarter = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+        quat[meanwhile] = rotations.quat_multiply(quat[meanwhile], quarter)
+        silent = replace(right, quat_xyzw=quat)
+        attitude_cov[meanwhile, 2, 2] = 1.84**2
+
+        wrong = evaluate(silent, flight(TRUTH))
+        searched = evaluate(replace(silent, attitude_cov=attitude_cov), flight(TRUTH))
+
+        assert wrong.heading_rmse is not None and wrong.heading_rmse > 0.5
+        assert searched.heading_rmse == pytest.approx(0.0, abs=0.05)
+        assert searched.body_velocity_rmse < 0.2 * wrong.body_velocity_rmse
+        assert searched.prmse == wrong.prmse
+        assert any("heading was not known at" in note for note in searched.notes)
+        assert not any("heading was not known at" in note for note in wrong.notes)
+
     def test_few_epochs_are_said(self) -> None:
         result = evaluate(flight(FAST), flight(TRUTH), scoring=Scoring(end=0.5))
 
