@@ -13,9 +13,9 @@ VEHICLE = (
         "vehicle.kind",
         "auto",
         "Whether the vehicle moves along its nose, which constrains the velocity in outages of "
-        "GNSS. ground: it does, until its motion shows otherwise, then as auto; auto: once its "
-        "motion has shown it, and as long as it does; fixed_wing: it does against the air; others: "
-        "it does not",
+        "GNSS, and the heading where fixes do not show it. ground: it does, until its motion shows "
+        "otherwise, then as auto; auto: once its motion has shown it, and as long as it does; "
+        "fixed_wing: it does against the air; others: it does not",
         choices=("auto", "ground", "fixed_wing", "multirotor", "other"),
     ),
     Parameter(

@@ -96,6 +96,22 @@ def test_a_right_clock_is_kept_on_a_cruise() -> None:
 
 
 @pytest.mark.slow
+def test_the_nose_holds_the_heading_where_fixes_do_not_show_it() -> None:
+    """
+    GIVEN a car on a motorway whose IMU is shaken, with a consumer receiver
+    WHEN it is known to roll
+    THEN it knows where it points: it was 20° off, and 54° in the end.
+    """
+    _, vehicle = campaign.draw(48)
+    vehicle = replace(vehicle, duration=vehicle.rest + 150.0)
+    values = {**parameters.defaults(), "vehicle.kind": "ground"}
+
+    found = score(from_simulation(record(vehicle, 48)), values)
+
+    assert found.heading < 5.0
+    assert found.silent == 0.0
+
+
 def test_a_clock_found_at_the_edge_of_the_search_is_not_taken_back_on_a_cruise() -> None:
     """
     GIVEN a motorway drive whose clock is wrong by the largest offset that is tried

@@ -1,5 +1,8 @@
 """
-The constraint of a vehicle on wheels, or with wings, into the navigator, where fixes are missing.
+The constraint of a vehicle on wheels, or with wings, into the navigator.
+
+It is used where fixes are missing, that of wheels also where they do not show the heading: on a
+straight road at a steady speed nothing but the nose does.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from hybrid_ins.core.constraints.near_standstill import WINDOW_NS, NearStandstil
 from hybrid_ins.core.constraints.nonholonomic import Nose
 from hybrid_ins.core.constraints.sideslip import WindObserver
 from hybrid_ins.core.filter.ins_filter import InsFilter, sensitivity_to_scale
+from hybrid_ins.core.inertial.state import HEADING_VARIANCE, VELOCITY
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.noise_regressor.slip import SlipReader
@@ -29,6 +33,10 @@ Array = NDArray[np.float64]
 PERIOD_NS = 500_000_000  # between two observations
 RATE_NS = 60_000_000  # of samples whose mean is the angular rate
 CONSTRAINED = ("auto", "ground")  # values of vehicle.kind
+LEAST_HEADING_STD = math.radians(3.0)  # from which on the nose says more than fixes do
+NOSE_STDS = 2.0  # σ of the nose's yaw, likewise: the heading becomes no more certain than that
+SLOWEST = 0.5  # m/s: a nose that moves more slowly shows no heading
+OWN_NS = 60_000_000_000  # after that use: what the motion then shows of the nose was assumed
 
 
 class VehicleInput:
@@ -37,8 +45,8 @@ class VehicleInput:
 
     A fixed wing moves along its nose against the air: the wind is observed.
 
-    Fixes alone determine the motion while they come: what they show of the vehicle is free of what
-    is assumed about it.
+    Fixes alone determine the motion while they come and show the heading: what they show of the
+    vehicle is free of what is assumed about it.
 
     Parameters
     ----------
@@ -115,8 +123,8 @@ class VehicleInput:
 
     def restart(self) -> None:
         """Restart, as the filter did; the vehicle is the same."""
-        self._next_ns = 0
-        self.fused = self.near_standstill = False
+        self._next_ns = self._own_until_ns = 0
+        self.fused = self.near_standstill = self._in_outage = False
         self.stands.restart()
 
     def run_periodic(self, t_ns: int) -> None:
@@ -148,7 +156,7 @@ class VehicleInput:
         samples = self._navigator.ring.after(t_ns - WINDOW_NS)
         rate_b = samples["w"][samples["t_ns"] > t_ns - RATE_NS].mean(axis=0)
         held = observer.holds
-        settled = self._fixes.settled(t_ns)
+        settled = self._fixes.settled(t_ns) and t_ns > self._own_until_ns
         answer = None
         if held:
             self.slip.read(self._navigator.ring, observer.nose, t_ns)
@@ -163,12 +171,17 @@ class VehicleInput:
         )
         if observer.holds != held:
             self._log_change()
-        self.fused = self._fixes.outage(t_ns) and held and observer.holds
+        self._in_outage = self._fixes.outage(t_ns)
+        needed = self._in_outage or _heading_is_uncertain(nav, observer)
+        self.fused = needed and held and observer.holds
         if settled:
             self.stands.learn(samples, nav, PERIOD_NS * 1e-9, observer.nose)
         if self.fused:
             slip = self._slip_covariance(observer)
             self._navigator.measure(observer.measurement(t_ns, nav, rate_b, PERIOD_NS * 1e-9, slip))
+            if not self._in_outage:
+                self._own_until_ns = t_ns + OWN_NS
+                return
             stand = self.stands.measurement(samples, nav, rate_b, observer.nose)
             self.near_standstill = stand is not None
             if stand is not None:
@@ -204,7 +217,8 @@ class VehicleInput:
         if observer is None:
             return status("vehicle", 0, f"{kind}: no constraint", {"kind": kind})
         if self.fused:
-            text = f"outage: the velocity is constrained to the nose, slip: {self.slip.source}"
+            why = "outage" if self._in_outage else "fixes do not show the heading"
+            text = f"{why}: the velocity is constrained to the nose, slip: {self.slip.source}"
             if self.near_standstill:
                 text += "; it stands or crawls"
             if self.slip.fault:
@@ -263,6 +277,13 @@ def _wind_status(wind: WindObserver, fused: bool) -> Status:
             "sideslip_std": float(np.sqrt(wind.slip.covariance[0, 0])),
         },
     )
+
+
+def _heading_is_uncertain(nav: Array, observer: ConstraintObserver) -> bool:
+    """Return whether the nose of a vehicle that moves says more of the heading than fixes do."""
+    known = max(LEAST_HEADING_STD, NOSE_STDS * float(observer.sigma[0]))
+    moves = float(np.linalg.norm(nav[VELOCITY][:2])) > SLOWEST
+    return moves and nav.item(HEADING_VARIANCE) > known**2
 
 
 def _nose(observer: ConstraintObserver) -> str:
