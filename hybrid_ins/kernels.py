@@ -24,7 +24,12 @@ from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.core.imu_axes import fit as imu_axes_fit
 from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.state import COVARIANCE, N_ERROR, N_NAV, NavState
-from hybrid_ins.core.noise import hypotheses, position_scatter, scatter_evidence
+from hybrid_ins.core.noise import (
+    heading_information,
+    hypotheses,
+    position_scatter,
+    scatter_evidence,
+)
 from hybrid_ins.core.noise import multiple_model as noise_multiple_model
 from hybrid_ins.core.noise import multiple_model_step as noise_multiple_model_step
 from hybrid_ins.core.sensor_errors import (
@@ -152,6 +157,8 @@ def _compile_filter() -> None:
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))
     linalg.log_determinant(np.eye(3))
+    heading_information.heading_information(nav[COVARIANCE], H, np.eye(3), np.eye(3))
+    heading_information.follow_heading(np.zeros(4), 0.0, 0.0, 0.0, 1.0, 1.0)
     scatter_evidence.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), np.eye(3))
     measurements.scaled_by_axis(np.eye(3), 1.0, 1.0)
     position_scatter.slow_part(np.eye(3), 1.0, 1.0, 0.0, 0.0, 0.0, np.empty(0), 0.0)
@@ -170,6 +177,8 @@ def _compile_filter() -> None:
         1.0,
         0.0,
         clock,
+        0.0,
+        heading_information.HeadingInformation().values,
         0.0,
         0.0,
         np.empty(0),

@@ -24,6 +24,11 @@ from hybrid_ins.core.inertial.state import (
     VELOCITY,
 )
 from hybrid_ins.core.inertial.strapdown import rotation
+from hybrid_ins.core.noise.heading_information import (
+    HEADING,
+    follow_heading,
+    heading_information,
+)
 from hybrid_ins.core.noise.position_scatter import Split, change_slow_error
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.scatter_evidence import scatter_evidence
@@ -80,6 +85,8 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     stamp_variance,
     clock,
     interval,
+    heading,
+    heading_interval,
     limit,
     before,
     result,
@@ -108,6 +115,10 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         `ClockOffsetObserver.values`; overwritten.
     interval : float
         Time since the last correction by a fix that ``clock`` contains [s].
+    heading : ndarray, shape (N_VALUES,)
+        `HeadingInformation.values`; overwritten.
+    heading_interval : float
+        Time since the last fix that it contains [s].
     limit : float
         `Gate.ordinary_limit`.
     before : ndarray, shape (N_FLAT,) or (0,)
@@ -176,7 +187,11 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]
+    information, of_noise = heading_information(packed, H, S, R)
+    heading_variance = packed[DIAGONAL[HEADING]]
     dx, K, z_x, H_x, x, G, _ = update_and_linearise(nav, z, H, R / weight)
+    after = packed[DIAGONAL[HEADING]]
+    follow_heading(heading, heading_interval, information, of_noise, heading_variance, after)
     correct_sensitivities(nav, H, K, h, dx, is_position)
     result[NIS], result[LOG_DET], result[WEIGHT] = nis, log_det, weight
     rotation(nav[QUAT], result[ATTITUDE])

@@ -12,20 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.constraints.nonholonomic import NonHolonomic
-from hybrid_ins.core.filter.events import (
-    AntennaFound,
-    AntennaShift,
-    Change,
-    ClockFound,
-    ClockInflation,
-    ClockShift,
-    CovarianceInflation,
-    Event,
-    NoiseChange,
-    Outage,
-    ScatterInForce,
-    SettingsChange,
-)
+from hybrid_ins.core.filter.changes import apply_change
+from hybrid_ins.core.filter.events import Change, Event
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.fix_update import (
     COUNTS,
@@ -46,6 +34,7 @@ from hybrid_ins.core.inertial.state import (
     ATTITUDE_COVARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
+    HEADING_VARIANCE,
     JUMP_VARIANCE,
     N_ERROR,
     N_NAV,
@@ -56,9 +45,14 @@ from hybrid_ins.core.inertial.state import (
     VELOCITY,
     pack,
 )
+from hybrid_ins.core.noise.heading_information import (
+    IN_FULL,
+    HeadingInformation,
+    heading_information,
+)
 from hybrid_ins.core.noise.multiple_model import StateCorrection
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
-from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate
+from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.scatter_evidence import Evidence
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import (
@@ -76,7 +70,7 @@ from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
 from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.gate import Gate, Verdict
-from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
+from hybrid_ins.core.update.inflation import inflate_to_innovation
 from hybrid_ins.core.update.kalman import inject, innovation
 from hybrid_ins.core.update.measurements import (
     GNSS,
@@ -143,6 +137,7 @@ class MeasurementUpdate:
         self.scatter = scatter
         self.corrected_ns = corrected_ns
         self.lever_arm, self.scale_errors = lever_arm, scale_errors
+        self.heading = HeadingInformation()
 
     def __copy__(self) -> MeasurementUpdate:
         twin = object.__new__(MeasurementUpdate)
@@ -150,6 +145,7 @@ class MeasurementUpdate:
         twin.noise, twin.gate = self.noise.__copy__(), self.gate.__copy__()
         twin.clock, twin.scatter = self.clock.__copy__(), self.scatter.__copy__()
         twin.lever_arm, twin.scale_errors = self.lever_arm.__copy__(), self.scale_errors.__copy__()
+        twin.heading = self.heading.__copy__()
         return twin
 
     def apply(
@@ -174,7 +170,7 @@ class MeasurementUpdate:
         r_scale, verdict, moved, psd_changed = self.noise.found.fixes, None, False, True
         split: Split | None = None
         if isinstance(event, Change):
-            _apply_change(self, nav, event, ring)
+            apply_change(self, nav, event, ring)
         else:
             if isinstance(event, PositionFix):
                 split = self.noise.split_of(event, self.scatter)
@@ -193,6 +189,7 @@ class MeasurementUpdate:
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
         nav[ATTITUDE_COVARIANCE] = self.scale_errors.considered + self.lever_arm.of_attitude
+        nav[ATTITUDE_COVARIANCE.stop - 1] += self.heading.considered(nav)
         nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 
@@ -226,12 +223,15 @@ class MeasurementUpdate:
             noise.stamp_std_of(fix) ** 2,
             clock.values,
             clock.interval(fix.t_ns),
+            self.heading.values,
+            self.heading.interval(fix.t_ns),
             self.gate.ordinary_limit(fix.kind, m, interval),
             before,
             result,
         ):
             return None
         clock.on_corrected(fix.t_ns)
+        self.heading.on_corrected(fix.t_ns)
         self.corrected_ns = fix.t_ns
         self.scale_errors.end_outage()
         nis, log_det, weight = result[: TOTALS.start].tolist()
@@ -288,7 +288,11 @@ class MeasurementUpdate:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
+            shown, variance = IN_FULL, nav.item(HEADING_VARIANCE)
+            if measurement.sensor == GNSS:
+                shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
             dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
+            self.heading.update(measurement.t_ns, shown, variance, nav.item(HEADING_VARIANCE))
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
@@ -343,44 +347,6 @@ class MeasurementUpdate:
         if moved is not None:
             _move(nav, moved)
         return moved is not None
-
-
-def _apply_change(own: MeasurementUpdate, nav: Array, change: Change, ring: ImuRing) -> None:
-    """Do what a change does to a state, overwritten, and to what is held beside it."""
-    if isinstance(change, NoiseChange):
-        own.noise = own.noise.replaced_by(change.noise)
-    elif isinstance(change, SettingsChange):
-        if change.gate is not None:
-            own.gate = own.gate.replaced_by(change.gate)
-        if change.clock_prior is not None:
-            own.clock.prior = change.clock_prior
-        if change.learn_scatter is not None:
-            own.scatter.begin(change.learn_scatter)
-    elif isinstance(change, NoiseEstimate):
-        own.noise.learn_estimate(change)
-    elif isinstance(change, ClockFound):
-        own.clock.set_estimate(change.residual, change.sigma)
-        own.clock.prior = change.prior
-    elif isinstance(change, ClockInflation):
-        own.clock.inflate(change.std)
-    elif isinstance(change, ClockShift):
-        inject(nav, own.clock.shift(change.by, nav))
-        own.lever_arm.shift_clock(change.by)
-        own.scale_errors.shift_clock(change.by)
-    elif isinstance(change, CovarianceInflation):
-        inflate(nav, change.std, change.lever_b)
-        own.noise.on_imu_fault(change.t_ns)
-    elif isinstance(change, ScatterInForce):
-        own.scatter.in_force = True
-        own.noise.jumps = own.noise.jumps.or_earlier(change.jumps, change.t_ns)
-    elif isinstance(change, AntennaFound):
-        own.lever_arm = own.lever_arm.or_earlier(change.earlier)
-    elif isinstance(change, AntennaShift):
-        inject(nav, own.lever_arm.shift(change.by_b, change.moves_odometry))
-        own.noise.restart(keep_weights=False)
-        own.scale_errors.restart()
-    elif isinstance(change, Outage):
-        own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

@@ -1,0 +1,158 @@
+"""
+How much of what fixes show of the heading is motion, and how certain the heading is by that alone.
+
+A wrong heading turns the specific force: the velocity, and the position, become wrong by b per
+radian, which fixes contradict. The filter's b contains what its accelerometers read. Where a
+vehicle does not accelerate that is their noise, so that fixes seem to show a heading that nothing
+shows: errors in variables, [1]_. The error of b is that of velocity and position by the same noise,
+turned by a right angle, so of the information b' S^-1 b the noise has tr(S^-1 (H P H' - b b' σ²)),
+where σ² is the variance of the heading; the rest is motion, on average over ``SHARE_TIME``.
+
+The variance of the heading by that share of the information is kept beside the filter, and grows
+with the filter's. What it has more is *considered*, [2]_: added to the covariance of the attitude
+that is reported. The filter's own is left: with the share in its gain it loses the bias of the
+gyroscope, too, which it has learned from the same information.
+
+References
+----------
+.. [1] W. A. Fuller, *Measurement Error Models*, 1987, sections 1.1 and 1.2 (attenuation).
+.. [2] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+       Control Systems 3, 1966.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.inertial.state import HEADING_VARIANCE, N_ERROR, PLACES
+from hybrid_ins.core.update.linalg import factorise, whiten
+
+Array = NDArray[np.float64]
+
+SHARE_TIME = 10.0  # s, over which the share of motion in the information is averaged
+HEADING = 8  # place in the error state
+IN_FULL = (-1.0, 0.0)  # in place of `heading_information` where all of it counts
+
+# What is known, as one flat vector.
+INFORMATION, OF_NOISE = 0, 1  # of late
+VARIANCE = 2  # rad², by the motion
+OF_FILTER = 3  # rad², the filter's after the last correction; 0: there was none
+N_VALUES = 4
+
+
+class HeadingInformation:
+    """
+    The heading's variance by motion alone.
+
+    A copy is a checkpoint.
+
+    Attributes
+    ----------
+    values : ndarray, shape (N_VALUES,)
+        What is known.
+    """
+
+    __slots__ = ("_t_ns", "values")
+
+    def __init__(self) -> None:
+        self.values = np.zeros(N_VALUES)
+        self._t_ns = 0  # of the last fix
+
+    def __copy__(self) -> HeadingInformation:
+        twin = object.__new__(HeadingInformation)
+        twin.values, twin._t_ns = self.values.copy(), self._t_ns
+        return twin
+
+    def interval(self, t_ns: int) -> float:
+        """Return the time from the last fix to a stamp [s]; infinite without one."""
+        return (t_ns - self._t_ns) * 1e-9 if self._t_ns else math.inf
+
+    def on_corrected(self, t_ns: int) -> None:
+        """Note that ``values`` contain a fix with this stamp [ns]."""
+        self._t_ns = t_ns
+
+    def update(self, t_ns: int, shown: tuple[float, float], before: float, after: float) -> None:
+        """Take a correction with a stamp [ns] into account, see `follow_heading`."""
+        follow_heading(self.values, self.interval(t_ns), *shown, before, after)
+        if shown is not IN_FULL:
+            self.on_corrected(t_ns)
+
+    def considered(self, nav: Array) -> float:
+        """Return what is added to the variance of the heading that a flat state reports [rad²]."""
+        return max(self.values.item(VARIANCE) - nav.item(HEADING_VARIANCE), 0.0)
+
+
+@kernel()
+def heading_information(packed, H, S, R):  # type: ignore[no-untyped-def]
+    """
+    Return the information of an innovation on the heading, and what its noise alone would give.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (120,)
+        Upper triangle of P, before the update.
+    H, S, R : ndarray, shape (m, 15), (m, m), (m, m)
+        Measurement matrix, covariance of the innovation, and of the measurement.
+
+    Returns
+    -------
+    information, of_noise : float
+        [1/rad²].
+    """
+    m, variance = len(H), packed[PLACES[HEADING, HEADING]]
+    root, b, of_rest = S.copy(), np.zeros(m), 0.0
+    factorise(root)
+    for a in range(m):
+        for i in range(N_ERROR):
+            b[a] += H[a, i] * packed[PLACES[i, HEADING]] / variance
+    cause, unit = R.copy(), np.empty(m)
+    factorise(cause)
+    for c in range(m):  # tr(S^-1 R), by the columns of the root of R
+        for a in range(m):
+            unit[a] = cause[a, c] if a >= c else 0.0
+        of_rest += whiten(root, unit)
+    information = whiten(root, b)
+    return information, max(m - of_rest - variance * information, 0.0)
+
+
+@kernel()
+def follow_heading(values, interval, information, of_noise, before, after):  # type: ignore[no-untyped-def]
+    """
+    Take a correction into account.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N_VALUES,)
+        `HeadingInformation.values`; overwritten.
+    interval : float
+        Time since the last fix [s]; infinite without one.
+    information, of_noise : float
+        `heading_information` of a fix, or `IN_FULL`.
+    before, after : float
+        Variance of the filter's heading before and after the correction [rad²].
+    """
+    share = 1.0
+    if information >= 0.0:
+        left = np.exp(-interval / SHARE_TIME) if interval > 0.0 else 1.0
+        values[INFORMATION] = left * values[INFORMATION] + information
+        values[OF_NOISE] = left * values[OF_NOISE] + of_noise
+        share = _share_of_motion(values)
+    if values[OF_FILTER] > 0.0:
+        grown = values[VARIANCE] + max(before - values[OF_FILTER], 0.0)
+        gained = share * max(1.0 / after - 1.0 / before, 0.0)
+        values[VARIANCE] = max(1.0 / (1.0 / grown + gained), after)
+    else:
+        values[VARIANCE] = after
+    values[OF_FILTER] = after
+
+
+@register_jitable
+def _share_of_motion(values):  # type: ignore[no-untyped-def]
+    """Return the share of the late information that is of motion."""
+    information, of_noise = values[INFORMATION], values[OF_NOISE]
+    return 1.0 - of_noise / information if of_noise < information else 0.0
