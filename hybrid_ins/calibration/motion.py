@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from hybrid_ins.calibration.filter_pass import FilterPass
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.calibration.recording import Recording
-from hybrid_ins.core.sensor_errors.clock_offset import MARGIN, SHARE_TIME
+from hybrid_ins.core.noise.motion_share import SHARE_TIME
+from hybrid_ins.core.sensor_errors.clock_offset import MARGIN
 
 Array = NDArray[np.float64]
 

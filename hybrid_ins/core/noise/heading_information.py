@@ -6,7 +6,7 @@ radian, which fixes contradict. The filter's b contains what its accelerometers 
 vehicle does not accelerate that is their noise, so that fixes seem to show a heading that nothing
 shows: errors in variables, [1]_. The error of b is that of velocity and position by the same noise,
 turned by a right angle, so of the information b' S^-1 b the noise has tr(S^-1 (H P H' - b b' σ²)),
-where σ² is the variance of the heading; the rest is motion, on average over ``SHARE_TIME``.
+where σ² is the variance of the heading; the rest is motion, see `motion_share`.
 
 The variance of the heading by that share of the information is kept beside the filter, and grows
 with the filter's. What it has more is *considered*, [2]_: added to the covariance of the attitude
@@ -25,21 +25,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.state import HEADING_VARIANCE, N_ERROR, PLACES
+from hybrid_ins.core.noise.motion_share import fade_sums, motion_share
 from hybrid_ins.core.update.linalg import factorise, whiten
 
 Array = NDArray[np.float64]
 
-SHARE_TIME = 10.0  # s, over which the share of motion in the information is averaged
 HEADING = 8  # place in the error state
 IN_FULL = (-1.0, 0.0)  # in place of `heading_information` where all of it counts
 
 # What is known, as one flat vector.
 INFORMATION, OF_NOISE = 0, 1  # of late
+SUMS = slice(INFORMATION, OF_NOISE + 1)  # see `motion_share`
 VARIANCE = 2  # rad², by the motion
 OF_FILTER = 3  # rad², the filter's after the last correction; 0: there was none
 N_VALUES = 4
@@ -138,10 +138,11 @@ def follow_heading(values, interval, information, of_noise, before, after):  # t
     """
     share = 1.0
     if information >= 0.0:
-        left = np.exp(-interval / SHARE_TIME) if interval > 0.0 else 1.0
-        values[INFORMATION] = left * values[INFORMATION] + information
-        values[OF_NOISE] = left * values[OF_NOISE] + of_noise
-        share = _share_of_motion(values)
+        if interval > 0.0:
+            fade_sums(values[SUMS], interval)
+        values[INFORMATION] += information
+        values[OF_NOISE] += of_noise
+        share = motion_share(values[SUMS])
     if values[OF_FILTER] > 0.0:
         grown = values[VARIANCE] + max(before - values[OF_FILTER], 0.0)
         gained = share * max(1.0 / after - 1.0 / before, 0.0)
@@ -149,10 +150,3 @@ def follow_heading(values, interval, information, of_noise, before, after):  # t
     else:
         values[VARIANCE] = after
     values[OF_FILTER] = after
-
-
-@register_jitable
-def _share_of_motion(values):  # type: ignore[no-untyped-def]
-    """Return the share of the late information that is of motion."""
-    information, of_noise = values[INFORMATION], values[OF_NOISE]
-    return 1.0 - of_noise / information if of_noise < information else 0.0

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.state import SENSITIVITY
+from hybrid_ins.core.noise.motion_share import fade_sums, motion_share
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.sensor_errors.clock_prior import UNKNOWN_DRIFT, ClockDrift, ClockPrior
 from hybrid_ins.core.update.linalg import factorise, whiten
@@ -52,7 +53,6 @@ LARGEST_AGE_STD = 1.0  # s
 AGE_TIME = 5.0  # s, in which it changes: receivers filter velocities, it follows the motion
 AGE_MEMORY = 20.0  # s, over which its mean square is averaged
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
-SHARE_TIME = 10.0  # s, over which the share of motion in the information is averaged
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
 MARGIN = 1.2  # factor on σ: innovations are not quite white. Without it, the largest error in a
 # quarter of an hour of smooth driving with metre fixes was 3.1 and 3.4 σ
@@ -66,6 +66,7 @@ P_PARAMETERS = slice(3, 12)  # their covariance, row by row
 P_RESIDUAL, P_DRIFT, P_AGE = 3, 7, 11  # its diagonal
 NIS_SCALE = 12
 INFORMATION, OF_NOISE = 13, 14  # of late, and the part of it that is noise of the IMU
+SUMS = slice(INFORMATION, OF_NOISE + 1)  # see `motion_share`
 DRIFT_VARIANCE = 15  # of the prior: walks lead no further from it
 AGE_VARIANCE = 16  # of the age, of which the estimate is one of many
 N_CLOCK = 17
@@ -240,8 +241,7 @@ def variance_factor(clock):  # type: ignore[no-untyped-def]
 @register_jitable
 def share_of_motion(clock):  # type: ignore[no-untyped-def]
     """Return the share of the late information that is of motion, not of noise."""
-    information, of_noise = clock[INFORMATION], clock[OF_NOISE]
-    return 1.0 - of_noise / information if of_noise < information else 0.0
+    return motion_share(clock[SUMS])
 
 
 @register_jitable
@@ -261,9 +261,7 @@ def predict(clock, interval):  # type: ignore[no-untyped-def]
         P[i, RESIDUAL] += interval * P[i, DRIFT]
     P[RESIDUAL, RESIDUAL] += RANDOM_WALK**2 * interval
     P[DRIFT, DRIFT] = min(P[DRIFT, DRIFT] + DRIFT_WALK**2 * interval, clock[DRIFT_VARIANCE])
-    left = np.exp(-interval / SHARE_TIME)
-    clock[INFORMATION] *= left
-    clock[OF_NOISE] *= left
+    fade_sums(clock[SUMS], interval)
     towards = 1.0 - np.exp(-interval / AGE_MEMORY)
     variance = clock[AGE_VARIANCE] + towards * (age_mean_square(clock) - clock[AGE_VARIANCE])
     clock[AGE_VARIANCE] = min(max(variance, VELOCITY_AGE_STD**2), LARGEST_AGE_STD**2)

@@ -8,11 +8,11 @@ import pytest
 from hybrid_ins.core.inertial.state import COVARIANCE, HEADING_VARIANCE, N_FLAT, pack
 from hybrid_ins.core.noise.heading_information import (
     IN_FULL,
-    SHARE_TIME,
     VARIANCE,
     HeadingInformation,
     heading_information,
 )
+from hybrid_ins.core.noise.motion_share import SHARE_TIME
 
 Shown = tuple[float, float]
 
