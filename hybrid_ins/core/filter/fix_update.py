@@ -118,7 +118,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
     heading : ndarray, shape (N_VALUES,)
         `HeadingInformation.values`; overwritten.
     heading_interval : float
-        Time since the last fix that it contains [s].
+        Time since the last fix that was fused, or since the start [s].
     limit : float
         `Gate.ordinary_limit`.
     before : ndarray, shape (N_FLAT,) or (0,)

@@ -224,14 +224,13 @@ class MeasurementUpdate:
             clock.values,
             clock.interval(fix.t_ns),
             self.heading.values,
-            self.heading.interval(fix.t_ns),
+            interval,
             self.gate.ordinary_limit(fix.kind, m, interval),
             before,
             result,
         ):
             return None
         clock.on_corrected(fix.t_ns)
-        self.heading.on_corrected(fix.t_ns)
         self.corrected_ns = fix.t_ns
         self.scale_errors.end_outage()
         nis, log_det, weight = result[: TOTALS.start].tolist()
@@ -292,7 +291,7 @@ class MeasurementUpdate:
             if measurement.sensor == GNSS:
                 shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
             dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
-            self.heading.update(measurement.t_ns, shown, variance, nav.item(HEADING_VARIANCE))
+            self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock

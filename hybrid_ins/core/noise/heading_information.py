@@ -22,8 +22,6 @@ References
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,30 +55,21 @@ class HeadingInformation:
         What is known.
     """
 
-    __slots__ = ("_t_ns", "values")
+    __slots__ = ("values",)
 
     def __init__(self) -> None:
         self.values = np.zeros(N_VALUES)
-        self._t_ns = 0  # of the last fix
 
     def __copy__(self) -> HeadingInformation:
         twin = object.__new__(HeadingInformation)
-        twin.values, twin._t_ns = self.values.copy(), self._t_ns
+        twin.values = self.values.copy()
         return twin
 
-    def interval(self, t_ns: int) -> float:
-        """Return the time from the last fix to a stamp [s]; infinite without one."""
-        return (t_ns - self._t_ns) * 1e-9 if self._t_ns else math.inf
-
-    def on_corrected(self, t_ns: int) -> None:
-        """Note that ``values`` contain a fix with this stamp [ns]."""
-        self._t_ns = t_ns
-
-    def update(self, t_ns: int, shown: tuple[float, float], before: float, after: float) -> None:
-        """Take a correction with a stamp [ns] into account, see `follow_heading`."""
-        follow_heading(self.values, self.interval(t_ns), *shown, before, after)
-        if shown is not IN_FULL:
-            self.on_corrected(t_ns)
+    def update(
+        self, interval: float, shown: tuple[float, float], before: float, after: float
+    ) -> None:
+        """Take a correction into account, see `follow_heading`."""
+        follow_heading(self.values, interval, *shown, before, after)
 
     def considered(self, nav: Array) -> float:
         """Return what is added to the variance of the heading that a flat state reports [rad²]."""
@@ -130,7 +119,7 @@ def follow_heading(values, interval, information, of_noise, before, after):  # t
     values : ndarray, shape (N_VALUES,)
         `HeadingInformation.values`; overwritten.
     interval : float
-        Time since the last fix [s]; infinite without one.
+        Time since the last fix, or since the start [s].
     information, of_noise : float
         `heading_information` of a fix, or `IN_FULL`.
     before, after : float
