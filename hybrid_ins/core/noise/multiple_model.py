@@ -177,9 +177,11 @@ class NoiseMultipleModelBank(ShallowCopy):
             With the correction's ``fix_factor`` and ``factors_by_axis``.
         """
         z, m, found = correction.z, len(R), np.empty(COUNT)
+        of_position = correction.kind == PositionFix.kind  # what is no position says no height
         for level in R_LEVELS:
             common, on_height = ON_R[:, level[0]]
-            factors = common, common * on_height / correction.factors_by_axis[1]
+            besides = on_height / correction.factors_by_axis[1] if of_position else 1.0
+            factors = common, common * besides
             S = correction.S - R + scaled_by_axis(R / correction.fix_factor, *factors)
             tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
             found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)

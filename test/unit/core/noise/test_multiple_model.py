@@ -288,6 +288,35 @@ def test_many_jumps_raise_r_alone_and_one_does_not() -> None:
     assert np.all(np.array(found)[:, 1:] < 2.0)
 
 
+@pytest.mark.parametrize("factors", [(1.0, 1.0), (2.0, 16.0)])
+def test_jumps_of_velocities_say_nothing_of_heights(factors: tuple[float, float]) -> None:
+    """Nor does their direction matter: the factors on each axis stay those in force."""
+    found = []
+    for z in ([0.0, 0.0, 30.0], [30.0, 0.0, 0.0]):
+        rng = np.random.default_rng(6)
+        bank, nav = NoiseMultipleModelBank(), flat_state(rng, 0.02)
+        bank.update(correction_of(rng, nav, 1), PSD)
+        nav = flat_state(rng, 0.02)
+        nav[COVARIANCE] = np.eye(N_ERROR)[np.triu_indices(N_ERROR)] * 1e-4
+        for k in range(2, 9):
+            bank.weigh_jump(*jump_of_velocity(nav, k, np.array(z), factors))
+        found.append(bank.found)
+
+    assert all(one.heights == 1.0 for one in found)
+    assert all(one.fixes > 10.0 for one in found)
+
+
+def jump_of_velocity(
+    nav: Array, k: int, z: Array, factors: tuple[float, float]
+) -> tuple[Correction, Array]:
+    _, H = velocity_model(nav, nav[VELOCITY], np.zeros(3))
+    R = 0.01 * scaling_of(factors) * np.eye(3)
+    S, none = H @ covariance(nav) @ H.T + R, np.zeros(N_ERROR)
+    K, C_nb = np.zeros((N_ERROR, 3)), matrix_from_quat(nav[QUAT])
+    jump = Correction(k * SECOND // 5, z, S, H, K, none, C_nb, 0.2, nav, False)
+    return replace(jump, kind="velocity", factors_by_axis=factors), R
+
+
 def test_what_is_known_of_r_outlasts_an_inflation() -> None:
     rng = np.random.default_rng(7)
     bank, nav = NoiseMultipleModelBank(), flat_state(rng, 0.02)
