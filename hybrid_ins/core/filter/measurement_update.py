@@ -131,8 +131,7 @@ class MeasurementUpdate:
         lever_arm: LeverArmObserver,
         scale_errors: ScaleErrorObserver,
     ) -> None:
-        self.noise = noise
-        self.gate = gate
+        self.noise, self.gate = noise, gate
         self.clock = clock
         self.scatter = scatter
         self.corrected_ns = corrected_ns
@@ -252,7 +251,7 @@ class MeasurementUpdate:
         ``split`` is that of a position's covariance.
         """
         (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
-        claimed, parts = model[2], split or UNSPLIT
+        claimed, parts, unchanged = model[2], split or UNSPLIT, nav.copy()
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
         fix_factor = self.noise.found.fixes if measurement.sensor == GNSS else 1.0
@@ -330,6 +329,8 @@ class MeasurementUpdate:
             self.noise.restart(keep_weights=False)
             self.lever_arm.restart()
             self.scale_errors.restart()
+        if verdict.jump:  # the slow error remains that of the last fix that was fused
+            nav[:] = unchanged
         if verdict.inflated or verdict.jump:
             return verdict, False, found
         S = S + (1.0 / verdict.weight - 1.0) * R - of_age

@@ -156,7 +156,8 @@ class PositionScatter(ShallowCopy):
         self._t_ns = 0  # of the last position
         self._claimed_slow = np.empty(0)  # m², of its slow error
         self.in_force = False
-        self._usual = math.inf  # m², horizontally: the smallest variance that was claimed
+        # m², horizontally: the smallest variance that a fused position claimed, and the last one
+        self._usual = self._horizontal = math.inf
         self.begin(learning)
 
     def begin(self, learning: bool) -> None:
@@ -217,8 +218,7 @@ class PositionScatter(ShallowCopy):
         fix_factor, height_factor : float
             On R, and on that of the height besides, by the innovations: the split is made for them.
         """
-        horizontal = horizontal_variance(claimed)
-        self._usual = min(self._usual, horizontal)
+        self._horizontal = horizontal = horizontal_variance(claimed)
         if len(claimed) == 2:  # what were heights may have been none
             self._parts = self._parts[0], _Shown(1)
         since = (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
@@ -229,7 +229,7 @@ class PositionScatter(ShallowCopy):
         across = _without(common, across, largest)
         upward = _without(common * height_factor, upward, largest)
         excess = max(across / largest, 1.0), max(upward / largest, 1.0)
-        lost = 1.0 - self._usual / horizontal
+        lost = 1.0 - min(self._usual, horizontal) / horizontal
         claimed_std = math.sqrt(horizontal)
         least_slow = max(LEAST_SLOW * uncorrected(claimed_std), lost)
         slow, claimed_slow, growth = slow_part(
@@ -275,6 +275,7 @@ class PositionScatter(ShallowCopy):
         """
         interval = max((t_ns - self._t_ns) * 1e-9, 0.0)
         self._t_ns, self._claimed_slow = t_ns, split.claimed_slow
+        self._usual = min(self._usual, self._horizontal)
         if evidence is None:
             return
         totals, counts, normalised = evidence

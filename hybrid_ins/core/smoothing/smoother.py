@@ -181,6 +181,7 @@ class Smoother:
 
     def _apply(self, nav: Array, k: int, update: Update) -> None:
         """Apply an update to the flat state of the forward pass."""
+        unchanged = nav[:N_NAV].copy()
         _inflate(nav, update)
         if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
             measurement = update.measurement
@@ -202,6 +203,8 @@ class Smoother:
                         self._constants.turn(T)
                 if measurement.sensor == GNSS:
                     self._corrected_ns = update.t_ns
+            else:
+                nav[:N_NAV] = unchanged
         nav[PSD] = update.psd
 
     def _backward(self) -> None:

@@ -21,6 +21,7 @@ from hybrid_ins.core.inertial.state import (
     N_NAV,
     PSD,
     SENSITIVITY,
+    SLOW_VARIANCE,
     Array,
     NavState,
 )
@@ -164,6 +165,30 @@ def test_a_fix_that_is_not_ordinary_changes_nothing() -> None:
 
     assert nav.tobytes() == before.tobytes()
     assert whole.clock.values.tobytes() == clock.tobytes()
+
+
+def test_a_position_that_is_rejected_leaves_its_slow_error_out() -> None:
+    """GIVEN positions with a slow error WHEN others jump THEN the state stays as uncertain."""
+    nav, whole = flat_state(np.random.default_rng(4)), update(False)
+    whole.scatter.in_force, nav[PSD] = True, whole.noise.psd()
+    whole.apply(nav, position(nav, 10, 0.0), 0.1, False, ImuRing())
+    whole.apply(nav, position(nav, 11, 0.0), 0.1, False, ImuRing())
+    before, usual = nav.copy(), whole.scatter.split(4.0 * np.eye(3), 12 * SECOND // 5)
+    assert np.all(before[SLOW_VARIANCE] > 1.0)
+    for k in range(12, 18):
+        claimed = 4.0 if k % 2 else 1e-4  # the same receiver, and another solution of it
+        outcome = whole.apply(nav, position(nav, k, 500.0, claimed), 0.1, False, ImuRing())
+        assert outcome.verdict is not None and outcome.verdict.jump
+
+        np.testing.assert_array_equal(nav[:N_NAV], before[:N_NAV])
+        after = whole.scatter.split(4.0 * np.eye(3), 12 * SECOND // 5)
+        np.testing.assert_array_equal(after.slow_variance, usual.slow_variance)
+
+
+def position(nav: Array, k: int, off: float, claimed: float = 4.0) -> PositionFix:
+    """Return a fix of the k-th fifth of a second, ``off`` [m] above a state."""
+    lla = nav[:3] + np.array([0.0, 0.0, off])
+    return PositionFix(k * SECOND // 5, lla, claimed * np.eye(3), np.zeros(3))
 
 
 def test_a_state_that_is_not_finite_changes_nothing_and_is_named() -> None:

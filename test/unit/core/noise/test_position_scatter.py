@@ -142,7 +142,7 @@ def test_reflections_are_no_evidence_on_a_heading_that_is_searched_for() -> None
     assert found.shares(one) == (1.0, 1.0)
     assert 9.0 * np.array(found.shares(metres)) == pytest.approx(REFLECTED_STD**2)
     # AND what one claims beyond the smallest claim counts in full: the receiver sees them
-    found.split(metres, SECOND)
+    found.learn(found.split(metres, SECOND), None, SECOND)
     assert 36.0 * np.array(found.shares(4.0 * metres)) == pytest.approx(REFLECTED_STD**2 + 27.0)
 
 

@@ -27,11 +27,13 @@ from hybrid_ins.core.inertial.state import (
     DV,
     EPS,
     N_ERROR,
+    N_NAV,
     PLACES,
     PSD,
     QUAT,
     covariance,
 )
+from hybrid_ins.core.noise.position_scatter import Split
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
@@ -278,6 +280,25 @@ def test_gaps_and_interpolated_stamps_are_those_of_the_filter() -> None:
         for states, stamps in ((rows, t_ns), (whole, whole_ns))
     ]
     assert traces[0] > 1.5 * traces[1]
+
+
+def test_a_position_that_is_not_fused_leaves_its_slow_error_out() -> None:
+    # GIVEN a position far off, with a slow error that changes, and a threshold that excludes it
+    flight = Flight(1)
+    updates = [Update(fix.t_ns, PSD_TRUE, fix) for fix in flight.fixes]
+    fix = updates[9].measurement
+    assert isinstance(fix, PositionFix)
+    far = replace(fix, lla=fix.lla + np.array([0.0, 0.0, 500.0]))
+    split = Split(np.eye(3), np.ones(3), 1.0, claimed_growth=np.full(3, 0.1))
+    excluded = Update(far.t_ns, PSD_TRUE, far, threshold=20.0, split=split)
+    # WHEN it is smoothed with it and without
+    after = []
+    for tenth in (excluded, Update(far.t_ns, PSD_TRUE)):
+        smoother, states, _ = make(flight, [*updates[:9], tenth, *updates[10:]])
+        smoother.run()
+        after.append(states[10][:N_NAV])
+    # THEN the forward state is the same
+    np.testing.assert_array_equal(*after)
 
 
 def test_state_is_carried_back_before_the_start() -> None:
