@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment.motion_evidence import MotionEvidence
 from hybrid_ins.core.alignment.turning_on_the_spot import TurningOnTheSpot
 from hybrid_ins.core.alignment.unexplained import Unexplained
-from hybrid_ins.core.filter.events import Change, CovarianceInflation
+from hybrid_ins.core.filter.events import Change, CovarianceInflation, FilterChosen
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
@@ -55,7 +54,6 @@ from hybrid_ins.core.inertial.state import (
     pack,
 )
 from hybrid_ins.core.update.gate import Verdict
-from hybrid_ins.core.update.inflation import inflate
 from hybrid_ins.core.update.measurements import GNSS, Measurement
 
 Array = NDArray[np.float64]
@@ -359,10 +357,9 @@ class MultipleModelBank:
     def _decision(self, winner: InsFilter) -> Decision:
         """Return the decision for the best filter or its copy, whose P then includes all."""
         turn, turn_std = self.heading()
-        propagation.propagate_covariance(winner.nav)
         std = np.zeros(N_ERROR)
         std[EPS.stop - 1] = math.hypot(turn_std, turn)
-        inflate(winner.nav, std, self._lever_b)
+        winner.submit(FilterChosen(winner.t_ns, std, self._lever_b))
         winner.verdicts.extendleft(reversed(self._decided[self._best].values()))
         return Decision(winner, self._offsets_ns[self._best] * 1e-9, False)
 

@@ -15,6 +15,7 @@ from hybrid_ins.core.filter.events import (
     ClockInflation,
     ClockShift,
     CovarianceInflation,
+    FilterChosen,
     NoiseChange,
     Outage,
     ScatterInForce,
@@ -71,6 +72,8 @@ def apply_change(own: Held, nav: Array, change: Change, ring: ImuRing) -> None:
     elif isinstance(change, CovarianceInflation):
         inflate(nav, change.std, change.lever_b)
         own.noise.on_imu_fault(change.t_ns)
+    elif isinstance(change, FilterChosen):
+        inflate(nav, change.std, change.lever_b)
     elif isinstance(change, ScatterInForce):
         own.scatter.in_force = True
         own.noise.jumps = own.noise.jumps.or_earlier(change.jumps, change.t_ns)

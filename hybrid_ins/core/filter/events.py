@@ -103,6 +103,20 @@ class CovarianceInflation:
 
 
 @dataclass(frozen=True, slots=True)
+class FilterChosen:
+    """
+    At its stamp a filter is chosen from several: its errors may be as large as theirs together.
+
+    Attributes as of `CovarianceInflation`.
+    """
+
+    t_ns: int
+    std: Array
+    lever_b: Array
+    kind: ClassVar[str] = "what other filters contain"  # after measurements: it contains them
+
+
+@dataclass(frozen=True, slots=True)
 class Outage:
     """Fixes are missing at its stamp: until the next one scale errors of the IMU are considered."""
 
@@ -134,6 +148,7 @@ Change = (
     | ClockInflation
     | ClockShift
     | CovarianceInflation
+    | FilterChosen
     | Outage
     | ScatterInForce
     | SettingsChange

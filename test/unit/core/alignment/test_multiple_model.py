@@ -10,16 +10,24 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
-from hybrid_ins.core.inertial.state import N_ERROR, NavState
-from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
+from hybrid_ins.core.inertial.state import HEADING_VARIANCE, N_ERROR, NavState
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.update.gate import Gate, Verdict
 from hybrid_ins.core.update.measurements import PositionFix
 
 SECOND = 1_000_000_000
 
 
 def begin(state: NavState, settings: FilterSettings) -> Any:
-    return SimpleNamespace(nav=state.to_flat(), t_ns=SECOND, verdicts=deque())
+    def submit(event: object) -> None:
+        pass
+
+    return SimpleNamespace(nav=state.to_flat(), t_ns=SECOND, verdicts=deque(), submit=submit)
 
 
 @pytest.fixture
@@ -135,3 +143,51 @@ def test_a_hypothesis_whose_state_is_lost_does_not_hold_up_the_others(
         one.nav[0] = np.nan
     bank._weigh_decided()
     assert len(bank.filters) == N_HEADINGS - 1
+
+
+def test_what_the_others_leave_unknown_outlasts_a_late_fix() -> None:
+    """
+    GIVEN two filters, each sure of another heading, of which one is chosen
+    WHEN a fix comes that was valid before that
+    THEN the heading of the chosen one is as uncertain as both are together.
+    """
+    ring, sample = ImuRing(), np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
+    noise = ConstantNoise(np.full(6, 1e-8)), ProcessNoise(np.full(6, 1e-12), 0.01)
+    ring.push(SECOND, *sample.tolist())
+
+    def start(state: NavState, settings: FilterSettings) -> InsFilter:
+        gate = Gate({3: 16.0}, 3.0)
+        return InsFilter(state, SECOND, sample, FilterNoise(*noise), gate, ring, settings)
+
+    states = [
+        NavState(
+            np.array([0.5, 0.1, 0.0]),
+            np.zeros(3),
+            quat_from_rpy(0.0, 0.0, yaw),
+            np.zeros(3),
+            np.zeros(3),
+            1e-4 * np.eye(N_ERROR),
+        )
+        for yaw in (0.0, 0.3)
+    ]
+    two = MultipleModelBank(states, start, FilterSettings())
+    fly(ring, two.filters, SECOND, 30)
+    chosen = two._decision(two.best).filter
+    std = np.sqrt(chosen.nav[HEADING_VARIANCE])
+    fly(ring, [chosen], chosen.t_ns, 5)
+    late = PositionFix(SECOND + 250_000_000, states[0].lla, np.eye(3), np.zeros(3))
+
+    chosen.submit(late)
+
+    assert chosen.verdicts[-1].accepted
+    assert 0.15 < std < 0.25
+    assert np.sqrt(chosen.nav[HEADING_VARIANCE]) > 0.99 * std
+
+
+def fly(ring: ImuRing, filters: list[InsFilter], t_ns: int, count: int) -> None:
+    """Let filters follow the IMU of a vehicle that stands, from a stamp [ns] on."""
+    for k in range(1, count + 1):
+        sample = t_ns + k * SECOND // 100, 0.0, 0.0, -9.8, 0.0, 0.0, 0.0
+        ring.push(*sample)
+        for one in filters:
+            one.predict(*sample)
