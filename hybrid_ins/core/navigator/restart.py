@@ -14,6 +14,7 @@ from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.gap import turn_std
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.inertial.rotations import heading_from_quat
+from hybrid_ins.core.inertial.state import QUAT, total_std
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def heading_after(
     """
     if running is None:
         return None
-    state = running.state
+    nav = running.flat_state()
     rate = 0.1 * TURN_IN_GAP if standing else TURN_IN_GAP
-    std = math.hypot(math.sqrt(state.P[8, 8]), rate * gap)
-    return (heading_from_quat(state.quat_xyzw), std) if std < HEADING_KEPT_STD else None
+    std = math.hypot(float(total_std(nav)[8]), rate * gap)
+    return (heading_from_quat(nav[QUAT]), std) if std < HEADING_KEPT_STD else None

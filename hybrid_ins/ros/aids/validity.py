@@ -8,9 +8,7 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Any
 
-import numpy as np
-
-from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL
+from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.ros.reporting.diagnostics import status
@@ -62,7 +60,7 @@ class ValidityMonitor:
         nav = phase.nav
         if nav is None:
             return (missing,) * 3, []
-        sigma = np.sqrt(nav[COVARIANCE][DIAGONAL])
+        sigma = total_std(nav)  # that of the odometry
         found = [float(sigma[:2].max()), float(sigma[3:5].max()), float(sigma[8])]
         held = Validity.COASTING if self._fixes.outage(t_ns) else Validity.GOOD
         judged = [

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hybrid_ins import yaml_reader
 from hybrid_ins.core.alignment.alignment import Biases
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy, rpy_from_quat
-from hybrid_ins.core.inertial.state import NavState
+from hybrid_ins.core.inertial.state import NavState, total_std
 from hybrid_ins.errors import InputError
 from hybrid_ins.output_file import write_text
 
@@ -92,10 +92,10 @@ class SavedState:
 
     @classmethod
     def of(
-        cls, state: NavState, t_ns: int, standing: bool, noise_variance: Array, clock_offset: float
+        cls, nav: Array, t_ns: int, standing: bool, noise_variance: Array, clock_offset: float
     ) -> SavedState:
-        """Return what to save of a filter's state at a stamp [ns]."""
-        sigma = np.sqrt(np.diag(state.P))
+        """Return what to save of a filter's flat state at a stamp [ns]."""
+        state, sigma = NavState.from_flat(nav), total_std(nav)
         roll, pitch, yaw = np.degrees(rpy_from_quat(state.quat_xyzw)).tolist()
         latitude, longitude = np.degrees(state.lla[:2]).tolist()
         return cls(

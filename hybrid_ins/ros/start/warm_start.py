@@ -76,7 +76,7 @@ class WarmStart:
         if navigator.phase.is_provisional:
             raise InputError("nothing to save: the clock offset of the fixes is not known yet")
         saved = SavedState.of(
-            running.state,
+            running.flat_state(),
             navigator.last_ns,
             navigator.monitor.standing,
             running.noise.levels(),

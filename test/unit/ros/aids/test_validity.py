@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
-from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, N_FLAT
+from hybrid_ins.core.inertial.state import (
+    COVARIANCE,
+    DIAGONAL,
+    HEADING_DOUBT,
+    JUMP_VARIANCE,
+    N_FLAT,
+)
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.ros.aids.validity import Validity, ValidityMonitor
 
@@ -74,6 +80,21 @@ def test_every_horizontal_axis_and_the_heading_count_from_their_limit_on(
     judged, sigma = watched.judge(100 * SECOND)
     assert [one is LOST for one in judged] == [part == k for k in range(3)]
     assert sigma[part] == pytest.approx(1.01 * limit)
+
+
+def test_what_the_filter_only_considers_counts_as_in_the_odometry() -> None:
+    """Jumps of fixes, other headings: neither is part of the covariance that the filter uses."""
+    watched = monitor(0.1, 0.1, 0.1, 99.0)
+    nav = watched._navigator.phase.nav
+    assert nav is not None
+    nav[JUMP_VARIANCE] = 11.0**2
+    assert watched.judge(100 * SECOND)[0] == (LOST, GOOD, GOOD)
+    nav[JUMP_VARIANCE], nav[HEADING_DOUBT] = 0.0, 0.2**2
+
+    judged, sigma = watched.judge(100 * SECOND)
+
+    assert judged == (GOOD, GOOD, LOST)
+    assert sigma[2] == pytest.approx(np.hypot(0.1, 0.2))
 
 
 def test_height_climb_and_tilt_do_not_count() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.inertial.state import HEADING_DOUBT, N_ERROR, NavState
 from hybrid_ins.core.navigator.phases import Running
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.estimator.estimator import Estimator
@@ -64,7 +65,7 @@ class Parked:
         """Heading from north and its standard deviation [deg]; it must be aligned."""
         running = self.estimator.navigator.filter
         assert running is not None, self.log
-        saved = SavedState.of(running.state, 1, True, np.zeros(6), 0.0)
+        saved = SavedState.of(running.flat_state(), 1, True, np.zeros(6), 0.0)
         return saved.heading, saved.heading_std
 
 
@@ -183,6 +184,17 @@ def test_a_file_reads_back_and_says_what_it_is(file: Path) -> None:
     assert SavedState.read(file) == saved
     assert file.read_text().startswith("# What ins_node has found")
     assert [path.name for path in file.parent.iterdir()] == ["state.yaml"]
+
+
+def test_a_heading_that_motion_leaves_in_doubt_is_saved_as_one() -> None:
+    known = np.eye(N_ERROR) * math.radians(1.0) ** 2
+    at_rest = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
+    nav = NavState(np.array([0.5, 0.1, 0.0]), *at_rest, known).to_flat()
+    nav[HEADING_DOUBT] = math.radians(20.0) ** 2
+
+    saved = SavedState.of(nav, 1, True, np.zeros(6), 0.0)
+
+    assert saved.heading_std == pytest.approx(math.hypot(1.0, 20.0))
 
 
 def test_it_is_saved_where_the_vehicle_moves_off_and_every_half_minute(file: Path) -> None:
