@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.constraints.nonholonomic import point_velocity
-from hybrid_ins.core.inertial.rotations import matrix_from_quat, rpy_from_quat
-from hybrid_ins.core.inertial.state import DP, EPS, LAST_W, LLA, N_ERROR, QUAT
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, rpy_from_quat, skew
+from hybrid_ins.core.inertial.state import BIAS_G, DP, EPS, LAST_W, LLA, N_ERROR, QUAT
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,12 @@ class BodyVelocity:
         given = np.flatnonzero(np.isfinite(z))
         R = np.ascontiguousarray(self.covariance_b[np.ix_(given, given)])
         return z[given], by_error[given], R
+
+    def by_scale_and_place(self, nav: Array) -> Array:
+        """Return the derivative (m, 4) of z by the reading's scale and the place."""
+        given = np.isfinite(self.velocity_b)
+        turning = -skew(nav[LAST_W] - nav[BIAS_G])
+        return np.hstack((self.velocity_b[given, None], turning[given]))
 
 
 @dataclass(frozen=True, slots=True)

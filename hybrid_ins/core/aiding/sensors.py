@@ -36,8 +36,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.aiding.lasting_errors import LastingErrors
 from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.constraints.constraint_observer import STATE_TIME, inflated
-from hybrid_ins.core.inertial.rotations import skew
-from hybrid_ins.core.inertial.state import BIAS_G, JUMP_VARIANCE, LAST_W, SLOW_VARIANCE, covariance
+from hybrid_ins.core.inertial.state import (
+    ATTITUDE_COVARIANCE,
+    HEADING_DOUBT,
+    JUMP_VARIANCE,
+    SLOW_VARIANCE,
+    covariance,
+)
 from hybrid_ins.core.update.measurements import Measurement
 
 Array = NDArray[np.float64]
@@ -153,12 +158,12 @@ class AidingSensor:
         corrected = self.corrected(reading)
         z, H, R = corrected.linearise(nav)
         HPH = H @ covariance(nav) @ H.T
-        nuisance = self.nuisance(reading, nav)
-        expected = HPH + nuisance + self.slow_error(nav)
+        nuisance, considered = self.nuisance(reading, nav), self.considered(nav)
+        expected = HPH + nuisance + considered
         nis = float(z @ np.linalg.solve(expected + R, z)) / len(z)
         if outage and self._agrees is not None:
             self._check_in_outage(nis, float(np.trace(HPH)) / len(z))
-        elif checked and self.can_check(HPH, R):
+        elif checked and self.can_check(HPH + considered, R):
             self._check(nis)
             of_sensor = inflated(R, self.error_time, self._interval)
             self._lasting.add(z, expected, of_sensor, self._interval)
@@ -179,15 +184,15 @@ class AidingSensor:
         """Return the covariance of what is left of those errors, (m, m) or one for all."""
         return np.zeros((1, 1))
 
-    def slow_error(self, nav: Array) -> Array:
-        """Return the covariance of what slow errors of the fixes do to the state that checks it."""
+    def considered(self, nav: Array) -> Array:
+        """Return the covariance that the state which checks it has besides that of the filter."""
         return np.zeros((1, 1))
 
     def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """Estimate those errors from an innovation of the filter."""
 
-    def can_check(self, HPH: Array, R: Array) -> bool:
-        """Return whether the filter knows enough to check a reading."""
+    def can_check(self, of_state: Array, R: Array) -> bool:
+        """Return whether the state is known well enough to check a reading."""
         return True
 
     def _resume(self, outage: bool) -> None:
@@ -277,12 +282,14 @@ class VelocitySensor(AidingSensor):
 
     def nuisance(self, reading: Measurement, nav: Array) -> Array:
         """See `AidingSensor`."""
-        J = _by_errors(reading, nav)
+        assert isinstance(reading, BodyVelocity)
+        J = reading.by_scale_and_place(nav)
         return np.asarray(J @ self._P @ J.T)
 
     def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """See `AidingSensor`; z = scale · reading - velocity of the place."""
-        J = _by_errors(reading, nav)
+        assert isinstance(reading, BodyVelocity)
+        J = reading.by_scale_and_place(nav)
         N = inflated(HPH, STATE_TIME, self._interval)
         N = N + inflated(R, self.error_time, self._interval)
         K = np.linalg.solve(J @ self._P @ J.T + N, J @ self._P).T
@@ -304,14 +311,6 @@ class VelocitySensor(AidingSensor):
         return replace(corrected, covariance_b=covariance_b)
 
 
-def _by_errors(reading: Measurement, nav: Array) -> Array:
-    """Return the derivative (m, 4) of an innovation by the scale and the place."""
-    assert isinstance(reading, BodyVelocity)
-    given = np.isfinite(reading.velocity_b)
-    turning = -skew(nav[LAST_W] - nav[BIAS_G])
-    return np.hstack((reading.velocity_b[given, None], turning[given]))
-
-
 class HeadingSensor(AidingSensor):
     """A heading, used only once the motion has confirmed it."""
 
@@ -321,9 +320,13 @@ class HeadingSensor(AidingSensor):
     error_time = 10.0  # of iron nearby, of an installation error
     KNOWN = math.radians(8.0)  # rad, σ of a heading from motion that can confirm another
 
-    def can_check(self, HPH: Array, R: Array) -> bool:
-        """Return whether the filter knows the heading, at all or as well as the sensor."""
-        return float(HPH[0, 0]) < max(self.KNOWN**2, float(R[0, 0]))
+    def can_check(self, of_state: Array, R: Array) -> bool:
+        """Return whether the heading is known, at all or as well as the sensor knows it."""
+        return float(of_state[0, 0]) < max(self.KNOWN**2, float(R[0, 0]))
+
+    def considered(self, nav: Array) -> Array:
+        """See `AidingSensor`; a heading that motion does not show is no evidence on another."""
+        return np.array([[nav[ATTITUDE_COVARIANCE.stop - 1] + nav[HEADING_DOUBT]]])
 
     def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
         """See `AidingSensor`."""
@@ -359,8 +362,8 @@ class HeightSensor(AidingSensor):
         """See `AidingSensor`."""
         return np.array([[min(self._variance, 1e8)]])
 
-    def slow_error(self, nav: Array) -> Array:
-        """See `AidingSensor`; the offset follows it, but late."""
+    def considered(self, nav: Array) -> Array:
+        """See `AidingSensor`; the offset follows slow errors of the fixes, but late."""
         variance = nav[SLOW_VARIANCE][2] + nav[JUMP_VARIANCE][2]
         return np.array([[self.SIGMAS**2 * variance]])
 

@@ -11,7 +11,15 @@ from support.derivatives import derivative, flat_state, swing, vectors
 from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.aiding.sensors import AidingState, HeadingSensor, HeightSensor, VelocitySensor
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
-from hybrid_ins.core.inertial.state import BIAS_G, LLA, QUAT, SLOW_VARIANCE, Array
+from hybrid_ins.core.inertial.state import (
+    ATTITUDE_COVARIANCE,
+    BIAS_G,
+    HEADING_DOUBT,
+    LLA,
+    QUAT,
+    SLOW_VARIANCE,
+    Array,
+)
 
 POINT_B = np.array([-1.2, 0.3, 0.5])
 SECOND = 1_000_000_000
@@ -200,8 +208,18 @@ def test_wheels_that_were_silent_in_an_outage_go_on_unless_the_filter_contradict
     assert after[-1] is used
 
 
-def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -> int:
-    """Show headings at 10 Hz to a filter that knows its own to 2°; return how many are used."""
+def compass(
+    sensor: HeadingSensor,
+    seconds: float,
+    wrong: float,
+    start: float,
+    considered: dict[int, float] | None = None,
+) -> int:
+    """
+    Show headings at 10 Hz to a filter that knows its own to 2°; return how many are used.
+
+    ``considered`` are standard deviations [rad] beside that, by their places in the flat state.
+    """
     used = 0
     for k in range(int(seconds * 10)):
         t_ns = round((start + 0.1 * k) * SECOND)
@@ -209,6 +227,8 @@ def compass(sensor: HeadingSensor, seconds: float, wrong: float, start: float) -
         nav = flat_state(
             np.array([5.0, 0.0, 0.0]), np.array([0.0, 0.0, yaw]), np.zeros(3), std=math.radians(2.0)
         )
+        for place, std in (considered or {}).items():
+            nav[place] = std**2
         if sensor.admit(t_ns):
             reading = Heading(t_ns, yaw + wrong, math.radians(2.0) ** 2)
             used += sensor.check(reading, nav, checked=True, outage=False) is not None
@@ -220,6 +240,16 @@ def test_a_heading_is_not_believed_before_the_motion_has_confirmed_it() -> None:
 
     assert compass(sensor, 2.0, 0.0, 10.0) == 0
     assert compass(sensor, 20.0, 0.0, 12.0) > 10
+
+
+@pytest.mark.parametrize("place", [HEADING_DOUBT, ATTITUDE_COVARIANCE.stop - 1])
+def test_a_heading_that_motion_does_not_show_confirms_and_refuses_no_other(place: int) -> None:
+    """GIVEN a filter that is surer of its heading than motion is THEN another one waits."""
+    for wrong in (0.0, 15.0):
+        sensor = HeadingSensor()
+
+        assert compass(sensor, 30.0, math.radians(wrong), 10.0, {place: math.radians(20.0)}) == 0
+        assert sensor.state(40 * SECOND) is AidingState.WAITING
 
 
 def test_a_wrong_heading_is_never_used_and_a_right_one_that_goes_wrong_is_dropped() -> None:
