@@ -55,7 +55,8 @@ SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `
 JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
 # m², NED, of a position that refers to an antenna in another place: `sensor_errors.lever_arm`
 ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
-# rad², NED, upper triangle row by row, of an attitude: by an IMU's scale errors and that antenna
+# rad², NED, upper triangle row by row, of an attitude: by an IMU's scale errors, that antenna, and
+# what fixes only seem to show of the heading, `heading_information`
 ATTITUDE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
 MEAN_RATE = slice(ATTITUDE_COVARIANCE.stop, ATTITUDE_COVARIANCE.stop + 3)  # rad/s, b, recent mean
 HEADING_DOUBT = MEAN_RATE.stop  # rad², of a heading that may be another: `heading_check`
@@ -102,7 +103,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
 
     P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, what
     an antenna in another place does to the position and the attitude, and to the latter an IMU's
-    scale errors and the other headings that it may have.
+    scale errors, what motion does not show of the heading, and the other headings that it may have.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]

@@ -64,7 +64,7 @@ class NoiseFactors(NamedTuple):
 
     accelerometer: float = 1.0  # on its variance, 0.04 to 10⁴
     gyroscope: float = 1.0  # likewise, up to 10³
-    fixes: float = 1.0  # on the covariance that fixes claim, 1 to 10⁴: many claim too small ones
+    fixes: float = 1.0  # on the covariance that fixes claim, 1 to 2·10⁴: many claim too small ones
     slow_std: float = 0.0  # m, horizontally, of a slow error of fixes; 0: the innovations show none
     slow_probability: float = 0.0  # of one
     stamp_std: float = 0.0  # s, of the stamps of positions, likewise
