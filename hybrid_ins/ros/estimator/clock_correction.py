@@ -81,7 +81,8 @@ class ClockCorrection:
         return bool(self._std > 0.0)
 
     def change(self, changes: Mapping[str, Any]) -> None:
-        """Use checked values of run-time parameters."""
+        """Use checked values of run-time parameters; filters that run follow another offset."""
+        before = self.offset
         self._std = changes.get("gnss.time_offset.std", self._std)
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
@@ -92,6 +93,9 @@ class ClockCorrection:
         self._estimate = changes.get("gnss.time_offset.estimate", self._estimate)
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.estimate"}:
             self._navigator.open_clock(self._estimate and not self._is_calibrated)
+        by = self.offset - before
+        if LEAST < abs(by) < LARGEST:
+            self._navigator.phases.submit(ClockShift(self._navigator.last_ns, by))
 
     def keep(self) -> None:
         """Restart, as the filter did, with what it has found: the clocks are the same."""

@@ -45,7 +45,7 @@ def running() -> Running:
 
 def correction(running: Running, **values: float) -> tuple[ClockCorrection, Any]:
     """Return a correction and the navigator whose clock it opens."""
-    phases = SimpleNamespace(clock_open=False)
+    phases = SimpleNamespace(clock_open=False, submit=running.submit)
     navigator: Any = SimpleNamespace(
         filter=running,
         phase=SimpleNamespace(bank=None, is_provisional=False),
@@ -244,6 +244,20 @@ def test_the_drift_that_was_found_outlasts_a_restart() -> None:
 
     clock.change({"gnss.time_offset.value": 0.1})
     assert clock.drift == ClockDrift(0.0, 1e-4)
+
+
+@pytest.mark.parametrize("estimate", [True, False])
+def test_what_a_filter_has_found_missing_is_in_force_once_it_is_given(estimate: bool) -> None:
+    # GIVEN a filter that has found the given offset to be wrong
+    running = Running()
+    clock, _ = correction(running, **{"gnss.time_offset.estimate": estimate})
+    running.show(0.1, clock.offset, 0.01)
+    # WHEN the user corrects it
+    clock.change({"gnss.time_offset.value": 0.09})
+    # THEN the filter has only the rest left to find, as sure of it as the step was large
+    assert clock.offset == 0.09
+    assert running.clock.residual == pytest.approx(0.01)
+    assert 0.01 < running.clock.sigma < 0.03
 
 
 def test_another_uncertainty_of_the_given_offset_changes_its_prior(clock: ClockCorrection) -> None:
