@@ -1,0 +1,78 @@
+"""What an event leaves in the flat state besides its correction."""
+
+import numpy as np
+import pytest
+
+from hybrid_ins.core.aiding.measurements import Heading
+from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.measurement_update import MeasurementUpdate
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.rotations import heading_from_quat, quat_from_rpy
+from hybrid_ins.core.inertial.state import (
+    HEADING_VARIANCE,
+    PSD,
+    QUAT,
+    Array,
+    NavState,
+    covariance,
+    total_std,
+)
+from hybrid_ins.core.noise.heading_information import OF_FILTER, SUMS, VARIANCE
+from hybrid_ins.core.noise.position_scatter import PositionScatter
+from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
+from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
+from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
+from hybrid_ins.core.update.gate import Gate
+from hybrid_ins.core.update.measurements import PositionFix
+
+SECOND = 1_000_000_000
+BY_MOTION = 0.3  # rad: σ of a heading of which the filter is surer
+
+
+@pytest.fixture
+def nav() -> Array:
+    """Return the flat state of a filter that knows its heading to 0.02 rad."""
+    sigma = np.repeat([1.0, 0.3, 0.02, 0.05, 0.005], 3)
+    quat, zero = quat_from_rpy(0.1, -0.2, 0.7), np.zeros(3)
+    state = NavState(np.array([0.5, 0.1, 50.0]), zero, quat, zero, zero, np.diag(sigma**2))
+    return state.to_flat()
+
+
+@pytest.fixture
+def whole(nav: Array) -> MeasurementUpdate:
+    """Return what applies events, the last fixes having shown noise of the IMU alone."""
+    noise = FilterNoise(ConstantNoise(np.full(6, 1e-3)), ProcessNoise(np.full(6, 1e-6), 0.01))
+    gate = Gate({1: 7.0, 2: 9.0, 3: 11.0}, 3.0)
+    beside = LeverArmObserver(), ScaleErrorObserver(0.0)
+    scatter, clock = PositionScatter(), ClockOffsetObserver(0.3)
+    found = MeasurementUpdate(noise, gate, clock, scatter, SECOND, *beside)
+    nav[PSD] = noise.psd()
+    found.heading.values[SUMS] = 5.0, 6.0
+    found.heading.values[VARIANCE] = BY_MOTION**2
+    found.heading.values[OF_FILTER] = nav[HEADING_VARIANCE]
+    return found
+
+
+def test_what_motion_does_not_show_is_reported_of_the_heading_alone(
+    nav: Array, whole: MeasurementUpdate
+) -> None:
+    fix = PositionFix(6 * SECOND // 5, nav[:3].copy(), np.eye(3), np.zeros(3))
+
+    outcome = whole.apply(nav, fix, 0.0, False, ImuRing())
+
+    assert outcome.verdict is not None and outcome.verdict.accepted
+    total, own = total_std(nav), np.sqrt(covariance(nav).diagonal())
+    assert total[8] == pytest.approx(BY_MOTION, rel=1e-3)
+    np.testing.assert_array_equal(total[6:8], own[6:8])
+
+
+def test_another_sensor_shows_the_heading_in_full(nav: Array, whole: MeasurementUpdate) -> None:
+    sums, std = whole.heading.values[SUMS].copy(), 0.01
+    compass = Heading(6 * SECOND // 5, heading_from_quat(nav[QUAT]), std**2)
+
+    outcome = whole.apply(nav, compass, 0.0, False, ImuRing())
+
+    assert outcome.verdict is not None and outcome.verdict.accepted
+    assert total_std(nav)[8] < 1.1 * std
+    np.testing.assert_array_equal(whole.heading.values[SUMS], sums)
