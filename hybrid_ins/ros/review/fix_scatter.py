@@ -23,6 +23,7 @@ REJECTED = 0.4  # share of the fixes, from which the receiver is suspected
 EXCESS = 5.0  # times the claimed standard deviation
 JERK = 3.0  # m/s³, of a vehicle
 NEXT_WARNING = 200  # fixes
+WENT_BACK_NS = 5_000_000_000  # by more than fixes are late: the stamps have another time base
 
 
 class FixScatter:
@@ -46,8 +47,10 @@ class FixScatter:
         self._quiet = max(self._quiet - 1, 0)
         if not isinstance(fix, PositionFix) or not math.isfinite(verdict.nis):
             return
-        if self._fixes and fix.t_ns <= self._fixes[-1][0]:
-            return
+        if self._fixes and fix.t_ns <= (last_ns := self._fixes[-1][0]):
+            if last_ns - fix.t_ns < WENT_BACK_NS:
+                return
+            self._fixes.clear()
         sigma = float(np.sqrt(0.5 * (fix.covariance_n[0, 0] + fix.covariance_n[1, 1])))
         self._fixes.append((fix.t_ns, fix.lla, sigma, verdict.accepted))
         if self._quiet or verdict.accepted or len(self._fixes) < FIXES_KEPT:

@@ -11,11 +11,24 @@ from hybrid_ins.ros.review.fix_scatter import FixScatter
 PER_METRE = 1.0 / 6.378e6
 
 
-def warnings(scatter: float, claimed: float, rejected: float, acceleration: float = 0.0) -> str:
-    """Return what is said of 300 fixes at 5 Hz of a vehicle that goes to and fro."""
+def warnings(
+    scatter: float,
+    claimed: float,
+    rejected: float,
+    acceleration: float = 0.0,
+    before: tuple[float, ...] = (),
+) -> str:
+    """
+    Return what is said of 300 fixes at 5 Hz of a vehicle that goes to and fro.
+
+    One that is right comes at each time ``before`` them [s].
+    """
     rng = np.random.default_rng(1)
     log: list[str] = []
     watched = FixScatter(InputLog(lambda level, text: log.append(text)))
+    for t in before:
+        fix = PositionFix(round(t * 1e9), np.zeros(3), claimed**2 * np.eye(3), np.zeros(3))
+        watched.on_verdict(Verdict(fix, True, "", 0.0, 3.0, 16.0, np.full(3, claimed)))
     for k in range(300):
         north = acceleration * np.sin(0.2 * k)  # of 1 rad/s
         place = np.append((rng.normal(0.0, scatter, 2) + np.array((north, 0.0))) * PER_METRE, 0.0)
@@ -34,6 +47,10 @@ def test_a_claim_that_is_never_kept_is_named_with_the_floor() -> None:
     floor = float(text.split("gnss.position_std_min to ")[1].split(" ")[0])
     assert 0.4 <= floor <= 0.7
     assert text.count("scatter") <= 2
+
+
+def test_it_is_named_also_after_the_stamps_went_back() -> None:
+    assert "scatter by 0." in warnings(0.5, 0.01, 0.9, before=(3599.0, 3600.0))
 
 
 @pytest.mark.parametrize(
