@@ -4,25 +4,41 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.aiding.measurements import Heading
+from hybrid_ins.core.filter.events import (
+    AntennaShift,
+    ClockShift,
+    CovarianceInflation,
+    NoiseChange,
+    ScatterInForce,
+)
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.measurement_update import MeasurementUpdate
 from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.core.inertial.rotations import heading_from_quat, quat_from_rpy
 from hybrid_ins.core.inertial.state import (
     HEADING_VARIANCE,
+    JUMP_VARIANCE,
+    LLA,
+    N_ERROR,
     PSD,
     QUAT,
+    SENSITIVITY,
+    VELOCITY,
     Array,
     NavState,
     covariance,
     total_std,
 )
 from hybrid_ins.core.noise.heading_information import OF_FILTER, SUMS, VARIANCE
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.position_scatter import PositionScatter
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
-from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
-from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
+from hybrid_ins.core.sensor_errors.clock_sensitivity import initial_sensitivity
+from hybrid_ins.core.sensor_errors.lever_arm import PARAMETERS, LeverArmObserver
+from hybrid_ins.core.sensor_errors.scale_errors import CLOCK, ScaleErrorObserver
 from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.measurements import PositionFix
 
@@ -76,3 +92,54 @@ def test_another_sensor_shows_the_heading_in_full(nav: Array, whole: Measurement
     assert outcome.verdict is not None and outcome.verdict.accepted
     assert total_std(nav)[8] < 1.1 * std
     np.testing.assert_array_equal(whole.heading.values[SUMS], sums)
+
+
+def test_a_shift_of_the_clock_moves_the_state_and_all_estimates_of_it(
+    nav: Array, whole: MeasurementUpdate
+) -> None:
+    nav[VELOCITY] = 10.0, 0.0, 0.0
+    nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], np.zeros(3))
+    before = nav[LLA].copy()
+
+    whole.apply(nav, ClockShift(SECOND, 0.1), 0.0, False, ImuRing())
+
+    np.testing.assert_allclose(displacement(before, nav[LLA]), [-1.0, 0.0, 0.0], atol=1e-6)
+    left = whole.lever_arm._values[PARAMETERS.start], whole.scale_errors._parameters[CLOCK]
+    assert (whole.clock.residual, *left) == (-0.1, -0.1, -0.1)
+
+
+def test_jumps_of_fixes_are_known_to_the_next_filter_and_outlast_other_noise(
+    nav: Array, whole: MeasurementUpdate
+) -> None:
+    z, claimed = np.array([10.0, 0.0, 0.0]), np.diag([1e-4, 1e-4, 1e-4])
+    jumps = PositionJumps().learned(z, claimed, claimed, SECOND)
+    other = FilterNoise(whole.noise.model, whole.noise.process)
+
+    whole.apply(nav, ScatterInForce(SECOND, jumps), 0.0, False, ImuRing())
+    after = nav[JUMP_VARIANCE].copy()
+    whole.apply(nav, NoiseChange(SECOND, other), 0.0, False, ImuRing())
+
+    assert whole.scatter.in_force and after[0] == pytest.approx(50.0, rel=0.01)
+    np.testing.assert_array_equal(nav[JUMP_VARIANCE], after)
+
+
+@pytest.mark.parametrize("keeps_weights", [True, False])
+def test_what_moves_the_state_restarts_the_hypotheses_on_noise(
+    nav: Array, whole: MeasurementUpdate, keeps_weights: bool
+) -> None:
+    """A fault of the IMU leaves the factors that were found, another antenna does not."""
+    bank = NoiseMultipleModelBank()
+    whole.noise.factors, bank.estimates = bank, np.zeros(1)
+    bank.found = bank.found._replace(accelerometer=9.0)
+    std, zero = np.zeros(N_ERROR), np.zeros(3)
+    event = (
+        CovarianceInflation(SECOND, std, zero)
+        if keeps_weights
+        else AntennaShift(SECOND, zero, False)
+    )
+
+    whole.apply(nav, event, 0.0, False, ImuRing())
+
+    assert bank.estimates is None
+    assert bank.found.accelerometer == (9.0 if keeps_weights else 1.0)
+    assert (whole.noise.jumps.doubted_ns > SECOND) == keeps_weights
