@@ -15,7 +15,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.inertial.earth import EARTH_RATE, ECCENTRICITY_SQ, radii
+from hybrid_ins.core.inertial.earth import EARTH_RATE, ECCENTRICITY_SQ, radii, wrapped
 from hybrid_ins.core.inertial.state import (
     BIAS_A,
     BIAS_G,
@@ -220,7 +220,8 @@ def fix_values(nav, arm_b, out):  # type: ignore[no-untyped-def]
         arm_n[i] = C[3 * i] * arm_b[0] + C[3 * i + 1] * arm_b[1] + C[3 * i + 2] * arm_b[2]
     meridian, transverse = radii(lla[0])
     out[0] = np.degrees(lla[0] - arm_n[0] / (meridian + lla[2]))
-    out[1] = np.degrees(lla[1] - arm_n[1] / ((transverse + lla[2]) * np.cos(lla[0])))
+    lon = lla[1] - arm_n[1] / ((transverse + lla[2]) * np.cos(lla[0]))
+    out[1] = np.degrees(wrapped(lon))  # a vehicle may have crossed the date line
     out[2] = lla[2] + arm_n[2]
     P = np.empty((15, 15))
     unpack_total(nav, P)
