@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.alignment.multiple_model import HEADING_STD, N_HEADINGS, MultipleModelBank
+from hybrid_ins.core.filter.events import CovarianceInflation, Event, FilterChosen
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
@@ -24,16 +26,16 @@ SECOND = 1_000_000_000
 
 
 def begin(state: NavState, settings: FilterSettings) -> Any:
-    def submit(event: object) -> None:
-        pass
-
-    return SimpleNamespace(nav=state.to_flat(), t_ns=SECOND, verdicts=deque(), submit=submit)
+    events: list[Event] = []
+    one = SimpleNamespace(nav=state.to_flat(), t_ns=SECOND, verdicts=deque(), events=events)
+    one.submit = events.append
+    return one
 
 
 @pytest.fixture
 def bank() -> MultipleModelBank:
     """Return filters of several headings, of which one is left: it knows its own to 3°."""
-    level = NavState(
+    at_rest = NavState(
         np.array([0.5, 0.1, 0.0]),
         np.zeros(3),
         np.array([0.0, 0.0, 0.0, 1.0]),
@@ -41,7 +43,7 @@ def bank() -> MultipleModelBank:
         np.zeros(3),
         0.05**2 * np.eye(N_ERROR),
     )
-    found = MultipleModelBank([level] * N_HEADINGS, begin, FilterSettings())
+    found = MultipleModelBank([at_rest] * N_HEADINGS, begin, FilterSettings())
     assert found.heading_open
     return found
 
@@ -145,6 +147,82 @@ def test_a_hypothesis_whose_state_is_lost_does_not_hold_up_the_others(
     assert len(bank.filters) == N_HEADINGS - 1
 
 
+def level(yaw: float) -> NavState:
+    """Return the state of a vehicle that stands, with a heading [rad] ± 0.01."""
+    zero, P = np.zeros(3), 1e-4 * np.eye(N_ERROR)
+    return NavState(np.array([0.5, 0.1, 0.0]), zero, quat_from_rpy(0.0, 0.0, yaw), zero, zero, P)
+
+
+@pytest.mark.parametrize("nis_scale", [0.5, 4.0])
+def test_a_chosen_filter_is_as_uncertain_as_the_mixture_about_it(nis_scale: float) -> None:
+    two = MultipleModelBank([level(0.0), level(0.3)], begin, FilterSettings(), np.array([0.6, 0.4]))
+    two._nis_scale = nis_scale
+
+    chosen = two._decision(two.best).filter
+
+    (event,) = chosen.events
+    assert isinstance(event, FilterChosen)
+    assert chosen is two.filters[0] and event.t_ns == chosen.t_ns
+    spread = np.sqrt((0.01**2 + 0.6 * 0.4 * 0.3**2) * max(nis_scale, 1.0))
+    assert event.std[8] == pytest.approx(np.hypot(spread, 0.4 * 0.3))
+    assert not np.delete(event.std, 8).any()
+
+
+def decide_on(bank: MultipleModelBank, *fixes: PositionFix) -> None:
+    """Let all filters have decided on fixes that the bank was given."""
+    for fix in fixes:
+        bank._waiting[fix.kind, fix.t_ns] = fix
+        for one in bank.filters:
+            one.verdicts.append(Verdict(fix, True, "", 0.0, 2.0, 21.1, np.ones(3)))
+
+
+def fix_at(t_ns: int) -> PositionFix:
+    return PositionFix(t_ns, np.array([0.5, 0.1, 0.0]), np.eye(3), np.zeros(3))
+
+
+def test_where_a_motion_begins_each_filter_gets_the_uncertainty_of_its_cell_back(
+    bank: MultipleModelBank,
+) -> None:
+    decide_on(bank, fix_at(SECOND))
+    bank.motion.observe = lambda measurement, best: True  # type: ignore[method-assign]
+
+    bank._weigh_decided()
+
+    for one in bank.filters:
+        (event,) = one.events  # type: ignore[attr-defined]
+        assert isinstance(event, CovarianceInflation)
+        assert event.std[8] ** 2 == pytest.approx(HEADING_STD**2 - 0.05**2)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_only_motion_is_evidence_and_beyond_the_gate_all_is_the_same(
+    bank: MultipleModelBank, moves: bool
+) -> None:
+    decide_on(bank, fix_at(SECOND))
+    for k, nis in enumerate((2.0, 20.0, 30.0, 3000.0)):
+        bank.filters[k].verdicts[0] = replace(bank.filters[k].verdicts[0], nis=nis)
+    bank.motion.moves, bank.motion.observe = moves, lambda measurement, best: False  # type: ignore[method-assign]
+
+    bank._weigh_decided()
+
+    weights = np.exp(bank.log_weights)
+    assert (weights[0] > 2.0 * weights[1]) == moves
+    assert (weights[1] > weights[2]) == moves
+    assert weights[2] == pytest.approx(weights[3])
+
+
+def test_what_a_filter_has_judged_is_not_told_again_by_those_that_go_on(
+    bank: MultipleModelBank,
+) -> None:
+    judged, waits, alone = fix_at(SECOND), fix_at(2 * SECOND), fix_at(3 * SECOND)
+    decide_on(bank, judged, waits)
+    running: Any = SimpleNamespace(withdraw=lambda: [waits, alone])
+
+    assert bank.take_over(running) == [alone]
+
+    assert [verdict.measurement for verdict in bank._weigh_decided()] == [waits]
+
+
 def test_what_the_others_leave_unknown_outlasts_a_late_fix() -> None:
     """
     GIVEN two filters, each sure of another heading, of which one is chosen
@@ -159,25 +237,13 @@ def test_what_the_others_leave_unknown_outlasts_a_late_fix() -> None:
         gate = Gate({3: 16.0}, 3.0)
         return InsFilter(state, SECOND, sample, FilterNoise(*noise), gate, ring, settings)
 
-    states = [
-        NavState(
-            np.array([0.5, 0.1, 0.0]),
-            np.zeros(3),
-            quat_from_rpy(0.0, 0.0, yaw),
-            np.zeros(3),
-            np.zeros(3),
-            1e-4 * np.eye(N_ERROR),
-        )
-        for yaw in (0.0, 0.3)
-    ]
-    two = MultipleModelBank(states, start, FilterSettings())
+    two = MultipleModelBank([level(0.0), level(0.3)], start, FilterSettings())
     fly(ring, two.filters, SECOND, 30)
     chosen = two._decision(two.best).filter
     std = np.sqrt(chosen.nav[HEADING_VARIANCE])
     fly(ring, [chosen], chosen.t_ns, 5)
-    late = PositionFix(SECOND + 250_000_000, states[0].lla, np.eye(3), np.zeros(3))
 
-    chosen.submit(late)
+    chosen.submit(fix_at(SECOND + 250_000_000))
 
     assert chosen.verdicts[-1].accepted
     assert 0.15 < std < 0.25
