@@ -14,6 +14,7 @@ from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.cli import simulate
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.noise.heading_information import HeadingInformation
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Result, Scoring
@@ -150,6 +151,20 @@ def test_a_smoothed_attitude_is_as_uncertain_as_the_scale_errors_of_the_imu_make
         P = odometry[at, 7:43].reshape(-1, 6, 6)[:, 3:, 3:]
         nees.append(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)) / 3.0)
     assert 0.2 < np.mean(nees) < 1.5  # 2.6 by the smoother alone
+
+
+def test_a_smoothed_heading_is_as_uncertain_as_motion_left_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # GIVEN a filter that is surer of its heading than motion, by 0.3 rad
+    monkeypatch.setattr(HeadingInformation, "considered", lambda found, nav: 0.3**2)
+    run = draw(Scenario("heading", rate=100.0, duration=20.0), 1)
+    # WHEN it is smoothed
+    _, odometry = smoothed(run, **{"gnss.time_offset.estimate": False})
+    # THEN the heading has that, too, and no other angle
+    roll, pitch, yaw = np.sqrt(odometry[:, [28, 35, 42]]).T
+    assert yaw.min() > 0.29 and yaw[1000:].max() < 0.4
+    assert max(roll.max(), pitch.max()) < 0.1
 
 
 @pytest.mark.slow

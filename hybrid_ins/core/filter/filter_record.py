@@ -40,6 +40,7 @@ class Decided:
     clock_variance: float  # s²
     clock_drift: float  # s/s
     attitude_by_scale: Array  # (6,) `ScaleErrorObserver.considered`
+    heading_by_noise: float  # rad², `HeadingInformation.considered`
 
 
 class FilterRecord:
@@ -69,22 +70,22 @@ class FilterRecord:
         twin.decided, twin.too_old = [*self.decided], [*self.too_old]
         return twin
 
-    def add(self, event: Event, outcome: Outcome, after: MeasurementUpdate) -> None:
-        """Append an event that was applied, with noise, clock and scale errors after it."""
-        self.decided.append(_decided(event, outcome, after))
+    def add(self, event: Event, outcome: Outcome, after: MeasurementUpdate, nav: Array) -> None:
+        """Append an event that was applied, with what is known and the flat state after it."""
+        self.decided.append(_decided(event, outcome, after, nav))
 
-    def add_too_old(self, verdict: Verdict, now: MeasurementUpdate) -> None:
+    def add_too_old(self, verdict: Verdict, now: MeasurementUpdate, nav: Array) -> None:
         """Append a measurement that was not fused for its age; its verdict holds a threshold."""
         refused = Outcome(verdict, now.noise.found.fixes, False, None)
-        self.too_old.append(_decided(verdict.measurement, refused, now))
+        self.too_old.append(_decided(verdict.measurement, refused, now, nav))
 
     def rewind(self, count: int) -> None:
         """Forget all but the first ``count`` events: the others are applied again."""
         del self.decided[count:]
 
 
-def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate) -> Decided:
-    """Return what is kept of an event, with noise, clock and scale errors as they are."""
+def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate, nav: Array) -> Decided:
+    """Return what is kept of an event, with noise, clock, scale errors and heading as they are."""
     clock = update.clock
     return Decided(
         event,
@@ -94,4 +95,5 @@ def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate) -> Decid
         clock_variance=clock.sigma**2,
         clock_drift=clock.drift,
         attitude_by_scale=update.scale_errors.considered,
+        heading_by_noise=update.heading.considered(nav),
     )

@@ -261,7 +261,7 @@ class InsFilter:
         if outcome.verdict is not None:
             self.verdicts.append(outcome.verdict)
         if self.record is not None:
-            self.record.add(event, outcome, self.update)
+            self.record.add(event, outcome, self.update, self.nav)
         self._checkpoint()
 
     def _refuse(self, event: Event, reason: str) -> None:
@@ -273,7 +273,7 @@ class InsFilter:
         self.verdicts.append(verdict)
         if self.record is not None and reason == TOO_OLD:  # with hindsight it can be used
             threshold = self.update.gate.threshold(len(event.linearise(self.nav)[0]))
-            self.record.add_too_old(replace(verdict, threshold=threshold), self.update)
+            self.record.add_too_old(replace(verdict, threshold=threshold), self.update, self.nav)
 
     def _checkpoint(self) -> None:
         """Keep a checkpoint of the present state."""

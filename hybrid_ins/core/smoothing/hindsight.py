@@ -119,6 +119,16 @@ class Hindsight:
         stamps, squares = zip(*(known or [(0, np.zeros(6))]), strict=True)
         return np.array(stamps, np.int64), np.array(squares)
 
+    def heading_by_noise(self) -> tuple[NDArray[np.int64], Array]:
+        """
+        Return what motion did not show of the heading, as it was known while filtering.
+
+        Stamps (n,) [ns] and from each on the variance (n,) [rad²], `HeadingInformation.considered`.
+        """
+        known = [(s.decided.event.t_ns, s.decided.heading_by_noise) for s in self._steps]
+        stamps, variances = zip(*(known or [(0, 0.0)]), strict=True)
+        return np.array(stamps, np.int64), np.array(variances)
+
 
 def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
     """Return whether any measurement has a lever arm other than zero."""

@@ -61,14 +61,14 @@ class SmoothedRun:
             hindsight = Hindsight(stretch)
             smoother, constants = hindsight.smoother(self._make_store, self._progress)
             smoother.run()
-            decided_ns, by_scale = hindsight.attitude_by_scale()
+            by_scale, by_noise = hindsight.attitude_by_scale(), hindsight.heading_by_noise()
             _report_lever_arm(estimator, constants)
             self._clocks.append(hindsight.clock_offsets(constants.clock_offset))
             # what is known is where the antenna was
             arm_b = estimator.placement.arm_b - constants.lever_b
             for t_ns, rows in smoother.states():
-                last = np.searchsorted(decided_ns, t_ns, side="right") - 1
-                rows[:, ATTITUDE_COVARIANCE] += by_scale[np.maximum(last, 0)]
+                rows[:, ATTITUDE_COVARIANCE] += _in_force(t_ns, *by_scale)
+                rows[:, ATTITUDE_COVARIANCE.stop - 1] += _in_force(t_ns, *by_noise)
                 for part in _parts(rows):
                     levels = process.q(rows[part.start, PSD][:6])
                     block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])
@@ -126,6 +126,12 @@ def _report_lever_arm(estimator: Estimator, found: ConstantErrors) -> None:
             "gnss.antenna_position nor imu.position says: the track and its covariance are those "
             "of the antenna",
         )
+
+
+def _in_force(t_ns: NDArray[np.int64], since_ns: NDArray[np.int64], values: Array) -> Array:
+    """Return those of ``values``, each since a stamp [ns], that hold at other stamps (N,)."""
+    last = np.searchsorted(since_ns, t_ns, side="right") - 1
+    return np.asarray(values[np.maximum(last, 0)])
 
 
 def _parts(rows: Array) -> Iterator[slice]:

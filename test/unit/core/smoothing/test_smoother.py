@@ -27,6 +27,7 @@ from hybrid_ins.core.inertial.state import (
     DV,
     EPS,
     N_ERROR,
+    N_FLAT,
     N_NAV,
     PLACES,
     PSD,
@@ -176,21 +177,26 @@ def test_start_about_a_smoothed_heading_keeps_a_positive_covariance() -> None:
     assert moved.P[3, 8] / np.sqrt(moved.P[8, 8]) == pytest.approx(P[3, 8])
 
 
-def test_a_record_keeps_the_drift_of_the_clock() -> None:
+def test_a_record_keeps_the_drift_of_the_clock_and_what_motion_does_not_show() -> None:
     nothing: Any = SimpleNamespace(
         measurement=None, levels=lambda: np.ones(6), found=NoiseFactors()
     )
     record, clock = FilterRecord(nothing), ClockOffsetObserver(0.1, drift=ClockDrift(3e-4))
     update: Any = SimpleNamespace(
-        noise=nothing, clock=clock, scale_errors=SimpleNamespace(considered=np.ones(6))
+        noise=nothing,
+        clock=clock,
+        scale_errors=SimpleNamespace(considered=np.ones(6)),
+        heading=SimpleNamespace(considered=lambda nav: 0.01),
     )
 
-    record.add(nothing, Outcome(None, 1.0, False, None), update)
-    record.add_too_old(nothing, update)
+    nav = np.zeros(N_FLAT)
+    record.add(nothing, Outcome(None, 1.0, False, None), update, nav)
+    record.add_too_old(nothing, update, nav)
 
     for decided in (record.decided[0], record.too_old[0]):
         assert decided.clock_drift == 3e-4
         assert decided.clock_variance == pytest.approx(clock.sigma**2)
+        assert decided.heading_by_noise == 0.01
 
 
 def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -> None:
@@ -202,6 +208,7 @@ def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -
                 levels=np.ones(6),
                 r_scale=1.0,
                 attitude_by_scale=np.full(6, square),
+                heading_by_noise=square,
             )
             for k, square in enumerate(considered, start=1)
         ]
@@ -215,6 +222,11 @@ def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -
     stamps, squares = hindsight.Hindsight(kept()).attitude_by_scale()
     assert stamps.tolist() == [0]
     assert not squares.any()
+    # AND what motion does not show of the heading is that of all times
+    stamps, variances = hindsight.Hindsight(kept(1.0, 2.0, 0.0, 4.0)).heading_by_noise()
+    assert (stamps.tolist(), variances.tolist()) == ([1, 2, 3, 4], [1.0, 2.0, 0.0, 4.0])
+    stamps, variances = hindsight.Hindsight(kept()).heading_by_noise()
+    assert (stamps.tolist(), variances.tolist()) == ([0], [0.0])
 
 
 @pytest.mark.parametrize("drift", [0.0, 3e-4])
