@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
+from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.sensors import RTK_STD, ImuErrors
-from hybrid_ins.simulation.simulate import MOTIONS, Scenario, simulate
+from hybrid_ins.simulation.simulate import MOTIONS, Scenario, simulate, simulate_vehicle
+from hybrid_ins.simulation.vehicles import VEHICLES
+
+BESIDE_VEHICLE = {"out", "vehicle", "duration", "truth_rate", "outage", "seed", "overwrite"}
+SHORT = 60.0  # s
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program."""
-    return program.run(_run, _parser().parse_args(argv))
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if args.vehicle is not None:
+        _check_unused(parser, args)
+    return program.run(_run, args)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -30,8 +40,15 @@ The defaults are Table I of Or & Klein (2022): a 60 s quadrotor flight, an MPU-9
 The bag holds /imu/data, /gnss/fix, /gnss/velocity (on request), /truth/odometry in the map whose
 origin is the first fix, that origin on /truth/datum, and what the filter estimates besides:
 /truth/imu/bias, /truth/q/accelerometer, /truth/q/gyroscope.
-Vectors are given in the bag's axes: forward, left, up.""",
-        "ins_simulate flight --outage 30 10 --noise-schedule 0:1,20:5,40:1 --seed 3",
+Vectors are given in the bag's axes: forward, left, up.
+
+With --vehicle it is a vehicle with what real ones have: vibration of its engine and of the road,
+a receiver with slow errors and a claim that need not be right, a clock that is off or drifts. It
+comes with IMU and receiver; --seed varies its way, too:
+"""
+        + "\n".join(f"  {name}" for name in VEHICLES | ROAD_VEHICLES),
+        "ins_simulate flight --outage 30 10 --noise-schedule 0:1,20:5,40:1 --seed 3\n"
+        "  ins_simulate drive --vehicle 'car, drift 300 ppm' --seed 2",
     )
     p.add_argument(
         "out", metavar="OUT", type=options.path, help="bag: a directory, or a file *.mcap"
@@ -39,13 +56,22 @@ Vectors are given in the bag's axes: forward, left, up.""",
     motion = p.add_argument_group("motion")
     motion.add_argument("--trajectory", choices=MOTIONS, default="quadrotor", help="[%(default)s]")
     motion.add_argument(
+        "--vehicle",
+        choices=VEHICLES | ROAD_VEHICLES,
+        metavar="NAME",
+        help="one of those above, in place of a trajectory with the sensors described below",
+    )
+    motion.add_argument(
         "--variant",
         type=options.count,
         metavar="N",
         help="vary the manoeuvres by this number [the nominal motion]",
     )
     motion.add_argument(
-        "--duration", type=options.positive, default=60.0, metavar="S", help="[%(default)g s]"
+        "--duration",
+        type=options.positive,
+        metavar="S",
+        help=f"[{SHORT:g} s; of a vehicle 240 s]",
     )
     motion.add_argument(
         "--start",
@@ -148,7 +174,32 @@ Vectors are given in the bag's axes: forward, left, up.""",
     return p
 
 
+def _check_unused(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """End with an error where an option is given that a vehicle does not use."""
+    for name, value in vars(args).items():
+        if name not in BESIDE_VEHICLE and value is not parser.get_default(name):
+            parser.error(
+                f"--{name.replace('_', '-')}: --vehicle brings motion, IMU and receiver: leave one"
+                " of the two out"
+            )
+
+
 def _run(args: argparse.Namespace) -> None:
+    outages = options.outages(args.outage)
+    if args.vehicle is not None:
+        vehicle = (VEHICLES | ROAD_VEHICLES)[args.vehicle]
+        if args.duration is not None:
+            vehicle = replace(vehicle, duration=args.duration)
+        line = simulate_vehicle(
+            vehicle,
+            args.out,
+            seed=args.seed,
+            truth_rate=args.truth_rate,
+            outages=outages,
+            overwrite=args.overwrite,
+        )
+        print(line)
+        return
     errors = ImuErrors(
         accelerometer_std=args.accelerometer_std,
         gyroscope_std=args.gyroscope_std,
@@ -162,7 +213,7 @@ def _run(args: argparse.Namespace) -> None:
     scenario = Scenario(
         motion=args.trajectory,
         variant=args.variant,
-        duration=args.duration,
+        duration=args.duration or SHORT,
         start_lla=_start(args.start),
         heading=np.radians(args.heading),
         truth_rate=args.truth_rate,
@@ -172,7 +223,7 @@ def _run(args: argparse.Namespace) -> None:
         gnss_rate=args.gnss_rate,
         gnss_noise=args.gnss_noise,
         velocity_std=args.gnss_velocity,
-        outages=options.outages(args.outage),
+        outages=outages,
         lever_arm_b=args.lever_arm @ FLIP,
         time_offset=args.time_offset,
         seed=args.seed,

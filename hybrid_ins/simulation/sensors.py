@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +59,10 @@ class Truth:
     def angular_rate_eb_b(self) -> Array:
         """Angular rate relative to the Earth, body axes, shape (N, 3) [rad/s]."""
         return self.angular_rate_b - to_body(self.C_nb, _earth_rate_n(self.lla[:, 0]))
+
+    def every(self, step: int) -> Truth:
+        """Return every ``step``-th epoch."""
+        return Truth(*(getattr(self, field.name)[::step] for field in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """
 A simulated drive or flight, its sensors and its truth, as a bag.
 
-The bag holds what the node subscribes to, the true motion, and what the filter estimates besides:
-the true biases and noise variances.
+The sensors are those of a `Scenario`, or those that a `Vehicle` comes with. The bag holds what the
+node subscribes to, the true motion, and what the filter estimates besides: the true biases and
+noise variances.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.rotations import quat_from_rpy, quat_multiply
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.conversions import FLIP
-from hybrid_ins.ros.messages.trajectory import Trajectory
+from hybrid_ins.ros.messages.trajectory import Array, Stamps, Trajectory
 from hybrid_ins.ros.messages.type_names import ACCELERATION, VECTOR
 from hybrid_ins.simulation.motions import (
     Motion,
@@ -32,6 +33,7 @@ from hybrid_ins.simulation.motions import (
 )
 from hybrid_ins.simulation.sensors import (
     RTK_STD,
+    GnssData,
     ImuData,
     ImuErrors,
     Truth,
@@ -41,6 +43,7 @@ from hybrid_ins.simulation.sensors import (
     sample,
     sample_times,
 )
+from hybrid_ins.simulation.vehicles import Vehicle, record
 
 ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
 MOST_SAMPLES = 5_000_000  # about 4 GB of memory
@@ -99,40 +102,142 @@ def simulate(scenario: Scenario, out: Path, *, overwrite: bool = False) -> str:
         There are too few or too many samples, no fix is left, or the bag cannot be written.
 
     """
-    samples = scenario.duration * max(scenario.imu_rate, scenario.gnss_rate, scenario.truth_rate)
-    if not 2.0 <= samples <= MOST_SAMPLES:
-        raise InputError(
-            f"--duration {scenario.duration:g} s makes {samples:.3g} samples:"
-            f" 2 to {MOST_SAMPLES:g} fit"
-        )
+    fastest = max(scenario.imu_rate, scenario.gnss_rate, scenario.truth_rate)
+    _check_size(scenario.duration, fastest)
     motion = _motion(scenario)
     imu_rng, gnss_rng, orientation_rng = np.random.default_rng(scenario.seed).spawn(3)
     imu_truth = sample(motion, sample_times(scenario.duration, scenario.imu_rate))
     imu = corrupt(imu_truth, scenario.imu_errors, imu_rng)
-    offset_ns = round(scenario.time_offset * 1e9)
-    gnss = _gnss_record(scenario, motion, gnss_rng, offset_ns)
-    truth = sample(motion, sample_times(scenario.duration, scenario.truth_rate))
+    received = fixes(
+        sample(motion, sample_times(scenario.duration, scenario.gnss_rate)),
+        gnss_rng,
+        scenario.gnss_noise,
+        scenario.lever_arm_b,
+        scenario.velocity_std,
+    )
+    wrote = _write(
+        out,
+        _imu_record(scenario, imu, imu_truth, orientation_rng),
+        imu,
+        _without(received, scenario.outages),
+        sample(motion, sample_times(scenario.duration, scenario.truth_rate)),
+        scenario.time_offset,
+        overwrite=overwrite,
+    )
+    return f"{out}: {scenario.motion}, {wrote}"
+
+
+def simulate_vehicle(
+    vehicle: Vehicle,
+    out: Path,
+    *,
+    seed: int = 0,
+    truth_rate: float = 100.0,
+    outages: Sequence[tuple[float, float]] = (),
+    overwrite: bool = False,
+) -> str:
+    """
+    Simulate a vehicle with the sensors that it comes with and write its bag.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    out : Path
+    seed : int
+        Of its way and of all noise.
+    truth_rate : float
+        Hz; at most the IMU's.
+    outages : sequence of (float, float)
+        Start, duration [s].
+    overwrite : bool
+        See `hybrid_ins.bags.writer.BagWriter`.
+
+    Returns
+    -------
+    str
+        A line on what was written.
+
+    Raises
+    ------
+    InputError
+        See `simulate`.
+
+    """
+    receiver = vehicle.receiver
+    _check_size(vehicle.duration, max(vehicle.imu_rate, receiver.rate))
+    recording = record(vehicle, seed)
+    imu, velocity_std = recording.imu, receiver.velocity_std
+    received = GnssData(
+        recording.fix_t,
+        recording.fix_lla,
+        np.asarray(receiver.claimed_std),
+        recording.fix_velocity_n,
+        None if velocity_std is None else np.full(3, velocity_std),
+    )
+    wrote = _write(
+        out,
+        ImuRecord(stamps(imu.t), imu.specific_force, imu.angular_rate),
+        imu,
+        _without(received, outages),
+        recording.truth.every(max(1, round(vehicle.imu_rate / truth_rate))),
+        receiver.offset,
+        receiver.drift,
+        overwrite=overwrite,
+    )
+    return f"{out}: {vehicle.name}, {wrote}"
+
+
+def _check_size(duration: float, rate: float) -> None:
+    samples = duration * rate
+    if not 2.0 <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"--duration {duration:g} s makes {samples:.3g} samples: 2 to {MOST_SAMPLES:g} fit"
+        )
+
+
+def _write(
+    out: Path,
+    imu_record: ImuRecord,
+    imu: ImuData,
+    gnss: GnssData,
+    truth: Truth,
+    offset: float,
+    drift: float = 0.0,
+    *,
+    overwrite: bool,
+) -> str:
+    """
+    Write a bag and return what is in it.
+
+    The IMU's clock is ``offset`` + ``drift`` t [s] ahead of the reference clock, which stamps fixes
+    and truth. They are logged when they are true, or up to what the clock drifts later.
+    """
+
+    def reference_ns(t: Array) -> Stamps:
+        return stamps(t - (offset + drift * t))
+
+    received = GnssRecord(
+        reference_ns(gnss.t), gnss.lla, gnss.position_std, gnss.velocity_n, gnss.velocity_std
+    )
     trajectory = Trajectory.from_navigation(
-        stamps(truth.t) - offset_ns,
+        reference_ns(truth.t),
         truth.lla,
         truth.velocity_n,
         truth.quat_xyzw,
-        datum_lla=flight_bag.first_datum(gnss),
+        datum_lla=flight_bag.first_datum(received),
     )
     flight_bag.write_flight(
         out,
-        _imu_record(scenario, imu, imu_truth, orientation_rng),
-        gnss,
+        imu_record,
+        received,
         TruthRecord(trajectory, truth.angular_rate_eb_b),
-        log_offset_ns=offset_ns,
-        others=[_error_entries(imu, scenario.imu_rate)],
+        log_offset_ns=round((offset + max(drift * float(imu.t[-1]), 0.0)) * 1e9),
+        others=[_error_entries(imu)],
         overwrite=overwrite,
     )
     return (
-        f"{out}: {scenario.motion}, {scenario.duration:g} s;"
-        f" {imu.t.size} IMU samples at {scenario.imu_rate:g} Hz,"
-        f" {gnss.stamp_ns.size} fixes at {scenario.gnss_rate:g} Hz,"
-        f" {truth.t.size} epochs of truth at {scenario.truth_rate:g} Hz"
+        f"{imu.t[-1]:g} s; {imu.t.size} IMU samples, {gnss.t.size} fixes,"
+        f" {truth.t.size} epochs of truth"
     )
 
 
@@ -160,32 +265,18 @@ def _imu_record(
     )
 
 
-def _gnss_record(
-    scenario: Scenario, motion: Motion, rng: np.random.Generator, offset_ns: int
-) -> GnssRecord:
-    received = fixes(
-        sample(motion, sample_times(scenario.duration, scenario.gnss_rate)),
-        rng,
-        scenario.gnss_noise,
-        scenario.lever_arm_b,
-        scenario.velocity_std,
-    )
-    report_empty_outages(received.t, scenario.outages)
-    gnss = received.without(scenario.outages)
-    return GnssRecord(
-        stamps(gnss.t) - offset_ns,
-        gnss.lla,
-        gnss.position_std,
-        gnss.velocity_n,
-        gnss.velocity_std,
-    )
+def _without(received: GnssData, outages: Sequence[tuple[float, float]]) -> GnssData:
+    """Return the fixes outside of outages, and warn of outages in which no fix lies."""
+    report_empty_outages(received.t, outages)
+    return received.without(outages)
 
 
-def _error_entries(imu: ImuData, imu_rate: float) -> Iterator[Entry]:
+def _error_entries(imu: ImuData) -> Iterator[Entry]:
     """Yield messages of the true biases and noise variances, sensor axes (FLU)."""
     bias = new_message(ACCELERATION)
     noise = new_message(VECTOR)
-    for row in range(0, imu.t.size, max(round(imu_rate / MONITOR_RATE), 1)):
+    period = float(imu.t[1] - imu.t[0])
+    for row in range(0, imu.t.size, max(round(1.0 / (MONITOR_RATE * period)), 1)):
         stamp_ns = int(stamps(imu.t[row]))
         flight_bag.stamp(bias, stamp_ns, "imu_link")
         flight_bag.set_vector(bias.accel.accel.linear, imu.accelerometer_bias[row] @ FLIP)

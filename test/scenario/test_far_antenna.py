@@ -7,8 +7,8 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.simulation.sensors import ImuErrors
-from hybrid_ins.simulation.ships import ship
 from hybrid_ins.simulation.vehicles import Receiver, Vehicle, record
+from test.support.ships import ship
 from tools.vehicles import judge
 from tools.vehicles.drives import Drive, from_simulation
 

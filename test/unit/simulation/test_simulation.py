@@ -41,6 +41,7 @@ from hybrid_ins.simulation.sensors import (
     sample,
     sample_times,
 )
+from hybrid_ins.simulation.vehicles import VEHICLES
 
 MOTIONS: list[Callable[..., Motion]] = [
     quadrotor_flight,
@@ -513,6 +514,34 @@ def test_clock_offset_moves_stamps_of_fixes_and_truth_but_not_their_arrival(
     np.testing.assert_array_equal(rows(aligned, "/imu/data")[0], rows(shifted, "/imu/data")[0])
 
 
+def test_a_vehicle_comes_with_its_sensors(tmp_path: Path) -> None:
+    drive, again, other = tmp_path / "drive", tmp_path / "again.mcap", tmp_path / "other.mcap"
+    arguments = ["--vehicle", "car, drift 300 ppm", "--duration", "40", "--truth-rate", "10"]
+    assert main([str(drive), *arguments, "--seed", "1", "--outage", "10", "5"]) == 0
+    receiver = VEHICLES["car, drift 300 ppm"].receiver
+    imu_t, _, imu = rows(drive, "/imu/data")
+    fix_t, fix_log, fix = rows(drive, "/gnss/fix")
+    truth_t, _, truth = rows(drive, "/truth/odometry")
+    np.testing.assert_allclose(imu_t, np.arange(4001) / 100.0, atol=1e-9)
+    true_t = np.arange(0.35, 39.95)
+    true_t = true_t[(true_t < 10.0) | (true_t >= 15.0)]
+    np.testing.assert_allclose(fix_t, true_t - 0.02 - 3e-4 * true_t, atol=2e-9)
+    late = fix_log - true_t
+    assert late.min() >= -2e-9 and late.max() <= 3e-4 * 40.0 + 2e-9
+    np.testing.assert_allclose(truth_t, np.arange(401) / 10.0 * (1.0 - 3e-4) - 0.02, atol=2e-9)
+    claimed = np.sqrt(fix[0].position_covariance[[4, 0, 8]])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(claimed, receiver.claimed_std)
+    moved = xyz([m.pose.pose.position for m in truth])  # type: ignore[attr-defined]
+    assert np.ptp(moved[truth_t < 10.0]) < 0.1 < 20.0 < np.ptp(moved)
+    force = xyz([m.linear_acceleration for m in imu])  # type: ignore[attr-defined]
+    assert force[imu_t < 9.0, 0].std() > 0.2  # the engine runs
+
+    for out, seed in ((again, "1"), (other, "2")):
+        assert main([str(out), *arguments, "--seed", seed]) == 0
+    (_, _, first), (_, _, second) = rows(again, "/truth/odometry"), rows(other, "/truth/odometry")
+    assert [m.pose.pose.position for m in first] != [m.pose.pose.position for m in second]  # type: ignore[attr-defined]
+
+
 def test_gnss_velocity_is_enu_with_its_covariance(tmp_path: Path) -> None:
     bag = run(tmp_path / "bag", "--trajectory aircraft --duration 20 --gnss-velocity")
     _, _, velocity = rows(bag, "/gnss/velocity")
@@ -577,6 +606,11 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
         ("--start 91 0 0", "--start"),
         ("--seed -1", "--seed"),
         ("--seed 1.5", "--seed"),
+        ("--vehicle sleigh", "'slow rover'"),
+        ("--vehicle boat --imu-rate 100", "--imu-rate: --vehicle brings motion"),
+        ("--vehicle boat --mount-rpy 0 0 5", "--mount-rpy: --vehicle brings motion"),
+        ("--vehicle boat --duration 1e9", "samples"),
+        ("--vehicle boat --duration 5 --outage 0 100", "no GNSS fix is left"),
     ],
 )
 def test_wrong_arguments_leave_one_line_and_no_bag(
