@@ -121,6 +121,28 @@ def test_a_flood_of_fixes_is_cut_and_told() -> None:
     assert any("more than 100 in a second" in line for line in drive.warnings())
 
 
+@pytest.mark.parametrize("leap", [1, -1, 3])
+def test_a_receiver_whose_clock_leaps_by_whole_seconds_is_followed(leap: int) -> None:
+    # GIVEN a filter that runs on fixes 0.1 s late
+    drive = Drive(**KNOWN)
+    drive.delay = 0.1
+    drive.play(0.0, 15.0)
+    # WHEN the receiver stamps by whole seconds earlier or later from then on
+    stamp, fix = drive.stamp, drive.fix
+
+    def leapt(k: int) -> None:
+        drive.stamp = lambda t: stamp(t) + leap * 1_000_000_000  # type: ignore[method-assign]
+        fix(k)
+        drive.stamp = stamp  # type: ignore[method-assign]
+
+    drive.fix = leapt  # type: ignore[method-assign]
+    drive.play(15.0, 25.0)
+    # THEN its stamps are corrected by that, which is told, and the state is right
+    assert drive.estimator.clock.offset == -leap
+    assert any(f"leapt by {leap:+d} s" in line for line in drive.warnings())
+    assert drive.error(25.0) < 0.5
+
+
 def test_changes_while_it_runs_keep_the_state_and_outlast_late_fixes() -> None:
     # GIVEN fixes that come 0.3 s late: each is fused in a state from before
     drive = Drive(**KNOWN)

@@ -77,6 +77,11 @@ class ClockCorrection:
         return float(self._given + self._moved)
 
     @property
+    def moved(self) -> float:
+        """What estimation has added to the given offset [s]."""
+        return self._moved
+
+    @property
     def _is_calibrated(self) -> bool:
         return bool(self._std > 0.0)
 
@@ -96,6 +101,19 @@ class ClockCorrection:
         by = self.offset - before
         if LEAST < abs(by) < LARGEST:
             self._navigator.phases.submit(ClockShift(self._navigator.last_ns, by))
+
+    def leap(self, by: float) -> None:
+        """Note that the receiver's clock has leapt: ``by`` [s] more is added, as if given so."""
+        self._given += by
+        self.prior = _moved(self.prior, by)
+        self._settled = self._settled and _moved(self._settled, by)
+        if self._found is not None:
+            self._found = _moved(self._found[0], by), self._found[1]
+        self._inputs.log(
+            "warn",
+            f"gnss: the receiver's stamps leapt by {-by:+.0f} s, by which they are corrected from "
+            "now on: did it learn the leap seconds of UTC?",
+        )
 
     def keep(self) -> None:
         """Restart, as the filter did, with what it has found: the clocks are the same."""
@@ -268,3 +286,8 @@ class ClockCorrection:
             f"{offset + missing:+.3f} ± {sigma:.3f} s{searching}"
         )
         return status("clock", int(bool(fault)), text, values)
+
+
+def _moved(prior: ClockPrior, by: float) -> ClockPrior:
+    """Return the prior of an offset that is ``by`` [s] larger."""
+    return prior._replace(mean=prior.mean + by)

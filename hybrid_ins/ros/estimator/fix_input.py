@@ -4,6 +4,7 @@ Messages of the receiver into measurements.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -13,8 +14,14 @@ from hybrid_ins.core.update.measurements import Measurement, PositionFix
 from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
 from hybrid_ins.ros.estimator.filter_factory import FilterFactory
 from hybrid_ins.ros.estimator.flood_guard import FloodGuard
+from hybrid_ins.ros.estimator.stamp_leaps import SECOND_NS, StampLeaps
 from hybrid_ins.ros.messages.conversions import GnssInput, Message, Refused
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
+
+STAMP_LEAPS = Refused(
+    "gnss: stamp leaps",
+    "header.stamp leaps ahead by whole seconds; the fixes are used once the stamps stay there",
+)
 
 
 class FixInput:
@@ -48,10 +55,13 @@ class FixInput:
         self._placement = placement
         self._clock = clock
         self._flood = FloodGuard()
+        self._leaps: defaultdict[str, StampLeaps] = defaultdict(StampLeaps)
         self.configure()
 
     def configure(self, changes: Iterable[str] = ()) -> None:
         """Use the present parameters, of which ``changes`` are new, placement and clock offset."""
+        if "gnss.time_offset.value" in changes:
+            self._leaps.clear()
         placement = self._placement
         is_placed = placement.antenna_is_placed
         self._parts.set_antenna(placement.lever_b, placement.antenna_std, is_placed)
@@ -84,5 +94,16 @@ class FixInput:
         return self._gnss.velocity(message, received_ns)
 
     def admit(self, topic: str, measurement: Measurement) -> Measurement | Refused:
-        """Return a measurement of a topic, or why it is one too many."""
-        return self._flood.check(topic, self._navigator.last_ns, measurement.t_ns) or measurement
+        """Return a measurement of a topic, or why it is one too many or waits: its stamp leaps."""
+        now_ns = self._navigator.last_ns
+        refused = self._flood.check(topic, now_ns, measurement.t_ns)
+        if refused is not None or now_ns == 0:
+            return refused or measurement
+        leaps = self._leaps[topic]
+        leap = leaps.observe(measurement.t_ns - round(self._clock.moved * 1e9), now_ns)
+        if leap == 0:
+            return measurement
+        if leaps.confirmed:
+            self._clock.leap(-float(leap))
+            return replace(measurement, t_ns=measurement.t_ns - leap * SECOND_NS)  # type: ignore[type-var]
+        return STAMP_LEAPS if leap > 0 else measurement
