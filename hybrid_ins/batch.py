@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -304,13 +304,19 @@ def _by_processes(
     Yield outcomes of processes of this machine as they come.
 
     Where one is killed, the pool and with it the jobs in work are lost, and nobody knows whose it
-    was: each of them is done again alone, and has failed if that is killed, too.
+    was: each of them is done again alone, and has failed if that is killed, too. One that was
+    complete, but not told of, has its record by then: it is a result of this run all the same.
     """
     waiting = deque(jobs)
     while waiting:
         for job in (yield from _until_one_is_killed(attempt, waiting, workers)):
-            if (yield from _until_one_is_killed(attempt, deque([job]), 1)):
+            again = partial(_of_this_run, attempt)
+            if (yield from _until_one_is_killed(again, deque([job]), 1)):
                 yield Outcome(job.name, {}, KILLED)
+
+
+def _of_this_run(attempt: Callable[[Job], Outcome], job: Job) -> Outcome:
+    return replace(attempt(job), kept=False)
 
 
 def _until_one_is_killed(

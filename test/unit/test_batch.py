@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from support.batch_work import killed_at_b, written
+from support.batch_work import killed_at_b, killed_at_b_before_a_is_told_of, written
 from support.paths import ROOT
 
 from hybrid_ins import batch
@@ -41,6 +41,18 @@ def test_a_killed_process_costs_its_own_bag_only(
     assert [row[0] for row in rows] == ["bag", "a", "b", "c", "d"]
     assert [row[1] for row in rows] == ["x", "1", "failed:", "1", "1"]
     assert sorted(path.stem for path in (tmp_path / "out").iterdir()) == ["a", "c", "d"]
+
+
+def test_what_a_killed_process_interrupts_was_not_finished_before(
+    jobs: list[batch.Job], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN a bag with its record WHEN another's process ends the pool THEN it is of this run."""
+    work = partial(killed_at_b_before_a_is_told_of, tmp_path / "out")
+
+    with pytest.raises(InputError, match=r"^1 of 4 bags failed: b$"):
+        batch.run(jobs, work, {}, workers=2)
+
+    assert "finished before" not in capsys.readouterr().out
 
 
 def test_a_killed_process_of_any_program_is_one_line() -> None:
