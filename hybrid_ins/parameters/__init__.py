@@ -8,7 +8,7 @@ writes it. They are declared in `hybrid_ins.parameters.declared`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hybrid_ins import yaml_reader
@@ -23,6 +23,7 @@ NODE_NAME = "ins_node"
 SIMILAR = 0.7  # similarity of two names, by difflib, from which one is suggested for the other
 
 LISTED = 4  # names of a group, at most
+FAULTS = 4  # that are told at once, at most
 
 OTHER_NAMES = {
     "imu_topic": "remap the topic imu/data (launch: imu_topic:=, programs: --imu-topic)",
@@ -48,15 +49,27 @@ def check_all(given: Mapping[str, object]) -> Values:
     Raises
     ------
     InputError
-        Unknown name (a similar known one is suggested) or impossible value.
+        Unknown names (a similar known one is suggested) or impossible values.
     """
     values = defaults()
+    faults: list[str] = []
     for name, value in given.items():
         if name == "use_sim_time" or name.startswith("qos_overrides."):
             continue
-        values[name] = find(name).check(value)
+        try:
+            values[name] = find(name).check(value)
+        except InputError as error:
+            faults.append(str(error))
+    _refuse(faults)  # else it may be by these that values contradict each other
     check_together(values)
     return values
+
+
+def _refuse(faults: Sequence[str]) -> None:
+    """Raise `InputError` where there are faults, with the first of them."""
+    if faults:
+        more = f"; and {len(faults) - FAULTS} more" if len(faults) > FAULTS else ""
+        raise InputError("; ".join(faults[:FAULTS]) + more)
 
 
 def find(name: str) -> Parameter:
@@ -117,33 +130,34 @@ def parse_value(name: str, text: str) -> object:
 
 def check_together(values: Mapping[str, Any]) -> None:
     """Raise `InputError` where values contradict each other."""
+    _refuse([*_contradictions(values), *_wrong_frames(values)])
+
+
+def _contradictions(values: Mapping[str, Any]) -> Iterator[str]:
     datum = values["datum"]
     if datum and not (abs(datum[0]) < 90.0 and abs(datum[1]) <= 360.0):
-        raise InputError(
-            f"parameter datum: {datum} is not latitude [deg], longitude [deg], height [m]"
-        )
+        yield f"parameter datum: {datum} is not latitude [deg], longitude [deg], height [m]"
     for low in ("gnss.position_std_min", "noise.q_accelerometer_min", "noise.q_gyroscope_min"):
         high = low.replace("_min", "_max")
         if values[low] > values[high]:
-            raise InputError(
+            yield (
                 f"parameter {low}: {values[low]:g} is greater than {high}, which is "
                 f"{values[high]:g}: lower the one or raise the other"
             )
-    _check_frames(values)
 
 
-def _check_frames(values: Mapping[str, Any]) -> None:
-    """Refuse frames with which /tf would not be a tree."""
+def _wrong_frames(values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield why frames would not make /tf a tree."""
     frames: dict[str, str] = {}
     for name in ("map_frame", "odom_frame", "base_frame"):
         frame = values[name]
         if not frame or frame.startswith("/") or any(c.isspace() for c in frame):
-            raise InputError(
+            yield (
                 f"parameter {name}: {frame!r} is not a frame: give a name without spaces and "
                 "without a leading slash"
             )
-        if frame in frames:
-            raise InputError(
+        elif frame in frames:
+            yield (
                 f"parameter {name}: '{frame}' is also {frames[frame]}: the transforms need "
                 "three different frames"
             )

@@ -96,6 +96,24 @@ class TestValues:
     def test_values_that_contradict_each_other(self, given: dict[str, object], said: str) -> None:
         assert said in refused(**given)
 
+    @pytest.mark.parametrize(
+        "given",
+        [
+            {"gnss__patiense": 1.0, "noise__mode": "guess", "imu__position": [1.0]},
+            {"map_frame": "my map", "gnss__position_std_min": 60.0, "gnss__position_std_max": 1.0},
+        ],
+    )
+    def test_all_faults_are_told_at_once(self, given: dict[str, object]) -> None:
+        told = refused(**given)
+
+        faults = [name.replace("__", ".") for name in given if not name.endswith("_max")]
+        assert all(f"parameter {name}: " in told for name in faults)
+
+    def test_of_many_faults_some_are_told_and_the_others_counted(self) -> None:
+        given = {f"name_{k}": 1 for k in range(9)}
+
+        assert refused(**given).endswith("; and 5 more")
+
 
 class TestNames:
     @pytest.mark.parametrize(
