@@ -1,6 +1,7 @@
 """Stamps, gaps, outages, jumps: what a navigator makes of what happens in the field."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,25 @@ def test_stamps_that_stay_behind_are_a_new_beginning_said_once(flight) -> None:
     assert notice.seconds == pytest.approx(20.0, abs=0.1)
     assert flight.errors(navigator, 20.0)[0] < 0.4
     assert flight.errors(navigator, 20.0)[2] < 0.05
+
+
+@pytest.mark.parametrize("step", [3.0, 12.0])
+def test_a_clock_that_is_set_back_does_not_bring_the_first_heading_back(flight, step) -> None:
+    """GIVEN a vehicle that has turned since it began THEN the heading is the motion's to show."""
+    navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
+    play(flight, navigator, stop=20.0)
+    later = replace(flight, t=flight.t - step, fix_t=flight.fix_t - step, notices=[])
+    errors = []
+
+    def note(t: float) -> None:
+        if navigator.filter is not None:
+            errors.append(flight.errors(navigator, t + step)[2])
+
+    play(later, navigator, start=20.0 - step, stop=40.0 - step, after=note)
+
+    [notice] = (notice for notice in later.notices if isinstance(notice, Restarted))
+    assert notice.cause is RestartCause.STAMPS_WENT_BACK
+    assert len(errors) > 500 and max(errors) < 0.5
 
 
 @pytest.mark.parametrize(

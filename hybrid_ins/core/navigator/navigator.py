@@ -161,8 +161,7 @@ class Navigator:
         """
         stamps = self.stamps
         if not 0 < t_ns - stamps.last_ns <= stamps.steady_ns:
-            fault = stamps.check(t_ns)
-            if fault is not None:
+            if (fault := stamps.check(t_ns)) is not None:
                 return fault
             self._on_odd_step(t_ns, np.array((fx, fy, fz, wx, wy, wz)))
         stamps.last_ns = t_ns
@@ -202,7 +201,9 @@ class Navigator:
         elif step_ns < 0:
             self._notices.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
             self.monitor.discard_biases()
-            self._discard_samples()
+            alignment = self._discard_samples()
+            if not self.stamps.begin_anew(t_ns):
+                alignment.forget_parameter()
         else:
             self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
             kept = heading_after(seconds, self.filter, self.monitor.standing)
@@ -274,12 +275,11 @@ class Navigator:
         notices: list[Notice] = []
         while self._notices:
             notice = self._notices.popleft()
-            if isinstance(notice, Verdict):
-                if notice.measurement.sensor in (IMU, ASSUMED):
-                    continue
-                if notice.measurement.sensor == GNSS:
-                    self._on_verdict(notice)
-            notices.append(notice)
+            sensor = notice.measurement.sensor if isinstance(notice, Verdict) else None
+            if isinstance(notice, Verdict) and sensor == GNSS:
+                self._on_verdict(notice)
+            if sensor not in (IMU, ASSUMED):
+                notices.append(notice)
         return notices
 
     @property

@@ -18,6 +18,7 @@ from hybrid_ins.core.imu.standstill import FixMotion
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
+BEGINNING_NS = 1_000_000_000  # after the first stamp: a bag that is played again is there at first
 AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyond a gap
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
@@ -58,10 +59,11 @@ class ImuStampCheck:
     def __init__(self, max_gap: float) -> None:
         self.max_gap_ns = int(max_gap * 1e9)
         self.steady_ns = self.short_ns = int(min(max_gap, LONG_GAP) * 1e9)
+        self._first_ns = 0  # where the stamps begin [ns]
         self.reset()
 
     def reset(self) -> None:
-        """Forget all stamps."""
+        """Forget the last stamps."""
         self.last_ns = 0
         self._jumped_ns = self._jumps = 0
 
@@ -77,6 +79,7 @@ class ImuStampCheck:
         time base.
         """
         if self.last_ns == 0:
+            self._first_ns = self._first_ns or t_ns
             return None
         step = t_ns - self.last_ns
         if 0 < step <= self.short_ns:
@@ -92,6 +95,18 @@ class ImuStampCheck:
             return StampFault.JUMP
         self._jumps = 0
         return None
+
+    def begin_anew(self, t_ns: int) -> bool:
+        """
+        Return whether stamps that went back to ``t_ns`` [ns] begin where they began, or before.
+
+        So do those of a bag that is played again. Behind the beginning the clock was set: the
+        vehicle is not where it was at first.
+        """
+        if t_ns - self._first_ns > BEGINNING_NS:
+            return False
+        self._first_ns = min(self._first_ns, t_ns)
+        return True
 
 
 class MeasurementCheck:
