@@ -83,8 +83,8 @@ def replay_bag(
     Raises
     ------
     InputError
-        A bag cannot be read or written, a topic is missing, or the filter never started: nothing
-        is written then.
+        A bag cannot be read or written, a topic is missing, or the filter never started, also for
+        axes or units of the IMU that are wrong: nothing is written then.
 
     """
     keep = keep_partial and not smooth
@@ -94,7 +94,9 @@ def replay_bag(
     ):
         estimator = replay(bag, out, values, **topics, smooth=smooth, log=log)
         reporter, waiting = estimator.reporter, estimator.status.waiting_for
-        if not (reporter.ever_aligned if smooth else reporter.ever_located):
+        # The position of a vehicle that stands is of use; that by a wrong IMU is not.
+        needs_heading = smooth or estimator.status.fault is not None
+        if not (reporter.ever_aligned if needs_heading else reporter.ever_located):
             out.discard()
             raise InputError(
                 f"{source}: the filter never started: it waited for {waiting}; "

@@ -75,6 +75,28 @@ def test_a_smoothed_run_that_is_interrupted_leaves_nothing(
         assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
+@pytest.mark.parametrize("is_given", [False, True], ids=["heading unknown", "heading given"])
+def test_rates_in_degrees_are_told_at_the_end(
+    is_given: bool, flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """GIVEN rates in deg/s WHEN only positions come of them THEN that is a failure."""
+    bag, out = tmp_path / "bag.mcap", tmp_path / "out.mcap"
+    with BagReader(flight) as source, BagWriter(bag) as target:
+        for topic, log_ns, message in source.messages("/imu/data", "/gnss/fix"):
+            if topic == "/imu/data":
+                rate = message.angular_velocity
+                rate.x, rate.y, rate.z = np.degrees((rate.x, rate.y, rate.z)).tolist()
+            target.write(topic, message, log_ns)
+    heading = ["-p", "alignment.heading_source:=parameter", "-p", "alignment.yaw:=1.5708"]
+
+    status = replay.main([str(bag), str(out), *(heading if is_given else [])])
+
+    said = capsys.readouterr()
+    last = (said.out if is_given else said.err).splitlines()[-1]
+    assert (status, out.exists()) == ((0, True) if is_given else (2, False))
+    assert "it is in degrees per second" in last
+
+
 def test_a_search_for_the_heading_is_published_and_not_scored(flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     assert replay.main([str(flight), str(out)]) == 0

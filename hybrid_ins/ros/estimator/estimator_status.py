@@ -13,6 +13,7 @@ from hybrid_ins.ros.aids.aids import Aids
 from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
 from hybrid_ins.ros.estimator.noise_input import NoiseInput
 from hybrid_ins.ros.estimator.reporter import Reporter
+from hybrid_ins.ros.messages.conversions import Refused
 from hybrid_ins.ros.reporting import diagnostics, wording
 from hybrid_ins.ros.reporting.input_log import InputLog
 from hybrid_ins.ros.reporting.reports import Status
@@ -47,20 +48,26 @@ class EstimatorStatus:
         waiting = wording.waiting_for(self.navigator)
         return "; ".join([waiting, *self.review.causes]) if waiting else ""
 
+    @property
+    def fault(self) -> Refused | None:
+        """What is wrong with the IMU's axes, units or mount at present, by the motion."""
+        return self.review.axes.fault
+
     def diagnostics(self, t_ns: int, silent: float = 0.0) -> list[Status]:
         """
         Return the statuses for ``/diagnostics`` at a stamp [ns].
 
         ``silent`` is for how long no IMU sample has come [s], where that is long.
         """
-        mode, reporter, axes = self.values["noise.mode"], self.reporter, self.review.axes
+        mode, reporter = self.values["noise.mode"], self.reporter
+        moved_b = self.review.axes.moved_b
         return [
             diagnostics.silent_status(self.navigator, silent, reporter.fixes_fused)
             if silent and self.navigator.last_ns
             else diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
-            diagnostics.input_status(self.navigator, self.inputs, t_ns, axes.fault, axes.moved_b),
+            diagnostics.input_status(self.navigator, self.inputs, t_ns, self.fault, moved_b),
             diagnostics.noise_status(self.navigator, self.noise.reader, mode),
             self.clock.status(),
             *self.aids.statuses(t_ns, silent > 0.0),
@@ -72,5 +79,6 @@ class EstimatorStatus:
         reporter = self.reporter
         without = (self.navigator.last_ns - reporter.fused_ns) * 1e-9 if reporter.fused_ns else 0.0
         ended = f"none in the last {without:.0f} s" if without > LONG_WITHOUT else ""
-        lines = (f"{reporter.fixes_fused} fixes fused", ended, refused, self.review.summary())
+        fault = f"imu/data: {self.fault.text}" if self.fault is not None else ""
+        lines = f"{reporter.fixes_fused} fixes fused", ended, refused, self.review.summary(), fault
         return "; ".join(filter(None, lines))
