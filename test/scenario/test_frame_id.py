@@ -167,6 +167,17 @@ def test_a_frame_id_at_the_same_place_is_used_at_once(flying: Placed) -> None:
     assert drive.estimator.navigator.last_ns == drive.stamp(8.0)
 
 
+def test_of_two_publishers_without_transforms_each_frame_is_told_once() -> None:
+    drive = Drive()
+    for k in range(300):
+        frame = "second" if k % 2 else "first"
+        drive.estimator.handle_imu(ImuFields(drive.stamp(0.01 * k), LEVEL, STILL, frame))
+
+    told = [text for level, text in drive.log if "no transform" in text]
+    assert ["'first'" in text for text in told] == [True, False]
+    assert any("frame_id changes" in text for text in drive.warnings())
+
+
 def test_a_recording_is_read_as_it_is_live() -> None:
     # GIVEN messages of a second publisher among those of the first, and then of the second alone
     one, block = Placed(), Placed()

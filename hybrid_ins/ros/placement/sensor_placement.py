@@ -26,6 +26,7 @@ PARAMETERS = {
 """Parameters that place the sensor of a topic; all zero: ``/tf_static`` does."""
 
 
+MOST_UNPLACED = 20  # frames that nothing places, to be told
 FARTHEST = parameters.find("gnss.antenna_position").high  # m, along an axis of the base frame
 
 
@@ -67,6 +68,7 @@ class SensorPlacement:
             topic: any(any(values[name]) for name in names) for topic, names in PARAMETERS.items()
         }
         self._transforms = StaticTransforms()
+        self._unplaced: set[tuple[str, str]] = set()  # topics and their frames that were told
         self._frames = {topic: FrameId() for topic in PARAMETERS}
         self._given_b: Array = np.full(3, np.nan)  # the antenna's place without that error
         self.antenna_error_b: Array = np.zeros(3)
@@ -145,11 +147,7 @@ class SensorPlacement:
         names_other = frame != self._base if frame else moved
         is_placed = self.is_given[topic] or self._transform_of(frame) is not None
         if frame != known and names_other and not is_placed:
-            self._inputs.inform(
-                f"{topic}: no transform",
-                f"{topic}: no transform from '{self._base}' to '{shortened(frame)}' (neither "
-                f"{PARAMETERS[topic][0]} nor /tf_static): assuming that they coincide",
-            )
+            self._inform_of_missing_transform(topic, shortened(frame))
         elif moved:
             self._inform_of_transforms()
         return moved
@@ -185,6 +183,17 @@ class SensorPlacement:
     def _inform_of_transforms(self) -> None:
         self._inputs.inform(
             "sensors moved", f"/tf_static gives the positions of IMU and antenna in '{self._base}'"
+        )
+
+    def _inform_of_missing_transform(self, topic: str, frame: str) -> None:
+        """Log that nothing places a frame, once: those of two publishers alternate."""
+        if (topic, frame) in self._unplaced or len(self._unplaced) == MOST_UNPLACED:
+            return
+        self._unplaced.add((topic, frame))
+        self._inputs.log(
+            "info",
+            f"{topic}: no transform from '{self._base}' to '{frame}' (neither "
+            f"{PARAMETERS[topic][0]} nor /tf_static): assuming that they coincide",
         )
 
     def _place(self) -> None:
