@@ -221,16 +221,16 @@ def _describe_search(bank: MultipleModelBank) -> str:
 
 def describe_heading(yaw: float, std: float) -> str:
     """Return a heading and its standard deviation [rad], clockwise from north."""
-    heading, sigma = math.degrees(yaw), math.degrees(std)
-    return f"heading {heading % 360.0:.1f}° ± {sigma:.1f}° from north"
+    heading, sigma = round(math.degrees(yaw), 1) % 360.0, math.degrees(std)
+    return f"heading {heading:.1f}° ± {sigma:.1f}° from north"
 
 
 def describe_correction(found: HeadingCorrected) -> str:
     """Return what the motion has shown of the heading, and what to check."""
-    before, after = (math.degrees(yaw) % 360.0 for yaw in (found.before, found.after))
+    before, after = (round(math.degrees(yaw)) % 360 for yaw in (found.before, found.after))
     return (
-        f"the motion shows a heading of {after:.0f}° ± {math.degrees(found.sigma):.0f}° from "
-        f"north, not {before:.0f}°: corrected; check alignment.yaw, /initialpose or the IMU's "
+        f"the motion shows a heading of {after}° ± {math.degrees(found.sigma):.0f}° from "
+        f"north, not {before}°: corrected; check alignment.yaw, /initialpose or the IMU's "
         "orientation, whichever gave it, and imu.mount_rpy"
     )
 
