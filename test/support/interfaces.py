@@ -40,6 +40,9 @@ DEFINITIONS = {
         ),
         "srv/SetDatum.srv": "geographic_msgs/GeoPose geo_pose\n---\n",
     },
+    "tf2_msgs": {
+        "msg/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n",
+    },
     "gps_msgs": {
         "msg/GPSStatus.msg": (
             "std_msgs/Header header\n"
