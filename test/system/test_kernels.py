@@ -75,6 +75,43 @@ def test_nothing_is_compiled_once_the_filter_runs(tmp_path: Path) -> None:
     assert compilations() - before == Counter()
 
 
+WITHOUT_HEIGHTS = """
+import math
+from support.drive import KNOWN, Drive
+from hybrid_ins import kernels
+from hybrid_ins.core import compilation
+
+class Flat(Drive):
+    def fix(self, k):
+        self.fix_lla[k, 2] = math.nan
+        super().fix(k)
+
+def signatures():
+    return {(kernel.py_func.__qualname__, *kernel.signatures) for kernel in compilation.KERNELS}
+
+kernels.prepare()
+Drive(**KNOWN).play(0.0, 6.0)
+before = signatures()
+drive = Flat(**KNOWN)
+drive.play(0.0, 6.0)
+assert drive.estimator.reporter.fixes_fused > 10
+print(*sorted(name for name, *_ in signatures() - before))
+"""
+
+
+def test_fixes_without_heights_use_the_same_machine_code() -> None:
+    """GIVEN all kernels WHEN altitudes are NaN THEN a node does not stop to compile another."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_HEIGHTS],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'test'}"},
+    )
+
+    assert (done.stdout.strip(), done.stderr) == ("", "")
+
+
 def test_no_kernel_needs_a_linear_algebra_library() -> None:
     """SciPy's would take longer to load than everything else that starts."""
     text = (

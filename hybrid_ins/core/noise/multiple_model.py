@@ -105,7 +105,8 @@ _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS] = NoiseFactors()
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
-_IDENTITY, _EXACT = np.eye(N_ERROR), np.zeros((3, 3))
+_IDENTITY = np.eye(N_ERROR)
+_EXACT = [np.zeros((m, m)) for m in range(4)]  # contiguous: kernels are compiled for such alone
 _START[PENDING_G] = _IDENTITY.ravel()
 
 
@@ -263,7 +264,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             correction.S,
             correction.fix_factor,
             correction.stamp_std**2,
-            _EXACT[:m, :m] if correction.of_stamp is None else correction.of_stamp,
+            _EXACT[m] if correction.of_stamp is None else correction.of_stamp,
             WIDE_HYPOTHESES[stamp_stds],
             roots[:m],
             in_force,
