@@ -60,10 +60,14 @@ class InsNode(LifecycleNode):
         super().__init__(parameters.NODE_NAME)
         self._live: LiveEstimator | None = None
         self._errors = CallbackGuard(InputLog(self._log))
-        self.autostart = bool(self._declare(parameters.PARAMETERS["autostart"], True))
-        for p in parameters.PARAMETERS.values():
-            if p.name != "autostart":
-                self._declare(p, self.autostart)
+        try:
+            self.autostart = bool(self._declare(parameters.PARAMETERS["autostart"], True))
+            for p in parameters.PARAMETERS.values():
+                if p.name != "autostart":
+                    self._declare(p, self.autostart)
+        except ParameterException:
+            self._check_overrides()  # names all that are wrong, and not the first alone
+            raise
         self._warn_of_unknown_parameters()
         self.add_pre_set_parameters_callback(node_parameters.read_texts)
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -213,6 +217,11 @@ class InsNode(LifecycleNode):
             )
         )
 
+    def _check_overrides(self) -> None:
+        given = {name: override.value for name, override in self._parameter_overrides.items()}
+        known = given.keys() & parameters.PARAMETERS.keys()
+        parameters.check_all({name: node_parameters.plain(given[name]) for name in sorted(known)})
+
     def _warn_of_unknown_parameters(self) -> None:
         """Warn of names that ROS ignores silently; a file for '/**' may address other nodes."""
         for name in self._parameter_overrides:
@@ -315,7 +324,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _refuse_start(error: Exception) -> int:
     """Print in one line why the node does not start."""
-    line = node_arguments.reason_of(error)
+    line = str(error) if isinstance(error, InputError) else node_arguments.reason_of(error)
     if isinstance(error, UnknownROSArgsError):
         line = f"unknown ROS arguments {line}: see ins_node --help"
     print(f"ins_node: error: {line}", file=sys.stderr)

@@ -435,6 +435,30 @@ def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) ->
     assert "Traceback" not in done.stderr
 
 
+def test_all_impossible_parameters_are_named_at_once() -> None:
+    """GIVEN values out of the range that ROS knows, and others WHEN started THEN all are named."""
+    given = {
+        "imu.max_gap": "-1.0",
+        "gnss.patience": "-1",
+        "noise.mode": "clairvoyant",
+        "odometry_rate": "fast",
+    }
+    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *words],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        env=os.environ | ENVIRONMENT,
+        check=False,
+    )
+
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert all(f"parameter {name}: " in line for name in given)
+
+
 def test_parameters_that_are_lost_are_named(processes: Processes, tmp_path: Path) -> None:
     """GIVEN a file for another namespace, and an empty list WHEN started THEN both are named."""
     file, log = tmp_path / "robot.yaml", tmp_path / "node.log"
