@@ -65,7 +65,8 @@ def encode(report: Report, hardware_id: str = "") -> bytes:
     if isinstance(content, Position):
         message.append((STATUS_FIX if content.has_fix else STATUS_NO_FIX) & 0xFF)
         message += bytes(2 + len(message) % 2)  # no service is known
-        place = content.latitude, content.longitude, content.height
+        longitude = math.remainder(content.longitude, 360.0)  # fixes may have 0 to 360°
+        place = content.latitude, longitude, content.height
         put_doubles(message, place, content.covariance_enu)
         message.append(content.covariance_type)
     elif isinstance(content, Vector):

@@ -89,3 +89,13 @@ def test_rclpy_says_the_same(report: Report) -> None:
 
     back = TYPES.deserialize_cdr(serialization.serialize_message(live), type_name)
     assert bytes(TYPES.serialize_cdr(back, type_name)) == data
+
+
+@pytest.mark.parametrize("longitude", [325.2, -34.8, -394.8])
+def test_longitudes_lie_within_180_degrees(longitude: float) -> None:
+    """GIVEN fixes from 0 to 360° east, or a way around the Earth THEN maps find the place."""
+    position = Position(T_NS, "map", 32.1, longitude, 0.0, np.eye(3).ravel(), 3)
+
+    message: Any = TYPES.deserialize_cdr(encode(Report("datum", position, T_NS)), OUTPUTS["datum"])
+
+    assert message.longitude == pytest.approx(-34.8)
