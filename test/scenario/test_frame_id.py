@@ -15,6 +15,8 @@ import pytest
 from support.drive import KNOWN, Drive
 
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.core.inertial.rotations import heading_from_quat
+from hybrid_ins.core.inertial.state import QUAT
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import fill_transform, set_stamp
@@ -138,6 +140,25 @@ def test_a_frame_id_that_lasts_moves_the_sensor_once(flying: Placed) -> None:
     assert flying.estimator.noise.reader is session  # the model is not loaded again
     assert flying.estimator.inputs.counts["imu/data: frame_id changes"] == 1
     assert "a sensor was moved, by /tf_static" in flying.warnings()[-1]
+
+
+def test_a_sensor_that_moves_in_motion_does_not_bring_the_first_heading_back() -> None:
+    """GIVEN a vehicle that has turned since it began THEN the heading is the motion's to show."""
+    drive = Placed()
+    drive.play(0.0, 40.0)
+    navigator, errors = drive.estimator.navigator, []
+    drive.frames = ("second", "gnss")
+
+    for k in range(40, 55):
+        drive.play(k, k + 1.0)
+        i = int(np.argmin(np.abs(drive.truth.t - k - 1.0)))
+        if navigator.filter is not None:
+            turn = heading_from_quat(navigator.filter.nav[QUAT])
+            turn -= heading_from_quat(drive.truth.quat_xyzw[i])
+            errors.append(abs(math.remainder(turn, math.tau)))
+
+    assert "a sensor was moved" in "".join(drive.warnings())
+    assert len(errors) > 5 and max(errors) < 0.5
 
 
 @pytest.mark.parametrize("frame", ["nowhere", ""])

@@ -7,6 +7,7 @@ messages, publishes the odometry that it returns and the reports of `Estimator.p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Alignment
+from hybrid_ins.core.inertial.rotations import heading_from_quat
+from hybrid_ins.core.inertial.state import EPS, QUAT, total_std
+from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.notices import (
     ClockOffsetFound,
     HeadingCorrected,
@@ -35,7 +39,7 @@ from hybrid_ins.ros.estimator.noise_input import NoiseInput
 from hybrid_ins.ros.estimator.reporter import Reporter
 from hybrid_ins.ros.messages import conversions
 from hybrid_ins.ros.messages.cdr import ImuFields
-from hybrid_ins.ros.messages.conversions import MapFrame, Message, Refused
+from hybrid_ins.ros.messages.conversions import MapFrame, Message, Refused, yaw_ned_from_enu
 from hybrid_ins.ros.messages.initial_pose import initial_yaw
 from hybrid_ins.ros.output.odometry import OdometrySource
 from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
@@ -200,7 +204,7 @@ class Estimator:
         if self.navigator.ring.count:
             if self.aligned:
                 self.inputs.count_and_warn("placement", SENSOR_MOVED)
-            self.navigator.reset()
+            _align_moved(self.navigator, self.values)
             self._restart(self.clock.forget)
 
     # IMU.
@@ -318,3 +322,15 @@ def _observe_orientation(alignment: Alignment, imu: ImuFields, mount: Array) -> 
         yaw = conversions.imu_yaw(imu.orientation_xyzw, mount)
         if yaw is not None:
             alignment.observe_yaw(yaw)
+
+
+def _align_moved(navigator: Navigator, values: Mapping[str, Any]) -> None:
+    """Align anew with other places of the sensors, by alignment.yaw only if it still holds."""
+    running, has_turned = navigator.filter, False
+    if running is not None:
+        turn = heading_from_quat(running.nav[QUAT]) - yaw_ned_from_enu(values["alignment.yaw"])
+        sigma = math.hypot(values["alignment.yaw_std"], float(total_std(running.nav)[EPS][2]))
+        has_turned = abs(math.remainder(turn, math.tau)) > 3.0 * sigma
+    navigator.reset()
+    if has_turned and navigator.alignment is not None:
+        navigator.alignment.forget_parameter()
