@@ -143,6 +143,24 @@ def test_a_receiver_whose_clock_leaps_by_whole_seconds_is_followed(leap: int) ->
     assert drive.error(25.0) < 0.5
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.1, 1.1), (1.1, 0.1)])
+def test_a_driver_that_is_one_message_late_from_then_on_keeps_its_stamps(
+    before: float, after: float
+) -> None:
+    # GIVEN a filter that runs on fixes with a delay
+    drive = Drive(**{**KNOWN, "gnss.max_delay": 2.0})
+    drive.delay = before
+    drive.play(0.0, 15.0)
+    # WHEN the delay changes by a second, as that of a driver whose buffer fills or is emptied
+    drive.delay = after
+    drive.play(15.0, 16.5, with_fixes=False)
+    drive.play(16.5, 26.0)
+    # THEN the stamps are right as they are
+    assert drive.estimator.clock.offset == 0.0
+    assert not any("leapt" in line for line in drive.warnings())
+    assert drive.error(26.0) < 0.5
+
+
 def test_changes_while_it_runs_keep_the_state_and_outlast_late_fixes() -> None:
     # GIVEN fixes that come 0.3 s late: each is fused in a state from before
     drive = Drive(**KNOWN)

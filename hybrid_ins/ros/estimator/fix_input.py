@@ -9,6 +9,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, VELOCITY
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.update.measurements import Measurement, PositionFix
 from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
@@ -22,6 +25,8 @@ STAMP_LEAPS = Refused(
     "gnss: stamp leaps",
     "header.stamp leaps ahead by whole seconds; the fixes are used once the stamps stay there",
 )
+FAR = 2.0  # times the variances of fix and state: the square of a way that tells leap from delay
+EVIDENCE = 5.0  # sum over the fixes, see `FixInput._evidence`, that decides
 
 
 class FixInput:
@@ -103,7 +108,35 @@ class FixInput:
         leap = leaps.observe(measurement.t_ns - round(self._clock.moved * 1e9), now_ns)
         if leap == 0:
             return measurement
-        if leaps.confirmed:
+        if isinstance(measurement, PositionFix):
+            leaps.evidence += self._evidence(measurement, leap, now_ns)
+        if leaps.confirmed and leaps.evidence < -EVIDENCE:  # the way of the messages has changed
+            self._leaps.clear()
+            return measurement
+        without = replace(measurement, t_ns=measurement.t_ns - leap * SECOND_NS)  # type: ignore[type-var]
+        if leaps.confirmed and leaps.evidence > EVIDENCE:
             self._clock.leap(-float(leap))
-            return replace(measurement, t_ns=measurement.t_ns - leap * SECOND_NS)  # type: ignore[type-var]
-        return STAMP_LEAPS if leap > 0 else measurement
+            return without
+        if leap < 0:
+            return measurement
+        return STAMP_LEAPS if leaps.evidence else without
+
+    def _evidence(self, fix: PositionFix, leap: int, now_ns: int) -> float:
+        """
+        Return by how much more a position shows a leap [s] of its stamp than another delay.
+
+        That is by how much nearer it is to where the vehicle was at the stamp without the leap,
+        squared and in terms of what is known of both; 0 where these places are not far apart.
+        """
+        nav = self._navigator.phase.nav
+        if nav is None:
+            return 0.0
+        z, _, R = fix.linearise(nav)
+        variance = float(np.trace(R[:2, :2])) + float(nav[COVARIANCE][DIAGONAL][:2].sum())
+        velocity_n = nav[VELOCITY][:2]
+        way = velocity_n * leap
+        if way @ way < FAR * variance:
+            return 0.0
+        as_stamped = z[:2] + velocity_n * (now_ns - fix.t_ns) * 1e-9
+        without = as_stamped + way
+        return float(as_stamped @ as_stamped - without @ without) / variance

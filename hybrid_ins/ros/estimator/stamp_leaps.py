@@ -6,7 +6,8 @@ second of a solution from another message, stamps from then on by whole seconds 
 Its messages still arrive when they did: compared with the stamps of the IMU samples between which
 they arrive, their stamps leap. A delay on the way changes by any fraction of a second, and that of
 messages which were held up and arrive together becomes smaller with each. A computer that falls
-behind with the IMU's samples does so by and by: a leap comes at once.
+behind with the IMU's samples does so by and by: a leap comes at once. A driver that is one message
+of a receiver at 1 Hz late from then on looks the same: the positions of a vehicle that moves tell.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ class StampLeaps:
     ----------
     confirmed : bool
         The last message was one of enough in a row after the same leap.
+    evidence : float
+        For a leap and against another delay, which those who know the motion add up from the first
+        of these messages on.
     """
 
     def __init__(self) -> None:
-        self.confirmed = False
+        self.confirmed, self.evidence = False, 0.0
         self._usual: deque[int] = deque(maxlen=USUAL)  # ns, stamp less that of the last IMU sample
         self._is_usual = False  # so was the difference of the last message without a leap
         self._leap = self._count = 0  # s, of the last message; messages in a row after it
@@ -57,7 +61,7 @@ class StampLeaps:
             self._leap = 0
             return 0
         if leap != self._leap:
-            self._leap, self._count, self._since_ns = leap, 0, imu_ns
+            self._leap, self._count, self._since_ns, self.evidence = leap, 0, imu_ns, 0.0
         self._count += 1
         self.confirmed = self._count >= CONFIRMED and imu_ns - self._since_ns >= CONFIRMED_NS
         return leap
