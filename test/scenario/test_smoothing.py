@@ -167,6 +167,21 @@ def test_a_smoothed_heading_is_as_uncertain_as_motion_left_it(
     assert max(roll.max(), pitch.max()) < 0.1
 
 
+def test_a_smoothed_position_is_as_uncertain_as_the_place_that_is_given_of_the_antenna() -> None:
+    # GIVEN a short flight, and a height of its antenna that is hardly known
+    run = draw(Scenario("antenna", rate=100.0, duration=12.0), 1)
+    std = (0.0, 0.0, 0.5)
+    common = {"gnss.time_offset.estimate": False, "gnss.antenna_position": [0.0, 0.0, 0.4]}
+    # WHEN it is smoothed
+    exact = smoothed(run, **common)[1]
+    given = smoothed(run, **common, **{"gnss.antenna_position_std": list(std)})[1]
+    # THEN so is its height, and nothing else
+    assert np.sqrt(exact[:, 21]).max() < 0.3
+    assert np.sqrt(given[:, 21]).min() > 0.3
+    assert np.abs(given[:, 2] - exact[:, 2]).max() < 0.02
+    assert np.sqrt(given[:, 7]).max() < 0.2
+
+
 @pytest.mark.slow
 def test_stretches_between_restarts_are_smoothed_each_by_itself() -> None:
     # GIVEN a run without IMU samples for 5 s

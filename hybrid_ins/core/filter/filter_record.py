@@ -24,6 +24,7 @@ class FilterStart:
     sample: Array  # (6,) the IMU sample then: m/s², rad/s, b
     state: NavState
     levels: Array  # (6,) per-sample variances in force
+    lever_std: Array  # (3,) m, b: of the lever arm in fixes, see `LeverArmObserver`
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,7 @@ class InsFilter:
         self.covariance_interval = settings.covariance_interval - 1e-6
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
-        start = FilterStart(t_ns, sample, initial, noise.levels())
+        start = FilterStart(t_ns, sample, initial, noise.levels(), settings.lever_std)
         self.record = FilterRecord(start) if settings.keep_record else None
         self._checkpoint()
         self._schedule()

@@ -1,13 +1,17 @@
 """
 What is constant and not known of a GNSS receiver, estimated by a smoother.
 
-It is the lever arm of the antenna, where nobody gave it, and what the clock offset of the fixes
-still lacks. The filter runs with assumed ones. What is missing of them, c, is small, so that the
-errors of all states are linear in it: e = s c + (what they were without), [1]_. The forward
-sensitivity s moves with the transition matrices and the gains; each innovation, whose own
-sensitivity is h = H s + D, adds information about c. The smoothed states have the sensitivity
+It is the lever arm of the antenna, where nobody gave it or where it has a standard deviation, and
+what the clock offset of the fixes still lacks. The filter runs with assumed ones. What is missing
+of them, c, is small, so that the errors of all states are linear in it: e = s c + (what they were
+without), [1]_. The forward sensitivity s moves with the transition matrices and the gains; each
+innovation, whose own sensitivity is h = H s + D, adds information about c. The smoothed states
+have the sensitivity
 s - P m, where the adjoint m takes h in as lambda takes the innovation in. What remains unknown of
-c adds s V s' to their covariance, [2]_; to that of the antenna's position, which the fixes measure.
+c adds s V s' to their covariance, [2]_. Where nobody gave the lever arm that is the covariance of
+the antenna's position, which the fixes measure; else a state that begins with a fix has s = -C_nb.
+As in the filter a lever arm that is given is not moved, since it says what the odometry is of: what
+is found of its error is considered with what is not known.
 
 Both are estimated at once: on a straight way at a steady speed one is like the other, and on other
 ways each would be drawn by the other. Most clocks are right: what the innovations say of the offset
@@ -39,6 +43,7 @@ from hybrid_ins.core.inertial.state import (
     PACKED_ROWS,
     QUAT,
     VELOCITY,
+    NavState,
     covariance,
 )
 from hybrid_ins.core.sensor_errors.clock_offset import MAX_STD
@@ -66,8 +71,8 @@ class ConstantErrors:
 
     Parameters
     ----------
-    lever_arm : bool
-        The lever arm is not given: it is estimated.
+    lever_std : ndarray, shape (3,), optional
+        Of the lever arm that is given [m], b; 0: exact. None: nobody gave it.
     clock : ClockPrior, optional
         Of what the clock offset lacks, which is estimated then.
 
@@ -79,15 +84,19 @@ class ConstantErrors:
         Of their errors, after a pass.
     sensitivity : ndarray, shape (15, 4)
         Of the forward state's error to what is missing.
+    are_of_antenna : bool
+        So are smoothed positions, whose lever arm nobody gave; else they are of the IMU.
     """
 
-    def __init__(self, lever_arm: bool, clock: ClockPrior | None) -> None:
+    def __init__(self, lever_std: Array | None, clock: ClockPrior | None) -> None:
+        self.are_of_antenna = lever_std is None
+        lever = np.full(3, LEVER_STD) if lever_std is None else lever_std
         self.values = np.zeros(N_CONSTANTS)
         self.covariance = np.zeros((N_CONSTANTS, N_CONSTANTS))
         self._clock = clock
-        self._unknown = np.flatnonzero([lever_arm] * 3 + [clock is not None])
-        self._std = np.array([LEVER_STD] * 3 + [MAX_STD])[self._unknown]
-        self.begin()
+        std = np.array([*lever, 0.0 if clock is None else MAX_STD])
+        self._unknown = np.flatnonzero(std)
+        self._std = std[self._unknown]
 
     @property
     def are_known(self) -> bool:
@@ -104,12 +113,18 @@ class ConstantErrors:
         """What is to be added to the stamps of fixes [s]."""
         return self.values.item(CLOCK)
 
-    def begin(self) -> None:
-        """Begin a pass."""
-        self.sensitivity = np.zeros((N_ERROR, N_CONSTANTS))
+    def begin(self, start: NavState) -> None:
+        """Begin a pass with a state that begins with a fix."""
+        self.begin_sensitivity(start)
         self._information = np.zeros((N_CONSTANTS, N_CONSTANTS))
         self._gradient = np.zeros(N_CONSTANTS)
         self.begin_adjoint()
+
+    def begin_sensitivity(self, start: NavState) -> None:
+        """Let ``sensitivity`` be that of the start."""
+        self.sensitivity = np.zeros((N_ERROR, N_CONSTANTS))
+        if not self.are_of_antenna:
+            self.sensitivity[DP, LEVER] = -matrix_from_quat(start.quat_xyzw)
 
     def begin_adjoint(self) -> None:
         """Begin the backward part of a pass."""
@@ -163,6 +178,9 @@ class ConstantErrors:
         values = before + P @ (self._gradient[unknown] - before / self._std**2)
         if self._clock is not None:
             values, P = _with_prior(values, P, self._clock)
+        if not self.are_of_antenna:
+            error = np.where(unknown < CLOCK, values, 0.0)
+            values, P = values - error, P + np.outer(error, error)
         step = values - before
         self.covariance[np.ix_(unknown, unknown)] = P
         if step @ np.linalg.solve(P, step) < SETTLED**2:
@@ -189,10 +207,11 @@ class ConstantErrors:
         """
         Return the sensitivity (15, 4) of the smoothed state, ``nav`` being the forward one.
 
-        That of the position is the antenna's, which is moved by the lever arm itself.
+        That of the position may be the antenna's, which is moved by the lever arm itself.
         """
         s = self.sensitivity - covariance(nav) @ self._adjoint
-        s[DP, LEVER] += matrix_from_quat(nav[QUAT])
+        if self.are_of_antenna:
+            s[DP, LEVER] += matrix_from_quat(nav[QUAT])
         return np.asarray(s)
 
     def consider(self, rows: Array, first: Array, last: Array, share: Array) -> None:

@@ -87,7 +87,7 @@ class Hindsight:
             start = _about_heading(start, head.first())
         stores = make_store(N_STATE), make_store(N_ADJOINT)
         prior = _clock_prior(last, self._steps, self._moved)
-        constants = ConstantErrors(not _lever_arm_is_given(updates), prior)
+        constants = ConstantErrors(_lever_std(last, updates), prior)
         unknown = None if constants.are_known else constants
         smoother = Smoother(start, samples, updates, interval, gap_ns, *stores, progress, unknown)
         return smoother, constants
@@ -130,10 +130,16 @@ class Hindsight:
         return np.array(stamps, np.int64), np.array(variances)
 
 
-def _lever_arm_is_given(updates: Sequence[Update]) -> bool:
-    """Return whether any measurement has a lever arm other than zero."""
+def _lever_std(last: InsFilter, updates: Sequence[Update]) -> Array | None:
+    """
+    Return the deviation (3,) [m], b, of the lever arm that is given; None where none is.
+
+    It is given where it has a deviation, or any measurement has one other than zero.
+    """
+    std = _record(last).start.lever_std
     levers = (getattr(update.measurement, "lever_b", None) for update in updates)
-    return any(lever is not None and lever.any() for lever in levers)
+    is_given = std.any() or any(lever is not None and lever.any() for lever in levers)
+    return std if is_given else None
 
 
 @dataclass(slots=True)

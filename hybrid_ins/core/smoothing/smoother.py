@@ -142,7 +142,6 @@ class Smoother:
             for _ in range(MOST_PASSES):
                 if self._constants.finish():
                     break
-                self._constants.begin()
                 self._divide()
                 self._forward()
         self._backward()
@@ -151,6 +150,7 @@ class Smoother:
         """Divide the stretch at its updates, as they are assumed in this pass."""
         updates = self._updates
         if self._constants is not None:
+            self._constants.begin(self._start.state)
             updates = sorted(map(self._constants.assumed, updates), key=lambda u: u.t_ns)
         self._segments = Segments(self._start, self._after, updates, self._long_step_ns)
         self._nodes = self._segments.nodes
@@ -230,7 +230,7 @@ class Smoother:
             self._progress(self._segments.count(k))
         self._first_adjoint = adjoint
         if constants is not None:
-            constants.sensitivity = np.zeros((N_ERROR, N_CONSTANTS))
+            constants.begin_sensitivity(self._start.state)
             self._first_sensitivity = constants.smoothed(self._start.state.to_flat())
 
     def _through_update(

@@ -64,7 +64,7 @@ class SmoothedRun:
             by_scale, by_noise = hindsight.attitude_by_scale(), hindsight.heading_by_noise()
             _report_lever_arm(estimator, constants)
             self._clocks.append(hindsight.clock_offsets(constants.clock_offset))
-            # what is known is where the antenna was
+            # where nobody placed the antenna, what is known is where that was; else it is zero
             arm_b = estimator.placement.arm_b - constants.lever_b
             for t_ns, rows in smoother.states():
                 rows[:, ATTITUDE_COVARIANCE] += _in_force(t_ns, *by_scale)

@@ -353,7 +353,7 @@ def test_a_lever_arm_that_is_not_given_is_found_beside_the_clock(clock: float) -
             lla = fix.lla + matrix_from_quat(state.quat_xyzw) @ lever_b / scale
             fused.append(replace(fix, lla=lla, t_ns=fix.t_ns - round(clock * 1e9)))
         updates = [Update(f.t_ns, PSD_TRUE, f) for f in fused if f.t_ns > T0_NS]
-        found = ConstantErrors(lever_arm=True, clock=ClockPrior(0.0, 0.1))
+        found = ConstantErrors(None, clock=ClockPrior(0.0, 0.1))
         # WHEN it is smoothed, in passes until neither moves any more
         smoother = Smoother(
             flight.start,
@@ -385,7 +385,7 @@ def test_what_a_clock_does_to_smoothed_states_is_what_is_considered() -> None:
     # GIVEN a flight that is smoothed with a clock offset to be found
     flight = Flight(2)
     updates = [Update(f.t_ns, PSD_TRUE, f) for f in flight.fixes]
-    found = ConstantErrors(lever_arm=False, clock=ClockPrior(0.0, 0.1))
+    found = ConstantErrors(np.zeros(3), clock=ClockPrior(0.0, 0.1))
     common = flight.start, flight.samples
     rest = 0.01 - 1e-6, LONG_STEP_NS, {}, {}
     smoother = Smoother(*common, updates, *rest, constants=found)
