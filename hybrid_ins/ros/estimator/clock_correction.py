@@ -51,6 +51,8 @@ class ClockCorrection:
     ----------
     offset : float
         Added to the stamps of fixes [s].
+    moved : float
+        What estimation has added to the given offset [s].
     prior : ClockPrior
         Of the offset at the start of the filters: as given, or as found before a restart. One
         that is given with a drift is that of the first fix.
@@ -63,7 +65,7 @@ class ClockCorrection:
         self._inputs = inputs
         self._given = values["gnss.time_offset.value"]
         self._estimate = values["gnss.time_offset.estimate"]
-        self._moved = 0.0  # s, by estimation
+        self.moved = 0.0
         self._settled: ClockPrior | None = None  # offset once it was known well
         self._axes_are_plausible = True
         self._std = values["gnss.time_offset.std"]
@@ -74,12 +76,7 @@ class ClockCorrection:
     @property
     def offset(self) -> float:
         """See above."""
-        return float(self._given + self._moved)
-
-    @property
-    def moved(self) -> float:
-        """What estimation has added to the given offset [s]."""
-        return self._moved
+        return float(self._given + self.moved)
 
     @property
     def _is_calibrated(self) -> bool:
@@ -91,7 +88,7 @@ class ClockCorrection:
         self._std = changes.get("gnss.time_offset.std", self._std)
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
-            self._moved, self._settled, self._found = 0.0, None, None
+            self.moved, self._settled, self._found = 0.0, None, None
             self.drift = self._given_drift
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.std"}:
             self.prior = ClockPrior(self._given, self._std)
@@ -107,8 +104,7 @@ class ClockCorrection:
         self._given += by
         self.prior = _moved(self.prior, by)
         self._settled = self._settled and _moved(self._settled, by)
-        if self._found is not None:
-            self._found = _moved(self._found[0], by), self._found[1]
+        self._found = self._found and (_moved(self._found[0], by), self._found[1])
         self._inputs.log(
             "warn",
             f"gnss: the receiver's stamps leapt by {-by:+.0f} s, by which they are corrected from "
@@ -126,7 +122,7 @@ class ClockCorrection:
 
     def forget(self) -> None:
         """Restart, as the filter did, with the given offset."""
-        self._moved, self._settled = 0.0, None
+        self.moved, self._settled = 0.0, None
         self.distrust()
         self._navigator.open_clock(self._estimate and not self._is_calibrated)
 
@@ -149,7 +145,7 @@ class ClockCorrection:
 
     def on_found(self, found: ClockOffsetFound) -> None:
         """Use what a search has found."""
-        self._moved += found.step
+        self.moved += found.step
         if not found.is_final:
             return
         if self._searched_ns:
@@ -207,9 +203,9 @@ class ClockCorrection:
         """
         missing, variance = running.clock.missing
         sigma = math.sqrt(variance)
-        is_left = self._moved != 0.0 or running.clock.contradiction > SIGNIFICANT_OFFSET
+        is_left = self.moved != 0.0 or running.clock.contradiction > SIGNIFICANT_OFFSET
         is_left |= self._given_drift.mean != 0.0
-        is_usable = sigma < USABLE or self._moved != 0.0
+        is_usable = sigma < USABLE or self.moved != 0.0
         if is_usable and abs(missing) > 0.3 * sigma and is_left:
             self._shift(running, missing)
         if sigma < SETTLED and self._settled is None:
@@ -218,7 +214,7 @@ class ClockCorrection:
     def _shift(self, running: InsFilter, by: float) -> None:
         """Add some more [s] to the stamps of fixes."""
         if LEAST < abs(by) < LARGEST:
-            self._moved += by
+            self.moved += by
             running.submit(ClockShift(running.t_ns, by))
 
     def _note(self, running: InsFilter) -> None:
