@@ -13,6 +13,7 @@ from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.ins_filter import NOT_MEASURED
 from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.core.imu.standstill import may_be_zero
 from hybrid_ins.core.inertial.state import (
     ANTENNA_VARIANCE,
     COVARIANCE,
@@ -372,11 +373,12 @@ def test_stop_in_an_outage_is_noticed_by_the_filter() -> None:
     assert not [t for t, stands in standing if stands and moving[round(t, 3)] > 0.3]
 
 
-def stands_northwards(t: np.ndarray, speed: np.ndarray, fixes_end: float) -> tuple:
+def stands_northwards(
+    t: np.ndarray, speed: np.ndarray, fixes_end: float, sinking: float | np.ndarray = 0.0
+) -> tuple:
     """Return run, navigator, and when it stood, of a motion to the north; fixes end at a time."""
-    motion = motion_through(
-        t, np.stack((speed, 0.0 * t, 0.0 * t), axis=-1), np.zeros((len(t), 3)), START_LLA
-    )
+    velocity_n = np.stack((speed, 0.0 * t, sinking + 0.0 * t), axis=-1)
+    motion = motion_through(t, velocity_n, np.zeros((len(t), 3)), START_LLA)
     run = scene(motion, seed=5)
     navigator = make_navigator("parameter", yaw=0.0)
     standing = []
@@ -422,6 +424,24 @@ def test_a_boat_that_drifts_in_a_calm_does_not_stand_once_its_speed_is_uncertain
 
     assert bool(standing) == stops
     assert run.errors(navigator, 90.0)[0] < 3.0 * np.linalg.norm(sigma(navigator)[:3])
+
+
+def test_what_cruises_as_calmly_as_it_stands_does_not_stand_while_its_speed_is_uncertain() -> None:
+    """
+    GIVEN an underwater vehicle that cruises calmly at 1.5 m/s, as fixes show
+    WHEN it has dived without fixes, is shaken once, and is calm again
+    THEN zero is plausible, but it is not found to stand, and its errors are within their σ.
+    """
+    t = time_grid(120.0)
+    shaken = np.where((t > 60.0) & (t < 64.0), 0.3 * np.sin(2.0 * np.pi * t), 0.0)
+
+    run, navigator, standing = stands_northwards(t, 1.5 + 0.0 * t, 30.0, smoothed(shaken, 0.1))
+
+    velocity, P = navigator.filter.nav[VELOCITY], covariance(navigator.filter.nav)[DV, DV]
+    assert may_be_zero(velocity, P)
+    assert not standing
+    error = run.truth.velocity_n[-1] - velocity
+    assert error @ np.linalg.solve(P, error) < 14.2  # chi-square, 3 degrees of freedom, 99.7 %
 
 
 def test_shaking_sensor_is_not_standing() -> None:

@@ -4,7 +4,8 @@ Detection of a standing vehicle from its IMU, and of a moving one from its fixes
 While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
 beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
 the second. A smooth cruise passes both: the caller must also check that zero speed is plausible
-(`may_be_zero`), and that the fixes of the last seconds show no motion. A train that sets off gently
+(`may_be_zero`), that the fixes of the last seconds show no motion, and that the vehicle has shown
+no cruise as calm at speeds that are plausible, too (`Glides`). A train that sets off gently
 passes them, too: its acceleration hardly changes in a second, but since the stand began it does.
 
 References
@@ -14,6 +15,8 @@ References
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba.extending import register_jitable
@@ -32,6 +35,7 @@ MEANS = 8  # per window
 FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES, MAX_FIXES = 4, 64  # of those
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
+LONGEST_BRAKING_NS = 10_000_000_000  # of steady braking, which resembles standing until it ends
 SIGNIFICANT_SPEED = 4.0  # standard deviations of the speed
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 _STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
@@ -82,6 +86,54 @@ class StandingForce:
         if before is None or changed:
             self._mean = mean
         return changed
+
+
+class Glides:
+    """
+    Speeds by fixes at which the IMU was calm for as long as it has to be at any stand.
+
+    Underwater vehicles and airships cruise as calmly as they stand. Of those a calm shows no stand
+    where the filter knows the speed no better than to one of these: zero is plausible then.
+
+    Attributes
+    ----------
+    slowest : float
+        Least of them [m/s]; inf: there were none. Of one that brakes, the speed before.
+    """
+
+    def __init__(self) -> None:
+        self.slowest = math.inf
+        self.reset()
+
+    def reset(self) -> None:
+        """End the glide: the samples were not calm, or fixes do not show that it goes on."""
+        self._since_ns: int | None = None
+        self._speed = 0.0
+
+    def observe(self, begin_ns: int, t_ns: int, speed: float, std: float) -> None:
+        """
+        Use a calm window in which fixes showed motion.
+
+        Parameters
+        ----------
+        begin_ns, t_ns : int
+            Stamps of its samples [ns].
+        speed, std : float
+            The filter's, and its standard deviation [m/s].
+        """
+        least = speed - 2.0 * std
+        if least < MIN_SPEED:  # fixes may drift as fast at a stand
+            self.reset()
+            return
+        self._speed = max(self._speed, least)
+        if self._since_ns is None:
+            self._since_ns = begin_ns
+        if t_ns - self._since_ns >= LONGEST_BRAKING_NS:
+            self.slowest = min(self.slowest, self._speed)
+
+    def explain(self, speed_std: float) -> bool:
+        """Return whether a calm that began with that σ of the speed [m/s] may be a glide."""
+        return self.slowest < speed_std
 
 
 @kernel()

@@ -19,7 +19,13 @@ from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.imu.lift_watch import LiftWatch
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.imu.standstill import StandingForce, is_standing, may_be_zero
+from hybrid_ins.core.imu.standstill import (
+    LONGEST_BRAKING_NS,
+    Glides,
+    StandingForce,
+    is_standing,
+    may_be_zero,
+)
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     B_A,
@@ -48,7 +54,6 @@ SPEED_STD_FLOOR = 0.05  # m/s, of the filter's speed: a standing vehicle rocks
 LARGEST_SPEED = 4.0  # standard deviations, of a vehicle whose speed may be zero
 STILL_KNOWN = 2.0  # factor on the σ of a speed that was not zero: beyond it, zero is no news
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
-LONGEST_BRAKING_NS = 10_000_000_000
 STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
 LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
 CONVINCING = 4  # fixes since its begin that agree: it may be longer
@@ -85,6 +90,7 @@ class ImuMonitor:
     def __init__(self, parts: FilterParts, zero_updates: bool, bias_g: Array) -> None:
         self._parts = parts
         self._turn = StandTurn(bias_g)
+        self._glides = Glides()
         self._zero_updates = zero_updates
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
         self.reset()
@@ -109,7 +115,9 @@ class ImuMonitor:
         self.standing = False
         self.calm = 0, 0
         self._calm_ns: int | None = None  # since when the vehicle may stand
+        self._calm_std = math.inf  # m/s, of its speed when that began, or later if it was less
         self._standing_force = StandingForce()
+        self._glides.reset()
         self._gliding_std = math.inf  # m/s, of a speed that was not zero while all was calm
         self._lift = LiftWatch()
         self._next_ns = 0
@@ -191,6 +199,7 @@ class ImuMonitor:
         self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
             best
         )
+        self.standing = self.standing and not self._glides.explain(self._calm_std)
         if self.standing:
             self._lift.note_stand(samples)
         if self.standing and self._zero_updates:
@@ -204,9 +213,16 @@ class ImuMonitor:
         if not calm:
             self._calm_ns, self._gliding_std = None, math.inf
             self._standing_force.reset()
+            self._glides.reset()
             return
-        t_ns, speed_std = int(samples["t_ns"][-1]), _speed_std(best)
+        begin_ns, t_ns = int(samples["t_ns"][0]), int(samples["t_ns"][-1])
+        speed_std = _speed_std(best)
         changed = self._standing_force.changes(samples)
+        if fixes_move:
+            speed = float(np.linalg.norm(best.nav[VELOCITY]))
+            self._glides.observe(begin_ns, t_ns, speed, speed_std)
+        else:
+            self._glides.reset()
         if changed:
             self._gliding_std = math.inf
         if fixes_move or not _zero_speed_is_plausible(best):
@@ -214,9 +230,10 @@ class ImuMonitor:
         elif speed_std > STILL_KNOWN * self._gliding_std:
             self._calm_ns = None
         elif changed:
-            self._calm_ns = t_ns + STEADY_NS
+            self._calm_ns, self._calm_std = t_ns + STEADY_NS, speed_std
         elif self._calm_ns is None:
-            self._calm_ns = int(samples["t_ns"][0])
+            self._calm_ns, self._calm_std = begin_ns, speed_std
+        self._calm_std = min(self._calm_std, speed_std)
 
     def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:
         """

@@ -5,6 +5,7 @@ import pytest
 
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, as_numbers, readings_of
 from hybrid_ins.core.imu.standstill import (
+    Glides,
     StandingForce,
     is_standing,
     may_be_zero,
@@ -118,3 +119,45 @@ def test_a_step_of_the_fixes_is_no_speed_and_a_steady_one_is(rate: float, at: fl
 
     assert speed(np.where(t > 5.0 * at, 1.0, 0.0)) == 0.0
     assert speed(0.5 * t) == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "speed", "std", "shown"),
+    [
+        (15.0, 1.5, 0.1, True),
+        (8.0, 1.5, 0.1, False),  # a stand has to last longer
+        (15.0, 0.3, 0.1, False),  # a receiver may drift as fast
+        (15.0, 1.5, 0.7, False),
+    ],
+)
+def test_a_calm_may_be_a_glide_where_one_was_shown_and_its_speed_is_plausible(
+    seconds: float, speed: float, std: float, shown: bool
+) -> None:
+    glides, at_ns = Glides(), 1_000_000_000
+
+    for k in range(int(2.0 * seconds)):
+        end_ns = at_ns + k * 500_000_000
+        glides.observe(end_ns - 1_000_000_000, end_ns, speed, std)
+
+    assert glides.explain(2.0) == shown
+    assert not glides.explain(1.0)
+
+
+def test_the_glide_of_what_brakes_is_as_fast_as_before() -> None:
+    glides = Glides()
+    for k in range(60):
+        end_ns = (k + 2) * 500_000_000
+        glides.observe(end_ns - 1_000_000_000, end_ns, 10.0 - k / 6.0, 0.1)
+
+    assert not glides.explain(9.0)
+    assert glides.explain(10.0)
+
+
+def test_glides_of_some_seconds_are_no_long_one() -> None:
+    glides = Glides()
+    for k in range(200):
+        glides.observe(k * 500_000_000, k * 500_000_000 + 1_000_000_000, 1.5, 0.1)
+        if k % 10 == 0:
+            glides.reset()
+
+    assert not glides.explain(10.0)
