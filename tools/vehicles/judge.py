@@ -239,7 +239,7 @@ def _silently_wrong(drive: Drive, t_ns: NDArray[np.int64], rows: Array) -> float
     distance = np.linalg.norm(horizontal, axis=1)
     silent = _lasting(drive.truth_ns, seen & (distance > 3.0 * FAR * sigma + metres))
     yaw_ns, off, std = _heading_errors(drive, t_ns, rows)
-    return max(silent, _lasting(yaw_ns, off > 3.0 * FAR * std + radians))
+    return float(max(silent, _lasting(yaw_ns, off > 3.0 * FAR * std + radians)))
 
 
 def _of_antenna(rows: Array, values: Mapping[str, Any]) -> Array:
