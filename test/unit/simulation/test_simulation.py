@@ -538,8 +538,12 @@ def test_a_vehicle_comes_with_its_sensors(tmp_path: Path) -> None:
 
     for out, seed in ((again, "1"), (other, "2")):
         assert main([str(out), *arguments, "--seed", seed]) == 0
-    (_, _, first), (_, _, second) = rows(again, "/truth/odometry"), rows(other, "/truth/odometry")
-    assert [m.pose.pose.position for m in first] != [m.pose.pose.position for m in second]  # type: ignore[attr-defined]
+    ways = [
+        xyz([m.pose.pose.position for m in rows(bag, "/truth/odometry")[2]])  # type: ignore[attr-defined]
+        for bag in (again, other)
+    ]
+    np.testing.assert_allclose(ways[0], moved, atol=1e-9)
+    assert np.abs(ways[1] - ways[0]).max() > 10.0
 
 
 def test_gnss_velocity_is_enu_with_its_covariance(tmp_path: Path) -> None:

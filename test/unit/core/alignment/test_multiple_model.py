@@ -201,7 +201,8 @@ def test_only_motion_is_evidence_and_beyond_the_gate_all_is_the_same(
     decide_on(bank, fix_at(SECOND))
     for k, nis in enumerate((2.0, 20.0, 30.0, 3000.0)):
         bank.filters[k].verdicts[0] = replace(bank.filters[k].verdicts[0], nis=nis)
-    bank.motion.moves, bank.motion.observe = moves, lambda measurement, best: False  # type: ignore[method-assign]
+    bank.motion.moves = moves
+    bank.motion.observe = lambda measurement, best: False  # type: ignore[method-assign]
 
     bank._weigh_decided()
 
