@@ -14,8 +14,9 @@ from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.simulation.road_vehicles import ROAD_VEHICLES
 from hybrid_ins.simulation.sensors import RTK_STD, ImuErrors
 from hybrid_ins.simulation.simulate import MOTIONS, Scenario, simulate, simulate_vehicle
-from hybrid_ins.simulation.vehicles import VEHICLES
+from hybrid_ins.simulation.vehicles import VEHICLES, Vehicle
 
+ALL_VEHICLES = VEHICLES | ROAD_VEHICLES
 BESIDE_VEHICLE = {"out", "vehicle", "duration", "truth_rate", "outage", "seed", "overwrite"}
 SHORT = 60.0  # s
 
@@ -46,7 +47,7 @@ With --vehicle it is a vehicle with what real ones have: vibration of its engine
 a receiver with slow errors and a claim that need not be right, a clock that is off or drifts. It
 comes with IMU and receiver; --seed varies its way, too:
 """
-        + "\n".join(f"  {name}" for name in VEHICLES | ROAD_VEHICLES),
+        + "\n".join(f"  {name}" for name in ALL_VEHICLES),
         "ins_simulate flight --outage 30 10 --noise-schedule 0:1,20:5,40:1 --seed 3\n"
         "  ins_simulate drive --vehicle 'car, drift 300 ppm' --seed 2",
     )
@@ -57,7 +58,7 @@ comes with IMU and receiver; --seed varies its way, too:
     motion.add_argument("--trajectory", choices=MOTIONS, default="quadrotor", help="[%(default)s]")
     motion.add_argument(
         "--vehicle",
-        choices=VEHICLES | ROAD_VEHICLES,
+        choices=ALL_VEHICLES,
         metavar="NAME",
         help="one of those above, in place of a trajectory with the sensors described below",
     )
@@ -71,7 +72,7 @@ comes with IMU and receiver; --seed varies its way, too:
         "--duration",
         type=options.positive,
         metavar="S",
-        help=f"[{SHORT:g} s; of a vehicle 240 s]",
+        help=f"[{SHORT:g} s; of a vehicle {Vehicle.duration:g} s]",
     )
     motion.add_argument(
         "--start",
@@ -187,7 +188,7 @@ def _check_unused(parser: argparse.ArgumentParser, args: argparse.Namespace) -> 
 def _run(args: argparse.Namespace) -> None:
     outages = options.outages(args.outage)
     if args.vehicle is not None:
-        vehicle = (VEHICLES | ROAD_VEHICLES)[args.vehicle]
+        vehicle = ALL_VEHICLES[args.vehicle]
         if args.duration is not None:
             vehicle = replace(vehicle, duration=args.duration)
         line = simulate_vehicle(

@@ -37,7 +37,7 @@ from hybrid_ins.core.aiding.lasting_errors import LastingErrors
 from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
 from hybrid_ins.core.constraints.constraint_observer import STATE_TIME, inflated
 from hybrid_ins.core.inertial.state import (
-    ATTITUDE_COVARIANCE,
+    HEADING_CONSIDERED,
     HEADING_DOUBT,
     JUMP_VARIANCE,
     SLOW_VARIANCE,
@@ -326,7 +326,7 @@ class HeadingSensor(AidingSensor):
 
     def considered(self, nav: Array) -> Array:
         """See `AidingSensor`; a heading that motion does not show is no evidence on another."""
-        return np.array([[nav[ATTITUDE_COVARIANCE.stop - 1] + nav[HEADING_DOUBT]]])
+        return np.array([[nav[HEADING_CONSIDERED] + nav[HEADING_DOUBT]]])
 
     def measurement(self, corrected: Measurement, R: Array, nuisance: Array) -> Measurement:
         """See `AidingSensor`."""

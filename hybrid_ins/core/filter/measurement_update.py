@@ -34,6 +34,7 @@ from hybrid_ins.core.inertial.state import (
     ATTITUDE_COVARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
+    HEADING_CONSIDERED,
     HEADING_VARIANCE,
     JUMP_VARIANCE,
     N_ERROR,
@@ -188,7 +189,7 @@ class MeasurementUpdate:
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
         nav[ATTITUDE_COVARIANCE] = self.scale_errors.considered + self.lever_arm.of_attitude
-        nav[ATTITUDE_COVARIANCE.stop - 1] += self.heading.considered(nav)
+        nav[HEADING_CONSIDERED] += self.heading.considered(nav)
         nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 

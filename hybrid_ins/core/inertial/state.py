@@ -58,6 +58,7 @@ ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
 # rad², NED, upper triangle row by row, of an attitude: by an IMU's scale errors, that antenna, and
 # what fixes only seem to show of the heading, `heading_information`
 ATTITUDE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
+HEADING_CONSIDERED = ATTITUDE_COVARIANCE.stop - 1  # the heading's of these
 MEAN_RATE = slice(ATTITUDE_COVARIANCE.stop, ATTITUDE_COVARIANCE.stop + 3)  # rad/s, b, recent mean
 HEADING_DOUBT = MEAN_RATE.stop  # rad², of a heading that may be another: `heading_check`
 N_NAV = HEADING_DOUBT + 1

@@ -196,10 +196,11 @@ class ImuMonitor:
             phases.submit(CovarianceInflation(t_ns, taught_wrongly, self._parts.settings.lever_b))
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
-        self.standing = self._calm_ns is not None and t_ns - self._calm_ns >= _longest_braking_ns(
-            best
+        self.standing = (
+            self._calm_ns is not None
+            and t_ns - self._calm_ns >= _longest_braking_ns(best)
+            and not self._glides.explain(self._calm_std)
         )
-        self.standing = self.standing and not self._glides.explain(self._calm_std)
         if self.standing:
             self._lift.note_stand(samples)
         if self.standing and self._zero_updates:

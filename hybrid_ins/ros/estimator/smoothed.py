@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.inertial.state import ATTITUDE_COVARIANCE, PSD
+from hybrid_ins.core.inertial.state import ATTITUDE_COVARIANCE, HEADING_CONSIDERED, PSD
 from hybrid_ins.core.smoothing.constant_errors import LEVER, ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.smoothing.hindsight import Hindsight
@@ -68,7 +68,7 @@ class SmoothedRun:
             arm_b = estimator.placement.arm_b - constants.lever_b
             for t_ns, rows in smoother.states():
                 rows[:, ATTITUDE_COVARIANCE] += _in_force(t_ns, *by_scale)
-                rows[:, ATTITUDE_COVARIANCE.stop - 1] += _in_force(t_ns, *by_noise)
+                rows[:, HEADING_CONSIDERED] += _in_force(t_ns, *by_noise)
                 for part in _parts(rows):
                     levels = process.q(rows[part.start, PSD][:6])
                     block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])

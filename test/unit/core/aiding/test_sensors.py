@@ -12,8 +12,8 @@ from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, 
 from hybrid_ins.core.aiding.sensors import AidingState, HeadingSensor, HeightSensor, VelocitySensor
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.core.inertial.state import (
-    ATTITUDE_COVARIANCE,
     BIAS_G,
+    HEADING_CONSIDERED,
     HEADING_DOUBT,
     LLA,
     QUAT,
@@ -242,7 +242,7 @@ def test_a_heading_is_not_believed_before_the_motion_has_confirmed_it() -> None:
     assert compass(sensor, 20.0, 0.0, 12.0) > 10
 
 
-@pytest.mark.parametrize("place", [HEADING_DOUBT, ATTITUDE_COVARIANCE.stop - 1])
+@pytest.mark.parametrize("place", [HEADING_DOUBT, HEADING_CONSIDERED])
 def test_a_heading_that_motion_does_not_show_confirms_and_refuses_no_other(place: int) -> None:
     """GIVEN a filter that is surer of its heading than motion is THEN another one waits."""
     for wrong in (0.0, 15.0):
