@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from support import interfaces
-from support.ros_nodes import ENVIRONMENT, Client, start_node
+from support.ros_nodes import Client, start_node
 
 from hybrid_ins.parameters.declared import PARAMETERS
 from hybrid_ins.parameters.parameter import Parameter
@@ -81,20 +78,14 @@ def client_types() -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def running(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Running]:
-    folder = interfaces.build(request.config.cache)
-    sys.path.insert(0, str(folder))
-    found = {"PYTHONPATH": os.pathsep.join([str(folder), ENVIRONMENT["PYTHONPATH"]])}
+def running(types: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     log = tmp_path_factory.mktemp("interface") / "node.log"
     with Processes() as processes:
-        start_node(processes, log, "-p", "datum:=[32.1, 34.8, 50.0]", environment=found)
+        start_node(processes, log, "-p", "datum:=[32.1, 34.8, 50.0]", environment=types)
         client = Client()
         client.spin_until(lambda: "ins_node" in client.node.get_node_names(), 60.0)
         yield Running(client)
         client.close()
-    sys.path.remove(str(folder))
 
 
 @pytest.mark.parametrize("what", ["subscriber", "publisher"])

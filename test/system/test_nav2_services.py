@@ -8,16 +8,12 @@ compiled from their published fields: the same generators, type support and midd
 from __future__ import annotations
 
 import math
-import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support import interfaces
-from support.ros_nodes import ENVIRONMENT, Client, start_node
+from support.ros_nodes import Client, start_node
 
 from hybrid_ins.core.inertial.earth import LocalFrame, lla_to_ecef
 from tools.processes import Processes
@@ -27,22 +23,6 @@ pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 pytestmark = pytest.mark.live
 
 DATUM = (32.1, 34.8, 50.0)
-
-
-@pytest.fixture(scope="module")
-def types(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    """What makes processes find the types; this one does, too."""
-    folder = interfaces.build(request.config.cache)
-    sys.path.insert(0, str(folder))
-    yield {"PYTHONPATH": os.pathsep.join([str(folder), ENVIRONMENT["PYTHONPATH"]])}
-    sys.path.remove(str(folder))
-
-
-@pytest.fixture
-def client(types: dict[str, str]) -> Iterator[Client]:
-    asking = Client()
-    yield asking
-    asking.close()
 
 
 def enu(latitude: float, longitude: float, height: float) -> np.ndarray[Any, Any]:

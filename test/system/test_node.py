@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -158,13 +157,6 @@ def test_a_node_without_tf2_warns_that_nobody_gives_the_places_of_sensors(
 
     assert len(lines) == (0 if HAS_TF2 else 1)
     assert all("[WARN]" in line for line in lines)
-
-
-@pytest.fixture
-def client() -> Iterator[Client]:
-    asking = Client()
-    yield asking
-    asking.close()
 
 
 def test_control_of_an_idle_node(processes: Processes, folder: Path, client: Client) -> None:
@@ -417,18 +409,25 @@ def test_publisher_whose_qos_does_not_fit_is_told(
     )
 
 
+def ended_start(
+    *words: str, environment: dict[str, str] | None = None, timeout: float = 90.0
+) -> subprocess.CompletedProcess[str]:
+    """Start a node that refuses its arguments, and wait for its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "hybrid_ins.ros.node", *words],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env=os.environ | ENVIRONMENT | (environment or {}),
+        check=False,
+    )
+
+
 def test_an_impossible_parameter_ends_the_start_with_one_line(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("/**:\n  ros__parameters:\n    noise:\n      mode: clairvoyant\n")
 
-    done = subprocess.run(
-        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", "--params-file", str(file)],
-        capture_output=True,
-        text=True,
-        timeout=90,
-        env=os.environ | ENVIRONMENT,
-        check=False,
-    )
+    done = ended_start("--ros-args", "--params-file", str(file))
 
     assert done.returncode == 2
     assert "noise.mode" in done.stderr
@@ -445,14 +444,7 @@ def test_all_impossible_parameters_are_named_at_once() -> None:
     }
     words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
 
-    done = subprocess.run(
-        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *words],
-        capture_output=True,
-        text=True,
-        timeout=90,
-        env=os.environ | ENVIRONMENT,
-        check=False,
-    )
+    done = ended_start("--ros-args", *words)
 
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
@@ -513,14 +505,8 @@ def test_what_ros_refuses_ends_the_start_with_one_line(
     words: list[str], environment: dict[str, str], complaint: str, tmp_path: Path
 ) -> None:
     (tmp_path / "enclaves").mkdir()
-    done = subprocess.run(
-        [sys.executable, "-m", "hybrid_ins.ros.node", "--ros-args", *words],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env=os.environ | ENVIRONMENT | environment | {"ROS_SECURITY_KEYSTORE": str(tmp_path)},
-        check=False,
-    )
+    secured = environment | {"ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    done = ended_start("--ros-args", *words, environment=secured, timeout=120.0)
 
     assert done.returncode == 2
     assert re.search(complaint, done.stderr, re.MULTILINE), done.stderr
@@ -545,14 +531,7 @@ def test_the_first_compilation_is_ended_by_a_signal(
 
 @pytest.mark.parametrize("word", ["robot.yaml", "--parms-file"])
 def test_an_argument_that_is_none_of_ros_ends_the_start(word: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "hybrid_ins.ros.node", word],
-        capture_output=True,
-        text=True,
-        timeout=90,
-        env=os.environ | ENVIRONMENT,
-        check=False,
-    )
+    done = ended_start(word)
 
     assert done.returncode == 2
     assert done.stderr.startswith("ins_node: error: unknown ROS arguments")

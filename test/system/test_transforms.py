@@ -6,16 +6,13 @@ Where tf2_msgs is not installed its only type is generated and compiled, see `su
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support import interfaces
 from support.ros_nodes import ENVIRONMENT, Client, start_node
 
 from hybrid_ins.cli import simulate
@@ -29,22 +26,6 @@ pytestmark = pytest.mark.live
 
 PLACES = {"imu_link": [0.3, 0.0, 0.1], "gnss_link": [0.0, 0.0, 0.0]}
 UNTURNED = [0.0, 0.0, 0.0, 1.0]
-
-
-@pytest.fixture(scope="module")
-def types(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    """What makes processes find the types; this one does, too."""
-    folder = interfaces.build(request.config.cache)
-    sys.path.insert(0, str(folder))
-    yield {"PYTHONPATH": os.pathsep.join([str(folder), ENVIRONMENT["PYTHONPATH"]])}
-    sys.path.remove(str(folder))
-
-
-@pytest.fixture
-def client(types: dict[str, str]) -> Iterator[Client]:
-    asking = Client()
-    yield asking
-    asking.close()
 
 
 def pose(position: Any, quat: Any) -> np.ndarray[Any, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,13 +17,6 @@ pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.live
-
-
-@pytest.fixture
-def client() -> Iterator[Client]:
-    asking = Client()
-    yield asking
-    asking.close()
 
 
 def play(processes: Processes, bag: Path) -> None:
