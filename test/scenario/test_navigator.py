@@ -518,6 +518,15 @@ def rolls() -> Motion:
     return Motion(START_LLA, float(t[-1]), velocity.antiderivative(), rpy)
 
 
+def rocking() -> Motion:
+    """Roll to and fro by 0.4 rad in one place, at up to 1 rad/s."""
+    t = time_grid(15.0)
+    zero = np.zeros_like(t)
+    position = make_interp_spline(t, np.stack((zero, zero, zero), axis=1), k=5)
+    rpy = make_interp_spline(t, np.stack((0.4 * np.sin(2.5 * t), zero, zero), axis=1), k=5)
+    return Motion(START_LLA, float(t[-1]), position, rpy)
+
+
 def test_rolls_are_no_rates_in_degrees() -> None:
     """Gravity stays where it is in the body's axes, as it would if it hardly turned."""
     run = scene(rolls())
@@ -539,6 +548,17 @@ def test_rates_in_degrees_are_found_beside_a_filter_that_agreed_at_rest(fix_rate
     run = scene(quadrotor_flight(40.0, 4, heading=0.7), fix_rate=fix_rate)
     run.rate[:] = np.degrees(run.rate)
     navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+
+    play(run, navigator)
+
+    kinds = [e.fault.kind for e in run.notices if isinstance(e, Restarted) and e.fault is not None]
+    assert FaultKind.DEGREES in kinds
+
+
+def test_rates_that_no_gyroscope_measures_are_in_degrees_whatever_fixes_say() -> None:
+    run = scene(rocking(), fix_std=(30.0, 30.0, 30.0))
+    run.rate[run.t > 10.0] *= np.degrees(1.0)
+    navigator = make_navigator("parameter", yaw=0.0)
 
     play(run, navigator)
 

@@ -56,6 +56,7 @@ STILL_KNOWN = 2.0  # factor on the σ of a speed that was not zero: beyond it, z
 SOFTEST_BRAKING = 0.2  # m/s²: steady braking resembles standing until it ends
 STEADY_NS = 5_000_000_000  # after a change of the specific force that ended a stand
 LONGEST_MANOEUVRE_NS = 5_000_000_000  # of a fall, or of a turn at several times gravity
+LARGEST_RATE = 35.0  # rad/s, of a vehicle that rolls: gyroscopes measure no more
 CONVINCING = 4  # fixes since its begin that agree: it may be longer
 GRAVITY_FAULTS = (FaultKind.NO_GRAVITY, FaultKind.TOO_MUCH_GRAVITY)
 UNKNOWN_BIAS_STD_A, UNKNOWN_BIAS_STD_G = 0.3, 0.01  # m/s², rad/s: after misleading readings
@@ -248,7 +249,8 @@ class ImuMonitor:
         is metres off after a second.
         """
         if self.fault is not None and self.fault.kind is FaultKind.DEGREES:
-            return running and self._fix_agreed_ns > 0
+            possible = self.fault.value < LARGEST_RATE
+            return possible and running and self._fix_agreed_ns > 0
         if self.fault is None or self.fault.kind not in GRAVITY_FAULTS:
             self._weighed_ns, self._agreed = t_ns, 0
             return False
