@@ -147,6 +147,7 @@ def set_covariance(drive: Drive, values: np.ndarray, kind: int) -> None:
         (np.zeros((3, 3)), 2, "position_covariance 0, 0 is not positive"),
         (np.full((3, 3), np.nan), 3, "position_covariance nan, nan is not finite"),
         (-np.eye(3), 2, "position_covariance -1, -1 is not positive"),
+        (np.eye(3) + 2.0 * (1.0 - np.eye(3)), 3, "position_covariance is not positive definite"),
         (np.eye(3), 0, "position_covariance_type 0 means unknown"),
     ],
 )

@@ -380,7 +380,11 @@ FAULTS: tuple[Fault, ...] = (
         ("gnss: same position while moving",),
     ),
     Fault(
-        "fix_first_wild", "the very first fix is 111 km off", first_fix_wild, ("no restart",), 0.1
+        "fix_first_wild",
+        "the very first fix is 111 km off",
+        first_fix_wild,
+        ("restart: the fixes jumped before the heading was known",),
+        0.1,
     ),
     Fault(
         "fix_frame_id",
@@ -399,31 +403,31 @@ FAULTS: tuple[Fault, ...] = (
         "cov_unknown",
         "covariance type is unknown",
         change_fixes(with_covariance(np.eye(3), 0)),
-        ("verdict sigma_e 3",),
+        ("gnss: covariance",),
     ),
     Fault(
         "cov_zero",
         "covariance is zero",
         change_fixes(with_covariance(np.zeros((3, 3)))),
-        ("verdict sigma_e 3",),
+        ("gnss: covariance",),
     ),
     Fault(
         "cov_negative",
         "variances are negative",
         change_fixes(with_covariance(-np.eye(3), DIAGONAL)),
-        ("verdict sigma_e 3",),
+        ("gnss: covariance",),
     ),
     Fault(
         "cov_nan",
         "covariance is NaN",
         change_fixes(with_covariance(np.full((3, 3), NAN))),
-        ("verdict sigma_e 3",),
+        ("gnss: covariance",),
     ),
     Fault(
         "cov_indefinite",
         "covariance is not positive definite",
         change_fixes(with_covariance(INDEFINITE)),
-        ("verdict sigma_e 3",),
+        ("gnss: covariance",),
     ),
     Fault(
         "cov_tiny",

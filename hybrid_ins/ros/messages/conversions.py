@@ -39,6 +39,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])  # FLU <-> FRD
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <-> NED
 APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
 STATUS_FIX, STATUS_NO_FIX = 0, -1
+UNKNOWN = np.eye(3)  # in place of a covariance that cannot be used
 NEAR_POLE = 89.9  # deg, beyond which north turns too fast for a filter in NED
 VERTICAL_RATIO = 2.0  # of a velocity's σ: of a receiver that has one number for all directions
 
@@ -246,6 +247,9 @@ def missing_covariance(message: Message) -> str:
         return f"position_covariance {east:g}, {north:g} is not finite"
     if east <= 0.0 or north <= 0.0:
         return f"position_covariance {east:g}, {north:g} is not positive"
+    covariance = np.array(message.position_covariance, dtype=float).reshape(3, 3)
+    if floor_covariance(covariance, 0.0, UNKNOWN) is UNKNOWN:
+        return "position_covariance is not positive definite"
     return ""
 
 
