@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.drive import GIVEN, KNOWN, Drive
+from support.long_stand import car_then_stand
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.messages import new_message
@@ -409,6 +410,25 @@ def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> Non
 
     assert drive.estimator.inputs.counts["gnss: same position while moving"] == 14
     assert drive.error(32.99) < 2.0
+
+
+def test_a_receiver_that_holds_its_position_is_not_believed_once_the_vehicle_stops() -> None:
+    """
+    GIVEN a car whose receiver holds its last position from the entrance of a garage on
+    WHEN the car stops 30 m further on
+    THEN its position stays where it is.
+    """
+    values = {**KNOWN, "alignment.yaw": np.pi / 2 - 1.0}
+    drive = Drive(car_then_stand(60.0, 1), **values)
+    drive.fix_lla[90:] = drive.fix_lla[90]
+
+    drive.play(0.0, 59.9)
+
+    places = drive.track.position_enu[np.searchsorted(drive.truth.t, (18.0, 59.89))]
+    away = float(np.linalg.norm(places[1] - places[0]))
+    assert away > 25.0
+    assert drive.error(59.89) < 0.2 * away
+    assert drive.estimator.inputs.counts["gnss: same position while moving"] == 209
 
 
 def test_a_driver_that_repeats_each_fix_with_new_stamps_is_named_and_its_repeats_are_refused() -> (

@@ -7,6 +7,7 @@ other are a new time base, such as a bag that is played again or a clock that wa
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import Enum
 
@@ -15,6 +16,7 @@ from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction, VelocityCheck
 from hybrid_ins.core.imu.standstill import FixMotion
+from hybrid_ins.core.noise.position_scatter import horizontal_variance
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
@@ -23,6 +25,7 @@ AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyo
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+LEFT_BEHIND = 3.0  # m, and standard deviations: so far from it a repeated position is not believed
 STAMPED_AHEAD = "stamped ahead of the IMU"  # the reason of one that is further ahead
 PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
 
@@ -147,6 +150,8 @@ class MeasurementCheck:
         self.was_misled = False
         self.contradiction: Contradiction | None = None
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
+        self._repeated_ns, self._moved = 0, 0.0  # stamp [ns] of the last position, and how far [m]
+        # the vehicle has moved while its receiver repeated that
 
     def forget_stamps(self) -> None:
         """Forget the stamps of earlier measurements: the next come by another clock."""
@@ -190,10 +195,23 @@ class MeasurementCheck:
         if again and repetition.repeats:
             return Verdict.rejected(fix, PUBLISHED_AGAIN)
         if isinstance(fix, PositionFix):
-            if again and speed > MOVING:
+            if self._is_held(fix, again, speed):
                 return Verdict.rejected(fix, "same position while moving")
             self.motion.observe(fix.t_ns, fix.lla)
         return None
+
+    def _is_held(self, fix: PositionFix, again: bool, speed: float) -> bool:
+        """
+        Return whether a receiver repeats a position that the vehicle leaves, or has left.
+
+        A vehicle that stops in a tunnel is not where its receiver has held its position since.
+        """
+        moves = again and speed > MOVING
+        since = (fix.t_ns - self._repeated_ns) * 1e-9 if moves else 0.0
+        self._moved = self._moved + speed * since if again else 0.0
+        self._repeated_ns = fix.t_ns
+        claimed = math.sqrt(horizontal_variance(fix.claimed))
+        return moves or self._moved > LEFT_BEHIND * max(1.0, claimed)
 
     def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:
         """Refuse a velocity while those of its driver contradict the positions."""

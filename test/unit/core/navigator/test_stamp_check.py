@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from hybrid_ins.core.navigator.stamp_check import JUMP_CONFIRMED, ImuStampCheck, StampFault
+import numpy as np
+
+from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
+from hybrid_ins.core.navigator.stamp_check import (
+    JUMP_CONFIRMED,
+    ImuStampCheck,
+    MeasurementCheck,
+    StampFault,
+)
+from hybrid_ins.core.update.measurements import PositionFix
 
 MS = 1_000_000  # ns
 
@@ -20,3 +29,49 @@ def test_a_stray_stamp_after_a_gap_is_no_confirmed_jump() -> None:
     stamps.last_ns = 3_000 * MS  # by steps that need no check
 
     assert stamps.check(2_100 * MS) is StampFault.JUMP
+
+
+class HeldPositions:
+    """A receiver that repeats one position at 5 Hz, and the checks of its fixes."""
+
+    def __init__(self, std: float = 1.0) -> None:
+        self.check = MeasurementCheck(SpeedCheck(100.0, 3.0))
+        self.covariance = std**2 * np.eye(3)
+        self.lla = np.array([0.8, 0.1, 100.0])
+        self.t_ns = 1_000_000 * MS
+
+    def refused(self, speed: float, lasting: float) -> int:
+        """Return how many fixes of the next seconds are refused, at a speed [m/s]."""
+        count = 0
+        for _ in range(round(5.0 * lasting)):
+            self.t_ns += 200 * MS
+            fix = PositionFix(self.t_ns, self.lla, self.covariance, np.zeros(3))
+            verdict = self.check.check(fix, ImuStampCheck(2.0), speed)
+            count += verdict is not None and verdict.reason == "same position while moving"
+        return count
+
+
+def test_a_held_position_that_was_left_behind_is_refused_at_rest_until_it_changes() -> None:
+    receiver = HeldPositions()
+
+    assert receiver.refused(5.0, 4.0) == 19  # the first one is new
+    assert receiver.refused(0.0, 60.0) == 300
+    receiver.lla = receiver.lla + 1e-6
+    assert receiver.refused(0.0, 60.0) == 0
+
+
+def test_a_receiver_that_holds_its_position_when_the_vehicle_stops_is_believed_at_rest() -> None:
+    """A filter that finds the stop late is no evidence against what it stopped at."""
+    receiver = HeldPositions()
+
+    assert receiver.refused(1.4, 2.0) == 9
+    assert receiver.refused(0.0, 60.0) == 0
+
+
+def test_a_position_that_claims_little_is_left_behind_later() -> None:
+    receiver = HeldPositions(std=5.0)
+
+    assert receiver.refused(5.0, 2.8) == 13
+    assert receiver.refused(0.0, 10.0) == 0
+    assert receiver.refused(5.0, 1.0) == 5
+    assert receiver.refused(0.0, 10.0) == 50
