@@ -31,6 +31,7 @@ from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_A,
     COARSE_PSD_G,
     COARSE_SLOW,
+    LEVER,
     SLOW_SHARE,
     VELOCITY_AGE,
     VELOCITY_AGES,
@@ -188,7 +189,7 @@ def fit(
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
         x, converged = maximise(fine, np.where(keep, nominal_x, x))
         own = np.where(keep, std, uncertainty(fine, x))
-        std = _considered(fine, own, _errors_of_held(fine, x, own, "offset"))
+        std = _considered(fine, own, _errors_of_held(fine, x, own, "offset", "lever"))
     drift = Drift(0.0, math.inf)
     if all(std[i] <= known[i] for i in fine.offsets):
         x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
@@ -226,7 +227,8 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
 
     The outer products of the scores of single measurements are the information [2]_; those of
     sums over a few seconds, assumed to be independent, are the covariance of the scores [1]_.
-    That of a clock offset is no smaller than what the motion shows of it.
+    That of a clock offset is no smaller than what the motion shows of it, nor that of an antenna's
+    place than what it shows of the direction of its arm.
     """
     free = likelihood.free()
     scatter = np.zeros((len(free), len(free)))
@@ -247,6 +249,10 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     std[free] = np.sqrt(variance)
     for i in set(likelihood.offsets) & set(free):
         std[i] = max(std[i], _std_by_motion(likelihood, x, likelihood.names[i]))
+    arm = [likelihood.names.index(name) for name in LEVER[:2]]
+    if set(arm) & set(free):
+        across = np.abs(x[arm[::-1]]) * likelihood.azimuth_std(x)
+        std[arm] = np.where(np.isin(arm, free), np.hypot(std[arm], across), std[arm])
     return np.minimum(std, prior)
 
 

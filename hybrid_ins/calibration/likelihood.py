@@ -53,6 +53,7 @@ YAW_STD = 0.15  # rad, of the chosen one
 LITTLE_SLOW, COARSE_SLOW = 0.01, 0.1  # share of the claimed variance of positions
 COARSE_PSD_A, COARSE_PSD_G = 2e-2, 1e-5  # (m/s²)²/Hz, (rad/s)²/Hz: broad peaks over the offset
 LONGEST_COARSE = 90.0  # s of each recording
+AZIMUTH_STEP = 0.1  # rad, by which the antenna's arm is turned
 SCORE_BLOCK = 3.0  # s, over which scores are assumed to be dependent
 OFFSET_STEP = 0.008  # s, of its finite differences at the least: a few samples
 FORWARD, CENTRAL = (1.0,), (-1.0, 1.0)  # steps, at which finite differences are taken
@@ -230,6 +231,25 @@ class Likelihood:
     def likeliest(self, x: Array, name: str, values: Array) -> float:
         """Return the likeliest of some values of one parameter, the others being ``x``."""
         return float(values[int(np.argmax(self.profile(x, name, values)))])
+
+    def azimuth_std(self, x: Array) -> float:
+        """
+        Return the standard deviation [rad] of the direction of the antenna's arm about b's z axis.
+
+        To a vehicle that turns on the spot another direction is another heading. So that is turned
+        back at the start, by as much as the arm is turned: its prior is no information on the arm.
+        """
+        place = [self._at[name] for name in LEVER[:2]]
+
+        def turned(angle: float) -> float:
+            there, (cos, sin) = x.copy(), (math.cos(angle), math.sin(angle))
+            there[place] = np.array([[cos, -sin], [sin, cos]]) @ x[place]
+            count = range(len(self.recordings))
+            passes = self._in_parallel(lambda k: self._run(k, there, self.yaws[k] - angle), count)
+            return sum(float(np.sum(passed.log_likelihood)) for passed in passes)
+
+        lost = turned(0.0) - 0.5 * (turned(AZIMUTH_STEP) + turned(-AZIMUTH_STEP))
+        return AZIMUTH_STEP / math.sqrt(2.0 * lost) if lost > 0.0 else math.inf
 
     def choose_yaws(self, x: Array, width: float) -> None:
         """Set each heading to the most likely one within ``width`` [rad] of it."""
