@@ -24,7 +24,7 @@ from hybrid_ins.calibration.admission import (
 from hybrid_ins.calibration.innovations import POSITION, VELOCITY
 from hybrid_ins.core.aiding.measurements import BodyVelocity
 from hybrid_ins.core.filter.gap import LONG_GAP
-from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
+from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, without_held
 from hybrid_ins.core.fix_checks.velocity_check import VelocityCheck
 from hybrid_ins.core.imu.samples import sample_period
 from hybrid_ins.core.inertial.earth import LocalFrame, displacement
@@ -212,7 +212,7 @@ def read_recording(
                 f"{path}: fixes on {fix_topic}: {describe_clocks(float(ahead))}: let both drivers "
                 "stamp by one clock, and record again"
             )
-    aid = sorted(found.aid, key=lambda one: (one.t_ns, one.kind))
+    aid = _not_held(sorted(found.aid, key=lambda one: (one.t_ns, one.kind)), f"{path}: {fix_topic}")
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     samples = np.hstack((imu.specific_force[rows] @ mount.T, imu.angular_rate[rows] @ mount.T))
     origin = int(imu_ns[rows[0]])
@@ -287,6 +287,24 @@ def _fixes(
             if not isinstance(velocity, Refused):
                 found.aid.append(velocity)
     return found
+
+
+def _not_held(
+    aid: Sequence[PositionFix | VelocityFix], place: str
+) -> list[PositionFix | VelocityFix]:
+    """Return measurements without the positions that their receiver held."""
+    fixes = [one for one in aid if isinstance(one, PositionFix)]
+    kept = without_held(fixes)
+    if len(kept) < len(fixes):
+        _log.warning(
+            "%s: %d of %d fixes are left out: their receiver repeats a position that the vehicle "
+            "has left",
+            place,
+            len(fixes) - len(kept),
+            len(fixes),
+        )
+    stamps = {fix.t_ns for fix in kept}
+    return [one for one in aid if not isinstance(one, PositionFix) or one.t_ns in stamps]
 
 
 def _refuse_wrong_velocities(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
 from hybrid_ins.bags.reader import BagReader, InputTopics, received
+from hybrid_ins.core.fix_checks.repeated_fixes import without_held
 from hybrid_ins.core.inertial.earth import LocalFrame, displacement
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.ros.estimator.estimator import Estimator
@@ -105,7 +106,8 @@ def run_trial(
         The Imu messages that are used.
     """
     estimator = Estimator(values, lambda level, text: None)
-    track, withheld, given = _run(path, values, topics, rows, estimator)
+    track, all_withheld, given = _run(path, values, topics, rows, estimator)
+    withheld = without_held(all_withheld)
     antenna_b = np.asarray(values["gnss.antenna_position"], float)
     error, nis = np.full(len(withheld), np.nan), np.full(len(withheld), np.nan)
     if track is not None:

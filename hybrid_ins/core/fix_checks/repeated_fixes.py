@@ -11,13 +11,59 @@ receiver, 5 Hz with one of 4 Hz, repeats a few: never for long, and all componen
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.inertial.earth import displacement
+
+Array = NDArray[np.float64]
+
+LEFT_BEHIND = 3.0  # m, and standard deviations: so far from it a repeated position is not believed
 RECENT, SOME, SHORT = 30, 5, 3  # runs; repetitions among them that show it, of such a length
 RUNS = 4  # in a row that show a driver that repeats; by chance that takes 10^5 rounded positions
+
+
+class Position(Protocol):
+    """What a receiver says of where it is."""
+
+    @property
+    def lla(self) -> Array:
+        """Latitude, longitude [rad] and height [m], (3,)."""
+
+    @property
+    def covariance_n(self) -> Array:
+        """Its covariance (3, 3) [m²], NED."""
+
+
+Fix = TypeVar("Fix", bound=Position)
+
+
+def left_behind(fix: Position) -> float:
+    """Return how far [m] a vehicle may move while its receiver repeats a position."""
+    claimed = 0.5 * (fix.covariance_n[0, 0] + fix.covariance_n[1, 1])
+    return LEFT_BEHIND * max(1.0, math.sqrt(claimed))
+
+
+def without_held(fixes: Sequence[Fix]) -> list[Fix]:
+    """
+    Return fixes, in the order of their stamps, without those of a receiver that held its position.
+
+    After them its position has jumped: the vehicle had left it behind. The first one stays.
+    """
+    kept: list[Fix] = []
+    first = 0
+    for k, fix in enumerate(fixes):
+        if np.array_equal(fix.lla, fixes[first].lla, equal_nan=True):
+            continue
+        jump = np.linalg.norm(displacement(fixes[first].lla, fix.lla)[:2])
+        kept += fixes[first : first + 1 if jump > left_behind(fixes[first]) else k]
+        first = k
+    return kept + list(fixes[first:])
 
 
 class RepetitionCheck:
@@ -32,13 +78,13 @@ class RepetitionCheck:
 
     def __init__(self) -> None:
         self.repeats = False
-        self._last: NDArray[np.float64] | None = None
+        self._last: Array | None = None
         self._length = 0  # of the run of identical measurements
         self._runs = 0  # that show a repetition, less those that contradict it; 0 to RUNS
         self._recent: deque[int] = deque(maxlen=RECENT)  # lengths of runs; 0: not ended completely
         self._varies = np.array([True, True, False])  # components that are no constants
 
-    def is_again(self, measured: NDArray[np.float64]) -> bool:
+    def is_again(self, measured: Array) -> bool:
         """Return whether a measurement (3,), NED or position, is bit-identical to the last one."""
         last, self._last = self._last, measured
         if last is None:

@@ -7,16 +7,14 @@ other are a new time base, such as a bag that is played again or a clock that wa
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from enum import Enum
 
 from hybrid_ins.core.filter.gap import LONG_GAP
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
-from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck
+from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, left_behind
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction, VelocityCheck
 from hybrid_ins.core.imu.standstill import FixMotion
-from hybrid_ins.core.noise.position_scatter import horizontal_variance
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
@@ -25,7 +23,6 @@ AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyo
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
-LEFT_BEHIND = 3.0  # m, and standard deviations: so far from it a repeated position is not believed
 STAMPED_AHEAD = "stamped ahead of the IMU"  # the reason of one that is further ahead
 PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
 
@@ -210,8 +207,7 @@ class MeasurementCheck:
         since = (fix.t_ns - self._repeated_ns) * 1e-9 if moves else 0.0
         self._moved = self._moved + speed * since if again else 0.0
         self._repeated_ns = fix.t_ns
-        claimed = math.sqrt(horizontal_variance(fix.claimed))
-        return moves or self._moved > LEFT_BEHIND * max(1.0, claimed)
+        return moves or self._moved > left_behind(fix)
 
     def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:
         """Refuse a velocity while those of its driver contradict the positions."""

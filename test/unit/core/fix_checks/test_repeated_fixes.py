@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hybrid_ins.core.fix_checks.repeated_fixes import RECENT, RUNS, RepetitionCheck
+from hybrid_ins.core.fix_checks.repeated_fixes import (
+    RECENT,
+    RUNS,
+    RepetitionCheck,
+    without_held,
+)
+from hybrid_ins.core.update.measurements import PositionFix
 
 Array = NDArray[np.float64]
 
@@ -67,3 +73,22 @@ def test_a_driver_a_little_faster_than_its_receiver_is_found(
     assert not refused[~is_again].any(), "the first of each has the right stamp"
     late = of > RECENT + 2
     assert refused[late & is_again].all()
+
+
+def _fixes(north: Array, std: float = 1.0) -> list[PositionFix]:
+    """Return fixes once a second at distances (N,) [m] north of a place."""
+    return [
+        PositionFix(k, np.array([0.5 + x / 6.37e6, 1.0, 10.0]), std**2 * np.eye(3), np.zeros(3))
+        for k, x in enumerate(north)
+    ]
+
+
+def test_held_positions_are_those_after_which_the_position_jumps() -> None:
+    drive, stand = np.arange(0.0, 50.0, 5.0), np.full(20, 50.0)
+    held, after = np.full(20, 50.1), np.arange(120.0, 150.0, 5.0)
+    fixes = _fixes(np.concatenate((drive, stand, held, after, np.full(9, 150.0))))
+
+    kept = [fix.t_ns for fix in without_held(fixes)]
+
+    assert kept == [*range(31), *range(50, 65)]
+    assert len(without_held(_fixes(np.concatenate((held, after)), std=30.0))) == 26
