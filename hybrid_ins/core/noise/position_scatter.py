@@ -15,7 +15,8 @@ R that the innovations show (`multiple_model`) are found sooner and are coarser;
 them, so R is multiplied by the larger of the two.
 
 A filter that believed in too large an R until now has too large a P as well, and its innovations
-show less than no scatter; what is learned is therefore never less than the smallest share.
+show less than no scatter. From one fix to the next they change by the scatter of both at the least,
+whatever P is: what is learned is therefore never less than a part of what they change by.
 
 Positions that scatter as much as is claimed do not show that nothing else is wrong with them: the
 errors of a receiver without corrections, from orbits, atmosphere and reflections, last for minutes,
@@ -66,6 +67,8 @@ SCATTER_MEMORY = 30.0  # s, over which the scatter is averaged
 PRIOR_COUNT = 7.0  # fixes, that the given share weighs at the start, and that are remembered
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.003  # share of the claimed variance
+OF_CHANGES = 0.5  # least share, of half the mean square by which innovations change: that of white
+# errors at a small gain, up to three times as much at a large one
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
 SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
 LEAST_SEARCHED = 0.1  # of the given share, while a heading or a clock is searched for
@@ -118,6 +121,11 @@ class _Shown(NamedTuple):
         total = max(fading * self.total + min(total, largest), SMALLEST * seen)
         return _Shown(self.components, total, seen)
 
+    @property
+    def least(self) -> float:
+        """The least share that sums of changes show."""
+        return min(OF_CHANGES * self.total / self.seen, 1.0) if self.seen > 0.0 else 0.0
+
     def share(self, both: _Shown) -> float:
         """Return the share in R; what is not seen here yet is that of all components."""
         lacking = max(PRIOR_COUNT * self.components - self.seen, 0.0)
@@ -167,7 +175,9 @@ class PositionScatter(ShallowCopy):
         self._both = _Shown(3, 3.0 * PRIOR_COUNT * mean, 3.0 * PRIOR_COUNT)
         self._parts = _Shown(2), _Shown(1)
         self.learned: Shares = (given, given)
+        self._changes = _Shown(2), _Shown(1)  # half the square of changes of innovations
         self._normalised = np.empty(0)  # the last position's innovation
+        self._by_claim = np.empty(0)  # likewise, by the standard deviations that it claimed
         self._walk = 1.0  # factor on the walk of the slow error
 
     def shares(self, claimed: Array) -> Shares:
@@ -285,7 +295,12 @@ class PositionScatter(ShallowCopy):
         horizontal = horizontal.updated(claimed[0], seen[0], interval)
         vertical = vertical.updated(claimed[1], seen[1], interval)
         self._parts = horizontal, vertical
-        self.learned = horizontal.share(self._both), vertical.share(self._both)
+        self._note_change(split, evidence, interval)
+        across, upward = (changes.least for changes in self._changes)
+        self.learned = (
+            max(horizontal.share(self._both), across),
+            max(vertical.share(self._both), upward),
+        )
         m = min(len(normalised), len(self._normalised))
         if m and self.in_force and interval < LONGEST_INTERVAL:
             alike = float(np.mean(np.clip(normalised[:m] * self._normalised[:m], -1.0, 1.0)))
@@ -294,6 +309,21 @@ class PositionScatter(ShallowCopy):
             change = alike - WALK_FALL * of_state**2 * too_small
             self._walk = min(max(self._walk * math.exp(WALK_GAIN * change), SMALLEST_WALK), 1.0)
         self._normalised = normalised
+
+    def _note_change(self, split: Split, evidence: Evidence, interval: float) -> None:
+        """Note by how much a fix's innovation differs from the last one."""
+        _, counts, normalised = evidence
+        of_R = np.sqrt(np.maximum(counts / (2.0, 1.0), 1e-6))  # shares of R in S
+        by_claim = normalised * np.sqrt(np.repeat(split.factors / of_R, (2, 1)))[: len(normalised)]
+        m = min(len(by_claim), len(self._by_claim))
+        if m and interval < LONGEST_INTERVAL:
+            halves = 0.5 * np.square(by_claim[:m] - self._by_claim[:m])
+            horizontal, vertical = self._changes
+            self._changes = (
+                horizontal.updated(float(halves[:2].sum()), 2.0, interval),
+                vertical.updated(float(halves[2:].sum()), float(m - 2), interval),
+            )
+        self._by_claim = by_claim
 
 
 def _without(factor: float, share: float, largest: float) -> float:

@@ -48,7 +48,7 @@ def standing(P: Array) -> Array:
 
 
 def learned(
-    scatter: float | Array, claimed: float, walk: float, count: int = 400
+    scatter: float | Array, claimed: float, walk: float, count: int = 400, believed: float = 1.0
 ) -> PositionScatter:
     """Return what fixes at 5 Hz teach, whose errors about a wandering position are white."""
     rng = np.random.default_rng(3)
@@ -57,7 +57,7 @@ def learned(
     R, offset = claimed**2 * np.eye(3), rng.normal(0.0, 1.0, 3)  # true minus estimated
     for k in range(1, count):
         P = covariance(nav)
-        P[DP, DP] += walk**2 * np.eye(3)
+        P[DP, DP] += (believed * walk) ** 2 * np.eye(3)
         pack(P, nav[COVARIANCE])
         offset += rng.normal(0.0, walk, 3)
         z = offset + rng.normal(0.0, 1.0, 3) * scatter
@@ -89,6 +89,13 @@ def test_metres_without_corrections_are_slow_in_part_whatever_they_scatter(
 def test_a_scatter_below_the_claim_is_learned(scatter: float, claimed: float, walk: float) -> None:
     true = (scatter / claimed) ** 2
     assert learned(scatter, claimed, walk).learned == pytest.approx([MARGIN * true] * 2, rel=0.4)
+
+
+@pytest.mark.parametrize("count", [60, 400])
+def test_a_covariance_that_is_too_large_does_not_make_the_scatter_vanish(count: int) -> None:
+    """Innovations far below P show less than no scatter, and change by it nonetheless."""
+    shares = learned(0.3, 1.0, 0.02, count, believed=15.0).learned
+    assert shares == pytest.approx([MARGIN * 0.3**2] * 2, rel=0.3)
 
 
 @pytest.mark.parametrize("walk", [0.02, 0.3])
