@@ -83,6 +83,7 @@ WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two
 WALK_FALL = 0.2  # of that, where innovations are far smaller than a covariance that is the state's
 SMALLEST_WALK = 0.01
 LONGEST_INTERVAL = 3.0  # s, between two such
+SHORT_INTERVAL = 0.6  # s, between two whose change is the fixes', not the IMU's
 NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 
@@ -316,7 +317,7 @@ class PositionScatter(ShallowCopy):
         of_R = np.sqrt(np.maximum(counts / (2.0, 1.0), 1e-6))  # shares of R in S
         by_claim = normalised * np.sqrt(np.repeat(split.factors / of_R, (2, 1)))[: len(normalised)]
         m = min(len(by_claim), len(self._by_claim))
-        if m and interval < LONGEST_INTERVAL:
+        if m and interval < SHORT_INTERVAL:
             halves = 0.5 * np.square(by_claim[:m] - self._by_claim[:m])
             horizontal, vertical = self._changes
             self._changes = (
