@@ -241,14 +241,15 @@ class Likelihood:
         """
         place = [self._at[name] for name in LEVER[:2]]
 
-        def turned(angle: float) -> float:
+        def turned(run: tuple[float, int]) -> FilterPass:
+            angle, k = run
             there, (cos, sin) = x.copy(), (math.cos(angle), math.sin(angle))
             there[place] = np.array([[cos, -sin], [sin, cos]]) @ x[place]
-            count = range(len(self.recordings))
-            passes = self._in_parallel(lambda k: self._run(k, there, self.yaws[k] - angle), count)
-            return sum(float(np.sum(passed.log_likelihood)) for passed in passes)
+            return self._run(k, there, self.yaws[k] - angle)
 
-        lost = turned(0.0) - 0.5 * (turned(AZIMUTH_STEP) + turned(-AZIMUTH_STEP))
+        runs = product((AZIMUTH_STEP, -AZIMUTH_STEP), range(len(self.recordings)))
+        beside = sum(float(np.sum(p.log_likelihood)) for p in self._in_parallel(turned, runs))
+        lost = sum(float(np.sum(values)) for values in self._values(x)) - 0.5 * beside
         return AZIMUTH_STEP / math.sqrt(2.0 * lost) if lost > 0.0 else math.inf
 
     def choose_yaws(self, x: Array, width: float) -> None:

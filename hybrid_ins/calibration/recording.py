@@ -212,7 +212,7 @@ def read_recording(
                 f"{path}: fixes on {fix_topic}: {describe_clocks(float(ahead))}: let both drivers "
                 "stamp by one clock, and record again"
             )
-    aid = _not_held(sorted(found.aid, key=lambda one: (one.t_ns, one.kind)), f"{path}: {fix_topic}")
+    aid = sorted(found.aid, key=lambda one: (one.t_ns, one.kind))
     mount = conversions.mount_matrix(values["imu.mount_rpy"])
     samples = np.hstack((imu.specific_force[rows] @ mount.T, imu.angular_rate[rows] @ mount.T))
     origin = int(imu_ns[rows[0]])
@@ -267,8 +267,9 @@ class _Found:
 def _fixes(
     bag: BagReader, values: Mapping[str, Any], imu: ImuTable, fix_topic: str, velocity_topic: str
 ) -> _Found:
-    """Return the fixes that are not repeated, and the velocities, where the bag has them."""
+    """Return the fixes that are neither repeated nor held, and the velocities, if any."""
     found, imu_ns = _Found(), imu.times_ns(values)
+    fixes: list[PositionFix] = []
     gnss = GnssInput.from_parameters({**values, "gnss.time_offset.value": 0.0})
     repetition = RepetitionCheck()
     for _, log_ns, message in bag.messages(fix_topic):
@@ -276,35 +277,27 @@ def _fixes(
         fix = gnss.position(message, received(values, log_ns))
         if isinstance(fix, Refused) or (repetition.is_again(fix.lla) and repetition.repeats):
             continue
-        found.aid.append(fix)
+        fixes.append(fix)
         found.ahead_ns.append(fix.t_ns - log_ns)
         before = int(np.searchsorted(imu.log_ns, log_ns, side="right"))
         found.delay_ns.append(int(imu_ns[max(before - 1, 0)]) - fix.t_ns)
         found.unstated += bool(conversions.missing_covariance(message))
+    found.aid += without_held(fixes)
+    if len(found.aid) < len(fixes):
+        _log.warning(
+            "%s: %s: %d of %d fixes are left out: their receiver repeats a position that the "
+            "vehicle has left",
+            bag.path,
+            fix_topic,
+            len(fixes) - len(found.aid),
+            len(fixes),
+        )
     if has_optional(bag, velocity_topic, type_names.TWIST):
         for _, log_ns, message in bag.messages(velocity_topic):
             velocity = gnss.velocity(message, received(values, log_ns))
             if not isinstance(velocity, Refused):
                 found.aid.append(velocity)
     return found
-
-
-def _not_held(
-    aid: Sequence[PositionFix | VelocityFix], place: str
-) -> list[PositionFix | VelocityFix]:
-    """Return measurements without the positions that their receiver held."""
-    fixes = [one for one in aid if isinstance(one, PositionFix)]
-    kept = without_held(fixes)
-    if len(kept) < len(fixes):
-        _log.warning(
-            "%s: %d of %d fixes are left out: their receiver repeats a position that the vehicle "
-            "has left",
-            place,
-            len(fixes) - len(kept),
-            len(fixes),
-        )
-    stamps = {fix.t_ns for fix in kept}
-    return [one for one in aid if not isinstance(one, PositionFix) or one.t_ns in stamps]
 
 
 def _refuse_wrong_velocities(

@@ -521,10 +521,10 @@ def rolls() -> Motion:
 def rocking() -> Motion:
     """Roll to and fro by 0.4 rad in one place, at up to 1 rad/s."""
     t = time_grid(15.0)
-    zero = np.zeros_like(t)
-    position = make_interp_spline(t, np.stack((zero, zero, zero), axis=1), k=5)
-    rpy = make_interp_spline(t, np.stack((0.4 * np.sin(2.5 * t), zero, zero), axis=1), k=5)
-    return Motion(START_LLA, float(t[-1]), position, rpy)
+    roll = 0.4 * np.sin(2.5 * t)
+    return motion_through(
+        t, np.zeros((len(t), 3)), np.stack((roll, 0 * t, 0 * t), axis=1), START_LLA
+    )
 
 
 def test_rolls_are_no_rates_in_degrees() -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.inertial.earth import displacement
+from hybrid_ins.core.noise.position_scatter import horizontal_variance
 
 Array = NDArray[np.float64]
 
@@ -45,8 +46,7 @@ Fix = TypeVar("Fix", bound=Position)
 
 def left_behind(fix: Position) -> float:
     """Return how far [m] a vehicle may move while its receiver repeats a position."""
-    claimed = 0.5 * (fix.covariance_n[0, 0] + fix.covariance_n[1, 1])
-    return LEFT_BEHIND * max(1.0, math.sqrt(claimed))
+    return LEFT_BEHIND * max(1.0, math.sqrt(horizontal_variance(fix.covariance_n)))
 
 
 def without_held(fixes: Sequence[Fix]) -> list[Fix]:

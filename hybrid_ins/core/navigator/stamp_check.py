@@ -147,8 +147,8 @@ class MeasurementCheck:
         self.was_misled = False
         self.contradiction: Contradiction | None = None
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
-        self._repeated_ns, self._moved = 0, 0.0  # stamp [ns] of the last position, and how far [m]
-        # the vehicle has moved while its receiver repeated that
+        self._position_ns = 0  # stamp of the last position
+        self._moved = 0.0  # m, while the receiver repeated that
 
     def forget_stamps(self) -> None:
         """Forget the stamps of earlier measurements: the next come by another clock."""
@@ -204,9 +204,11 @@ class MeasurementCheck:
         A vehicle that stops in a tunnel is not where its receiver has held its position since.
         """
         moves = again and speed > MOVING
-        since = (fix.t_ns - self._repeated_ns) * 1e-9 if moves else 0.0
-        self._moved = self._moved + speed * since if again else 0.0
-        self._repeated_ns = fix.t_ns
+        if not again:
+            self._moved = 0.0
+        elif moves:
+            self._moved += speed * (fix.t_ns - self._position_ns) * 1e-9
+        self._position_ns = fix.t_ns
         return moves or self._moved > left_behind(fix)
 
     def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:

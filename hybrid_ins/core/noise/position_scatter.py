@@ -67,8 +67,7 @@ SCATTER_MEMORY = 30.0  # s, over which the scatter is averaged
 PRIOR_COUNT = 7.0  # fixes, that the given share weighs at the start, and that are remembered
 MARGIN = 1.25  # on the share: one that is a little too large costs less than one too small
 SMALLEST = 0.003  # share of the claimed variance
-OF_CHANGES = 0.5  # least share, of half the mean square by which innovations change: that of white
-# errors at a small gain, up to three times as much at a large one
+OF_CHANGES = 0.5  # least share, of half the mean square of changes: 1 to 3 times the right one
 SMALLEST_STD = 0.01  # m: no receiver scatters by less
 SMALLEST_CLAIM = 0.1  # m: of less, the noise factors alone find that it is too little
 LEAST_SEARCHED = 0.1  # of the given share, while a heading or a clock is searched for
@@ -178,7 +177,7 @@ class PositionScatter(ShallowCopy):
         self.learned: Shares = (given, given)
         self._changes = _Shown(2), _Shown(1)  # half the square of changes of innovations
         self._normalised = np.empty(0)  # the last position's innovation
-        self._by_claim = np.empty(0)  # likewise, by the standard deviations that it claimed
+        self._by_claim: list[float] = []  # likewise, by the standard deviations that it claimed
         self._walk = 1.0  # factor on the walk of the slow error
 
     def shares(self, claimed: Array) -> Shares:
@@ -296,7 +295,7 @@ class PositionScatter(ShallowCopy):
         horizontal = horizontal.updated(claimed[0], seen[0], interval)
         vertical = vertical.updated(claimed[1], seen[1], interval)
         self._parts = horizontal, vertical
-        self._note_change(split, evidence, interval)
+        self._note_change(split.factors, seen, normalised.tolist(), interval)
         across, upward = (changes.least for changes in self._changes)
         self.learned = (
             max(horizontal.share(self._both), across),
@@ -311,18 +310,19 @@ class PositionScatter(ShallowCopy):
             self._walk = min(max(self._walk * math.exp(WALK_GAIN * change), SMALLEST_WALK), 1.0)
         self._normalised = normalised
 
-    def _note_change(self, split: Split, evidence: Evidence, interval: float) -> None:
-        """Note by how much a fix's innovation differs from the last one."""
-        _, counts, normalised = evidence
-        of_R = np.sqrt(np.maximum(counts / (2.0, 1.0), 1e-6))  # shares of R in S
-        by_claim = normalised * np.sqrt(np.repeat(split.factors / of_R, (2, 1)))[: len(normalised)]
-        m = min(len(by_claim), len(self._by_claim))
-        if m and interval < SHORT_INTERVAL:
-            halves = 0.5 * np.square(by_claim[:m] - self._by_claim[:m])
+    def _note_change(
+        self, factors: Shares, seen: list[float], normalised: list[float], interval: float
+    ) -> None:
+        """Note by how much a fix's innovation differs from the last one, see `learn`."""
+        of_R = [math.sqrt(max(n / m, 1e-6)) for n, m in zip(seen, (2.0, 1.0), strict=True)]
+        across, upward = (math.sqrt(f / r) for f, r in zip(factors, of_R, strict=True))
+        by_claim = [z * root for z, root in zip(normalised, (across, across, upward), strict=False)]
+        halves = [0.5 * (z - last) ** 2 for z, last in zip(by_claim, self._by_claim, strict=False)]
+        if halves and interval < SHORT_INTERVAL:
             horizontal, vertical = self._changes
             self._changes = (
-                horizontal.updated(float(halves[:2].sum()), 2.0, interval),
-                vertical.updated(float(halves[2:].sum()), float(m - 2), interval),
+                horizontal.updated(sum(halves[:2]), 2.0, interval),
+                vertical.updated(sum(halves[2:]), len(halves) - 2.0, interval),
             )
         self._by_claim = by_claim
 
