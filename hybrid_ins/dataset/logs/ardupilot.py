@@ -1,5 +1,7 @@
 """
-Logs of ArduPilot: dataflash (``*.bin``) and telemetry (``*.tlog``). Needs `pymavlink`.
+Logs of ArduPilot: dataflash (``*.bin``, as text ``*.log``) and telemetry (``*.tlog``).
+
+They need `pymavlink`.
 
 References
 ----------
@@ -27,6 +29,7 @@ from hybrid_ins.dataset.logs.series import (
     GnssLog,
     ImuLog,
     diagonal,
+    head_of,
     rising,
 )
 from hybrid_ins.errors import InputError
@@ -34,6 +37,7 @@ from hybrid_ins.ros.messages.conversions import FLIP
 from hybrid_ins.ros.messages.trajectory import Array
 
 DATAFLASH = b"\xa3\x95\x80"  # the first message describes itself
+DATAFLASH_TEXT = b"FMT,"  # likewise, in logs that a ground station has converted
 MAVLINK = b"\xfe\xfd"  # packets of version 1 and 2
 YEARS_US = 978_307_200_000_000, 4_102_444_800_000_000  # 2001 to 2100, of telemetry stamps
 IMU_MESSAGES = {  # name: unit of its accelerations [m/s²] and rates [rad/s]
@@ -49,7 +53,7 @@ _log = logging.getLogger(__name__)
 
 def recognise(head: bytes) -> bool:
     """Return whether a file begins as a dataflash or telemetry log."""
-    return head.startswith(DATAFLASH) or _is_telemetry(head)
+    return head.startswith((DATAFLASH, DATAFLASH_TEXT)) or _is_telemetry(head)
 
 
 def _is_telemetry(head: bytes) -> bool:
@@ -191,20 +195,24 @@ def _telemetry_fixes(path: Path) -> list[tuple[float, ...]]:
 
 
 def _is_dataflash(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(3) == DATAFLASH
+    return head_of(path, 4).startswith((DATAFLASH, DATAFLASH_TEXT))
 
 
 def _messages(path: Path, *types: str) -> Iterator[Any]:
     try:
         from pymavlink import mavutil
-        from pymavlink.DFReader import DFReader_binary
+        from pymavlink.DFReader import DFReader_binary, DFReader_text
     except ImportError:
         raise InputError(f"{path}: ArduPilot logs need pymavlink: pip install pymavlink") from None
     log, count = None, 0
     try:
-        log = DFReader_binary(str(path)) if _is_dataflash(path) else None
-        log = log or mavutil.mavlogfile(str(path))
+        head = head_of(path, 4)
+        if head.startswith(DATAFLASH_TEXT):
+            log = DFReader_text(str(path))
+        elif head.startswith(DATAFLASH):
+            log = DFReader_binary(str(path))
+        else:
+            log = mavutil.mavlogfile(str(path))
         while (message := log.recv_match(type=list(types))) is not None:
             count += 1
             yield message

@@ -397,6 +397,21 @@ def dataflash(path: Path, estimate: str = "XKF1", has_cores: bool = True) -> Non
     path.write_bytes(b"".join(parts))
 
 
+def dataflash_text(path: Path) -> None:
+    """Write the same as text, as ground stations do; values are in their units."""
+    path.write_text(
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+        "FMT, 129, 36, IMU, QBffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ\n"
+        "FMT, 130, 41, GPS, QBBIHLLefff, TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,Spd,GCrs,VZ\n"
+        "FMT, 131, 32, GPA, QBfffff, TimeUS,I,VDop,HAcc,VAcc,SAcc,Und\n"
+        "IMU, 1000000, 0, 0.1, 0.2, 0.3, 1, 2, -9.8\n"
+        "IMU, 1000000, 1, 9, 9, 9, 9, 9, 9\n"
+        "GPS, 1010000, 0, 6, 302418000, 2288, 32.1, 34.8, 70, 2, 90, -3\n"
+        "GPA, 1010300, 0, 1, 0.2, 0.3, 0.5, 20\n"
+        "IMU, 1020000, 0, 0.1, 0.2, 0.3, 1, 2, -9.8\n"
+    )
+
+
 def telemetry(path: Path) -> None:
     """Write a telemetry log with two IMU samples and a fix."""
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -458,7 +473,7 @@ def test_an_autopilots_log_becomes_one_bag_with_its_estimate(tmp_path: Path) -> 
     assert first.twist.twist.linear.z == pytest.approx(-3.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("write", [dataflash, telemetry])
+@pytest.mark.parametrize("write", [dataflash, dataflash_text, telemetry])
 def test_ardupilot(tmp_path: Path, write: Callable[[Path], None]) -> None:
     pytest.importorskip("pymavlink")
     path = tmp_path / "log"
