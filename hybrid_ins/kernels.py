@@ -19,7 +19,7 @@ import numpy as np
 from hybrid_ins import kernel_cache
 from hybrid_ins.core.filter import fix_update
 from hybrid_ins.core.imu import health as imu_health
-from hybrid_ins.core.imu import standstill
+from hybrid_ins.core.imu import standstill, straight_line
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.core.imu_axes import fit as imu_axes_fit
 from hybrid_ins.core.inertial import propagation
@@ -257,9 +257,10 @@ def _compile_output() -> None:
         sensitivity,
         np.zeros((N_ERROR, scale_sensitivity.N_SCALE)),
     )
-    imu_admission.is_usable(1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0, 100.0, 10.0)
+    line = straight_line.no_line()
+    imu_admission.judge(1, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), 100.0, 10.0, *line)
     stamps, vectors = np.arange(1, 3), np.ones((2, 3))
-    imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0)
+    imu_admission.end_of_stretch(stamps, vectors, vectors, 0, 0, 1, 2, 100.0, 10.0, *line)
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)

@@ -25,8 +25,10 @@ LOADED = """
 import numpy as np
 from hybrid_ins import kernel_cache
 kernel_cache.enable()
+from hybrid_ins.core.imu.straight_line import no_line
 from hybrid_ins.ros.estimator import imu_admission
-imu_admission.end_of_stretch(np.arange(1), np.ones((1, 3)), np.ones((1, 3)), 0, 0, 1, 2, 9.0, 9.0)
+one = np.ones((1, 3))
+imu_admission.end_of_stretch(np.arange(1), one, one, 0, 0, 1, 2, 9.0, 9.0, *no_line())
 stats = imu_admission.end_of_stretch.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """

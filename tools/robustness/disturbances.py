@@ -198,6 +198,16 @@ def imu_frozen(flight: Flight) -> None:
         set_rate(entry.message, rate)
 
 
+def imu_interpolated(flight: Flight) -> None:
+    """Put the readings on a line between the first and the last: a gap that a converter fills."""
+    messages = [entry.message for entry in flight.within(IMU)]
+    ends = [np.array([*read_force(m), *read_rate(m)]) for m in (messages[0], messages[-1])]
+    for share, message in zip(np.linspace(0.0, 1.0, len(messages)), messages, strict=True):
+        reading = (1.0 - share) * ends[0] + share * ends[1]
+        set_force(message, reading[:3])
+        set_rate(message, reading[3:])
+
+
 def imu_saturated(flight: Flight) -> None:
     """Vibrate beyond the accelerometer's range of 16 m/s²."""
     for entry in flight.within(IMU):

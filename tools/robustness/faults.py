@@ -39,6 +39,7 @@ from tools.robustness.disturbances import (
     fix_repeated,
     imu_covariances,
     imu_frozen,
+    imu_interpolated,
     imu_no_reading,
     imu_noise,
     imu_saturated,
@@ -90,18 +91,6 @@ class Fault:
     stamp_shift: float = 0.0
     silent: bool = False
     unusable: bool = False
-
-
-# IMU: readings.
-
-
-# Stamps.
-
-
-# Fixes.
-
-
-# Velocity and pose.
 
 
 FAULTS: tuple[Fault, ...] = (
@@ -183,6 +172,13 @@ FAULTS: tuple[Fault, ...] = (
         ("imu: degrees|imu: absurd rate",),
     ),
     Fault("imu_frozen", "the same reading again and again", imu_frozen, ("imu: frozen",)),
+    Fault(
+        "imu_interpolated",
+        "a gap of 1.5 s is filled along a line",
+        imu_interpolated,
+        ("imu: interpolated",),
+        1.5,
+    ),
     Fault(
         "imu_saturated",
         "vibration beyond the accelerometer's range",

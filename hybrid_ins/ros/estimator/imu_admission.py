@@ -1,7 +1,8 @@
 """
 Admission of Imu readings: one rule for one reading and for many, live and of recordings.
 
-A reading is used if it says what it should, and if its stamp follows, as `ImuStampCheck` decides.
+A reading is used if it says what it should, was measured, and has a stamp that follows, as
+`ImuStampCheck` decides.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.filter.ins_filter import NEVER_NS
+from hybrid_ins.core.imu.straight_line import LASTING_NS, follows_line, no_line
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck
 from hybrid_ins.ros.messages.cdr import ImuFields
 from hybrid_ins.ros.messages.conversions import Refused, unusable_stamp
@@ -27,6 +29,12 @@ NO_READING = Refused(
     "imu: no reading",
     "covariance[0] is -1: the message says that it carries no acceleration or no angular rate",
 )
+INTERPOLATED = Refused(
+    "imu: interpolated",
+    f"all axes follow a straight line for more than {LASTING_NS * 1e-9:g} s: a gap that was "
+    "filled, and not measured; it is treated as a gap",
+)
+USABLE, USELESS, NOT_MEASURED = range(3)  # what `judge` returns
 
 
 class ImuAdmission:
@@ -44,26 +52,27 @@ class ImuAdmission:
     def __init__(self, values: Mapping[str, Any], stamps: ImuStampCheck) -> None:
         self._limits = values["imu.max_specific_force"], values["imu.max_angular_rate"]
         self._stamps = stamps
+        self._line = no_line()
 
     def refused(self, imu: ImuFields, t_ns: int) -> Refused | None:
         """Return why a reading of a stamp [ns] is useless by itself, or None."""
         if imu.specific_force_cov0 == -1.0 or imu.angular_rate_cov0 == -1.0:
             return NO_READING
         force, rate = imu.specific_force, imu.angular_rate
-        if is_usable(t_ns, *force, *rate, *self._limits):
+        judged = judge(t_ns, force, rate, *self._limits, *self._line)
+        if judged == USABLE:
             return None
+        if judged == NOT_MEASURED:
+            return INTERPOLATED
         return refusal(t_ns, force, rate, self._limits[0])
 
     def end_of_stretch(
         self, t_ns: NDArray[np.int64], force: Array, rate: Array, start: int, until_ns: int
     ) -> int:
         """Return the end of the readings from ``start`` on that need no check, see the kernel."""
-        stamps = self._stamps
-        return int(
-            end_of_stretch(
-                t_ns, force, rate, start, stamps.last_ns, stamps.steady_ns, until_ns, *self._limits
-            )
-        )
+        last_ns, steady_ns = self._stamps.last_ns, self._stamps.steady_ns
+        rules = *self._limits, *self._line
+        return int(end_of_stretch(t_ns, force, rate, start, last_ns, steady_ns, until_ns, *rules))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,22 +132,28 @@ def admitted_readings(
     return AdmittedReadings(given[used], list(counts.values()))
 
 
-@kernel()
-def is_usable(t_ns, fx, fy, fz, wx, wy, wz, max_force, max_rate):  # type: ignore[no-untyped-def]
+@kernel(allocates=False)
+def judge(  # type: ignore[no-untyped-def]
+    t_ns, force, rate, max_force, max_rate, line_stamps, line_readings
+):
     """
-    Return whether a reading may be used.
+    Return whether a reading is USABLE, USELESS by itself, or NOT_MEASURED.
 
     Parameters
     ----------
     t_ns : int
         Stamp [ns].
-    fx, fy, fz, wx, wy, wz : float
+    force, rate : tuple of float or ndarray, shape (3,)
         Specific force [m/s²] and angular rate [rad/s] in the IMU's own axes.
     max_force, max_rate : float
         Largest values.
+    line_stamps, line_readings : ndarray
+        Of the `Line` of the readings before; overwritten.
     """
+    fx, fy, fz = force[0], force[1], force[2]
+    wx, wy, wz = rate[0], rate[1], rate[2]
     # A NaN fails every comparison.
-    return (
+    if not (
         -max_force <= fx <= max_force
         and -max_force <= fy <= max_force
         and -max_force <= fz <= max_force
@@ -147,12 +162,25 @@ def is_usable(t_ns, fx, fy, fz, wx, wy, wz, max_force, max_rate):  # type: ignor
         and -max_rate <= wz <= max_rate
         and t_ns > 0
         and (fx != 0.0 or fy != 0.0 or fz != 0.0)
-    )
+    ):
+        return USELESS
+    is_on_line = follows_line(line_stamps, line_readings, t_ns, (fx, fy, fz, wx, wy, wz))
+    return NOT_MEASURED if is_on_line else USABLE
 
 
-@kernel()
+@kernel(allocates=False)
 def end_of_stretch(  # type: ignore[no-untyped-def]
-    t_ns, force, rate, start, last_ns, steady_ns, until_ns, max_force, max_rate
+    t_ns,
+    force,
+    rate,
+    start,
+    last_ns,
+    steady_ns,
+    until_ns,
+    max_force,
+    max_rate,
+    line_stamps,
+    line_readings,
 ):
     """
     Return the row behind the usable readings that follow each other from ``start`` on.
@@ -160,22 +188,21 @@ def end_of_stretch(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     t_ns, force, rate : ndarray, shape (N,), (N, 3), (N, 3)
-        Stamps [ns] and readings, as in `is_usable`.
+        Stamps [ns] and readings, as in `judge`.
     start, last_ns : int
         First row, and the stamp before it [ns].
     steady_ns : int
         Longest step from stamp to stamp [ns].
     until_ns : int
         The first row at or after this stamp [ns] is the last one.
-    max_force, max_rate : float
-        Largest values.
+    max_force, max_rate, line_stamps, line_readings
+        See `judge`.
     """
+    line = line_stamps, line_readings
     for k in range(start, t_ns.shape[0]):
-        f, w = force[k], rate[k]
-        if not (
-            0 < t_ns[k] - last_ns <= steady_ns
-            and is_usable(t_ns[k], f[0], f[1], f[2], w[0], w[1], w[2], max_force, max_rate)
-        ):
+        if not 0 < t_ns[k] - last_ns <= steady_ns:
+            return k
+        if judge(t_ns[k], force[k], rate[k], max_force, max_rate, *line) != USABLE:
             return k
         last_ns = t_ns[k]
         if last_ns >= until_ns:

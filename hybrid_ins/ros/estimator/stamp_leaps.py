@@ -6,8 +6,9 @@ second of a solution from another message, stamps from then on by whole seconds 
 Its messages still arrive when they did: compared with the stamps of the IMU samples between which
 they arrive, their stamps leap. A delay on the way changes by any fraction of a second, and that of
 messages which were held up and arrive together becomes smaller with each. A computer that falls
-behind with the IMU's samples does so by and by: a leap comes at once. A driver that is one message
-of a receiver at 1 Hz late from then on looks the same: the positions of a vehicle that moves tell.
+behind with the IMU's samples does so by and by: a leap comes at once. Where the IMU's samples stay
+away, the stamps of the messages go on as before. A driver that is one message of a receiver at 1 Hz
+late from then on looks the same: the positions of a vehicle that moves tell.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ class StampLeaps:
         self.confirmed, self.evidence = False, 0.0
         self._usual: deque[int] = deque(maxlen=USUAL)  # ns, stamp less that of the last IMU sample
         self._is_usual = False  # so was the difference of the last message without a leap
+        self._steps: deque[int] = deque(maxlen=USUAL)  # ns, from stamp to stamp without a leap
+        self._last_ns = 0  # stamp of the last message
         self._leap = self._count = 0  # s, of the last message; messages in a row after it
         self._since_ns = 0  # stamp of the IMU at the first of them
 
@@ -55,7 +58,11 @@ class StampLeaps:
         self.confirmed = False
         ahead_ns = stamp_ns - imu_ns
         leap, excess_ns = self._leap_of(ahead_ns)
+        step_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
+        if leap != 0 and self._leap == 0 and abs(step_ns - np.median(self._steps)) < TOLERANCE_NS:
+            leap = 0
         if leap == 0:
+            self._steps.append(step_ns)
             self._usual.append(ahead_ns)
             self._is_usual = abs(excess_ns) < TOLERANCE_NS
             self._leap = 0

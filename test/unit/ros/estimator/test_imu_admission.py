@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from hybrid_ins import parameters
+from hybrid_ins.core.imu.straight_line import no_line
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.imu_admission import (
+    USELESS,
     admitted_readings,
     end_of_stretch,
-    is_usable,
+    judge,
     refusal,
 )
 from hybrid_ins.ros.messages.cdr import ImuFields
 
-MAX_FORCE, MAX_RATE = 100.0, 10.0
+LIMITS = MAX_FORCE, MAX_RATE = 100.0, 10.0
 LEVEL, STILL = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)
 
 
@@ -35,11 +37,12 @@ LEVEL, STILL = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)
 def test_what_is_not_usable_is_refused_by_name_and_ends_a_stretch(
     t_ns: int, force: tuple[float, ...], rate: tuple[float, ...], name: str
 ) -> None:
-    assert not is_usable(t_ns, *force, *rate, MAX_FORCE, MAX_RATE)
+    assert judge(t_ns, force, rate, *LIMITS, *no_line()) == USELESS
     assert refusal(t_ns, force, rate, MAX_FORCE).name == name
     stamps = np.array([-1, t_ns, t_ns + 1]) + 0
     forces, rates = np.array([LEVEL, force, LEVEL]), np.array([STILL, rate, STILL])
-    assert end_of_stretch(stamps, forces, rates, 1, t_ns - 1, 5, 10**9, MAX_FORCE, MAX_RATE) == 1
+    line = no_line()
+    assert end_of_stretch(stamps, forces, rates, 1, t_ns - 1, 5, 10**9, *LIMITS, *line) == 1
 
 
 @pytest.mark.parametrize(
@@ -59,7 +62,7 @@ def test_a_stretch_ends_at_an_odd_step_and_behind_the_next_event(
 ) -> None:
     stamps = np.cumsum(steps)
     forces, rates = np.tile(LEVEL, (4, 1)), np.tile(STILL, (4, 1))
-    assert end_of_stretch(stamps, forces, rates, 0, 0, 5, until, MAX_FORCE, MAX_RATE) == end
+    assert end_of_stretch(stamps, forces, rates, 0, 0, 5, until, *LIMITS, *no_line()) == end
 
 
 def readings(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -77,6 +80,10 @@ def readings(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     force[rng.integers(0, 600, 4)] = 0.0
     force[rng.integers(0, 600, 4), 1] = math.nan
     rate[rng.integers(0, 600, 4), 2] = 1e3
+    begin, end = 200, 260  # in place of a gap
+    share = np.linspace(0.0, 1.0, end - begin)[:, None]
+    for filled in (force, rate):
+        filled[begin:end] = (1.0 - share) * 0.1 + share * [0.2, 0.3, 0.4]
     return stamps, force, rate, rng.random(600) > 0.1
 
 
