@@ -19,6 +19,7 @@ NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 BENCHMARK = "docs/benchmark.md"
 CAMPAIGN = "docs/fault_campaign.md"
 FIELD = "docs/field_experiment.md"
+OUTAGES = "docs/outages.md"
 PAPER = "docs/paper_evaluation.md"
 ROBUSTNESS = "docs/robustness.md"
 TUTORIAL = "docs/tutorial.md"
@@ -169,6 +170,17 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
             "after 20 s the clock offset is wrong by {:.0f} ms (median), {:.0f} ms (worst run)",
             _field("Clock offset in force", (ONLINE, 0), (ONLINE, 2)),
             "[field experiment](field_experiment.md)",
+        ),
+        Figure(
+            "A real car in a town (KITTI), 30 s without fixes at about 9 m/s, never tuned on",
+            "{:.1f} m off at their end (median), calibrated {:.1f} m; without the constraint of "
+            "wheels {:.1f} m",
+            tuple(
+                Source(OUTAGES, (f"\n| 30 s, {parameters} |", "|"))
+                for parameters in ("default", "calibrated", "no constraint")
+            ),
+            "[outages](outages.md#a-real-car)",
+            in_readme=True,
         ),
     ),
     "Process noise from the IMU": (

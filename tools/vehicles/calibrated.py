@@ -30,7 +30,7 @@ from hybrid_ins.ros.messages.conversions import DIAGONAL
 from hybrid_ins.ros.messages.type_names import FIX, IMU, TWIST
 from hybrid_ins.simulation.vehicles import VEHICLES, record
 from tools.parallel import add_jobs, run_parallel
-from tools.vehicles.drives import Drive, from_log, from_simulation, load
+from tools.vehicles.drives import Drive, Log, from_log, from_simulation, load
 from tools.vehicles.evaluate import FEEDS, check_names, parser_of_drives, real_sets
 from tools.vehicles.judge import Score, score
 
@@ -101,7 +101,7 @@ def calibrated(drive: Drive, report: Path | None) -> tuple[dict[str, Any] | None
         return parameter_file.load(out) if written else None, why
 
 
-def one(source: str | Path, variant: int | str, keep: Path | None) -> str:
+def one(source: str | Path | Log, variant: int | str, keep: Path | None) -> str:
     """
     Return the row of one drive.
 
@@ -112,10 +112,11 @@ def one(source: str | Path, variant: int | str, keep: Path | None) -> str:
         vehicle = VEHICLES[str(source)]
         judge, other = (from_simulation(record(vehicle, seed)) for seed in (variant, variant + 1))
     else:
-        path = Path(source)
-        judge = other = load(path, variant) if path.is_dir() else from_log(path, variant)
+        judge = other = (
+            from_log(source, variant) if isinstance(source, tuple) else load(Path(source), variant)
+        )
     default = score(judge, parameters.defaults())
-    report = None if keep is None else keep / f"{Path(source).stem}, {variant}.txt"
+    report = None if keep is None else keep / f"{judge.name.partition(', ')[0]}, {variant}.txt"
     values, refused = calibrated(other, report)
     found = default if values is None else score(judge, values)
     return (
@@ -162,7 +163,7 @@ def _body(args: argparse.Namespace) -> int:
         if not (args.names or args.log)
         or any(part in f"{Path(source).name}, {variant}" for part in args.names)
     ]
-    runs += [(path, feed, args.keep) for path in args.log for feed in FEEDS]
+    runs += [(files, feed, args.keep) for files in args.log for feed in FEEDS]
     print(HEADER)
     for row in run_parallel(one, runs, args.jobs):
         print(row, flush=True)

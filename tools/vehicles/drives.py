@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from hybrid_ins.cli import options
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.dataset.logs.formats import read_estimate, read_logs
 from hybrid_ins.ros.messages.conversions import SWAP
 from hybrid_ins.ros.messages.trajectory import Array, Stamps
 from hybrid_ins.simulation.vehicles import Recording
+
+Log = tuple[Path, ...]  # one file, or that of the IMU and that of the receiver
 
 EPOCH_NS = 1_000_000_000_000  # added to all times: no stamp is zero
 STEEP = np.radians(60.0)  # of the nose, above which its course says little
@@ -101,6 +104,8 @@ def load(folder: Path, feed: str) -> Drive:
     if (folder / "attitude.csv.gz").exists():
         attitude = np.genfromtxt(folder / "attitude.csv.gz", delimiter=",", names=True)
         yaw_t, yaw = attitude["t"], np.radians(attitude["yaw"])
+    velocity_enu = _columns(gnss, "ve", "vn", "vu")
+    has_velocity = not np.all(np.isnan(velocity_enu))
     drive = Drive(
         folder.name,
         _ns(imu["t"]),
@@ -110,7 +115,7 @@ def load(folder: Path, feed: str) -> Drive:
         _ns(gnss["t"]),
         _columns(gnss, "lat", "lon", "height") * [np.pi / 180.0, np.pi / 180.0, 1.0],
         _columns(gnss, "sd_e", "sd_n", "sd_u"),
-        _columns(gnss, "ve", "vn", "vu"),
+        velocity_enu if has_velocity else None,
         _columns(gnss, "sd_ve", "sd_vn", "sd_vu"),
         np.empty(0, np.int64),
         np.empty((0, 3)),
@@ -123,21 +128,25 @@ def load(folder: Path, feed: str) -> Drive:
     return _with_some_withheld(drive, feed)
 
 
-def from_log(path: Path, feed: str) -> Drive:
-    """Read an autopilot's log; ``feed`` as for `load`."""
-    imu, gnss = read_logs([path])
+def log(text: str) -> Log:
+    """Return the files of ``FILE`` or ``IMU,GNSS``; a type of argparse."""
+    return tuple(options.path(part) for part in text.split(","))
+
+
+def from_log(paths: Log, feed: str) -> Drive:
+    """Read one log, or one of the IMU and one of the receiver; ``feed`` as for `load`."""
+    imu, gnss = read_logs(list(paths))
     yaw_t, yaw = np.empty(0), np.empty(0)
-    if (estimate := read_estimate(path)) is not None:
+    if (estimate := read_estimate(paths[0])) is not None:
         _, pitch, yaw = rpy_from_quat(estimate.quat_xyzw).T
         yaw_t = estimate.t - imu.t[0]
         has_heading = np.abs(pitch) < STEEP
         yaw_t, yaw = yaw_t[has_heading], yaw[has_heading]
-    velocity = gnss.velocity_n if gnss.velocity_n is not None else np.full(gnss.lla.shape, np.nan)
     R = gnss.velocity_covariance_n
     R = R if R is not None else np.full((len(gnss.t), 3, 3), np.nan)
     start = imu.t[0]
     drive = Drive(
-        path.stem,
+        paths[0].stem,
         _ns(imu.t - start),
         imu.specific_force,
         imu.angular_rate,
@@ -145,7 +154,7 @@ def from_log(path: Path, feed: str) -> Drive:
         _ns(gnss.t - start),
         gnss.lla,
         np.sqrt(np.diagonal(gnss.covariance_n, axis1=1, axis2=2)) @ np.abs(SWAP),
-        velocity @ SWAP,
+        None if gnss.velocity_n is None else gnss.velocity_n @ SWAP,
         np.sqrt(np.diagonal(R, axis1=1, axis2=2)) @ np.abs(SWAP),
         np.empty(0, np.int64),
         np.empty((0, 3)),
@@ -169,17 +178,16 @@ def _with_some_withheld(drive: Drive, feed: str) -> Drive:
         fed = np.diff(ns // 1_000_000_000, prepend=-1) > 0
     else:
         fed = np.ones(len(ns), bool)
-    assert drive.velocity_enu is not None
-    speed = np.nan_to_num(np.linalg.norm(drive.velocity_enu[:, :2], axis=1), nan=9.0)
+    speed = np.full(len(ns), 9.0)  # without velocities all counts as motion
+    if drive.velocity_enu is not None:
+        speed = np.nan_to_num(np.linalg.norm(drive.velocity_enu[:, :2], axis=1), nan=9.0)
     moving = np.flatnonzero(speed > 0.8)
     true_ns = ns + round(drive.offset * 1e9)
     withheld = fed if feed == "all" else ~fed
     scored = withheld & (speed > 0.5) & (true_ns > drive.imu_ns[0]) & (true_ns < drive.imu_ns[-1])
-    has_velocity = not np.all(np.isnan(drive.velocity_enu))
     return replace(
         drive,
         name=f"{drive.name}, {feed}",
-        velocity_enu=drive.velocity_enu if has_velocity else None,
         truth_ns=true_ns[scored],
         truth_lla=drive.fix_lla[scored],
         motion_ns=int(ns[moving[5]] if len(moving) > 5 else ns[0]),

@@ -19,7 +19,7 @@ from hybrid_ins.cli import options, program
 from hybrid_ins.errors import InputError
 from hybrid_ins.parameters import parameter_file
 from hybrid_ins.simulation.vehicles import VEHICLES, record
-from tools.vehicles.drives import AGE, Drive, from_log, from_simulation, load
+from tools.vehicles.drives import AGE, Drive, Log, from_log, from_simulation, load, log
 from tools.vehicles.judge import score
 
 FEEDS = ("half", "1 Hz")
@@ -30,7 +30,7 @@ HEADER = (
 
 
 def drives(
-    names: Sequence[str], seeds: Sequence[int], data: Path | None, logs: Sequence[Path] = ()
+    names: Sequence[str], seeds: Sequence[int], data: Path | None, logs: Sequence[Log] = ()
 ) -> Iterator[Drive]:
     """
     Return a generator of ``logs``, and of the drives with one of ``names`` in theirs.
@@ -81,7 +81,12 @@ def parser_of_drives(name: str, description: str | None) -> argparse.ArgumentPar
     parser.add_argument("--seeds", type=options.count, nargs="+", default=[2, 4], metavar="N")
     parser.add_argument("--data", type=options.path, metavar="DIR", help="folder of the real sets")
     parser.add_argument(
-        "--log", type=options.path, nargs="+", default=[], metavar="FILE", help="logs of autopilots"
+        "--log",
+        type=log,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="logs that ins_convert reads: of an autopilot, or IMU,GNSS",
     )
     return parser
 

@@ -1,9 +1,10 @@
 """
-Outages of GNSS cut into the flights of autopilots' logs: error at their ends, consistency.
+Outages of GNSS cut into recorded logs: error at their ends, consistency.
 
 The fixes that an outage leaves out are its truth, at their stamps plus the clock offset in force.
 Outages begin 90 s after the motion, 25 s after the last one ended, where the vehicle is faster than
-5 m/s. With a constant noise the standard deviations per sample are those given.
+5 m/s. With a constant noise the standard deviations per sample are those given. With
+``--params-file`` its parameters are compared with the defaults, with and without a constraint.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,11 @@ import numpy as np
 from hybrid_ins import parameters
 from hybrid_ins.cli import options, program
 from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.parameters import parameter_file
 from hybrid_ins.ros.messages.conversions import SWAP
 from hybrid_ins.ros.messages.trajectory import Array
 from tools.parallel import add_jobs, run_parallel
-from tools.vehicles.drives import Drive, from_log
+from tools.vehicles.drives import Drive, Log, from_log, log
 from tools.vehicles.judge import at_offset_in_force, run
 
 SETTLED, BETWEEN, LEAST_SPEED = 90.0, 25.0, 5.0  # s, s, m/s
@@ -38,14 +39,20 @@ VARIANTS: dict[str, dict[str, Any]] = {
         for force, rate in ((0.5, 0.01), (1.0, 0.01), (2.0, 0.01), (1.0, 0.003), (1.0, 0.03))
     },
 }
-HEADER = "| flight | noise | outages | median, 90 % [m] | rms [m] | NEES/3 |\n" + "|---" * 6 + "|"
+CONSTRAINTS: dict[str, dict[str, Any]] = {
+    "no constraint": {"vehicle.kind": "other"},
+    "default": {},
+}
+HEADER = (
+    "| recording | parameters | outages, without odometry at the end | median, 90 % [m] | rms [m] "
+    "| NEES/3 |\n" + "|---" * 6 + "|"
+)
 
 
 def begins(drive: Drive, length: float) -> Array:
     """Return when outages of a ``length`` [s] begin [s after the first sample]."""
-    assert drive.velocity_enu is not None
-    speed = np.linalg.norm(drive.velocity_enu[:, :2], axis=1)
     t = (drive.fix_ns - drive.imu_ns[0]) * 1e-9
+    speed = _speed(drive, t)
     first = (drive.motion_ns - drive.imu_ns[0]) * 1e-9 + SETTLED
     starts = np.arange(first, t[-1] - length - 5.0, length + BETWEEN)
 
@@ -54,6 +61,15 @@ def begins(drive: Drive, length: float) -> Array:
         return bool(np.any(inside)) and float(np.median(speed[inside])) > LEAST_SPEED
 
     return np.array([start for start in starts if is_fast(start)])
+
+
+def _speed(drive: Drive, t: Array) -> Array:
+    """Return the horizontal speed [m/s] at the fixes, by the positions where none is measured."""
+    if drive.velocity_enu is not None:
+        return np.asarray(np.linalg.norm(drive.velocity_enu[:, :2], axis=1))
+    frame = LocalFrame(drive.fix_lla[0])
+    track = np.array([frame.position(lla)[:2] for lla in drive.fix_lla])
+    return np.asarray(np.linalg.norm(np.gradient(track, t, axis=0), axis=1))
 
 
 def ends(drive: Drive, values: Mapping[str, Any], length: float) -> tuple[Array, Array]:
@@ -83,21 +99,23 @@ def ends(drive: Drive, values: Mapping[str, Any], length: float) -> tuple[Array,
     return np.array(errors), np.array(nees)
 
 
-def one(path: Path, variant: str, length: float) -> str:
-    """Return the row of one flight."""
-    errors, nees = ends(from_log(path, "all"), parameters.defaults() | VARIANTS[variant], length)
-    median, most = np.quantile(errors, (0.5, 0.9))
-    rms = float(np.sqrt(np.mean(errors**2)))
+def one(files: Log, name: str, values: Mapping[str, Any], length: float) -> str:
+    """Return the row of one recording; ``name`` is that of the parameters' ``values``."""
+    errors, nees = ends(from_log(files, "all"), parameters.defaults() | values, length)
+    claimed = errors[np.isfinite(errors)]
+    median, most = np.quantile(claimed, (0.5, 0.9))
+    rms = float(np.sqrt(np.mean(claimed**2)))
     return (
-        f"| {path.stem} | {variant} | {len(errors)} | {median:.1f}, {most:.1f} | {rms:.1f} "
-        f"| {np.nanmean(nees):.2f} |"
+        f"| {files[0].stem} | {name} | {len(errors)}, {len(errors) - len(claimed)} "
+        f"| {median:.1f}, {most:.1f} | {rms:.1f} | {np.nanmean(nees):.2f} |"
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = program.parser("log_outages", __doc__ or "")
-    parser.add_argument("logs", type=options.path, nargs="+", metavar="FILE")
+    parser.add_argument("logs", type=log, nargs="+", metavar="FILE", help="or IMU,GNSS")
+    parser.add_argument("--params-file", type=options.path, metavar="FILE", help="of ins_calibrate")
     parser.add_argument(
         "--length", type=options.positive, default=10.0, metavar="S", help="[%(default)s]"
     )
@@ -106,7 +124,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _body(args: argparse.Namespace) -> int:
-    tasks = [(path, variant, args.length) for path in args.logs for variant in VARIANTS]
+    variants = VARIANTS
+    if args.params_file is not None:
+        variants = {**CONSTRAINTS, args.params_file.name: parameter_file.load(args.params_file)}
+    tasks = [(files, *variant, args.length) for files in args.logs for variant in variants.items()]
     for k, line in enumerate(run_parallel(one, tasks, args.jobs)):
         print(line if k else f"{HEADER}\n{line}", flush=True)
     return 0
