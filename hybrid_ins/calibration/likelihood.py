@@ -145,9 +145,11 @@ class Likelihood:
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
         self.offsets = range(len(offsets))
-        # Where the IMU is shaken the likelihood of an offset has the period of the samples.
+        # Where the IMU is shaken the likelihood of an offset has the period of the samples. That of
+        # an antenna may be many times narrower than its step, and information leads nowhere then.
         self._differences = [
-            CENTRAL if i in self.offsets else FORWARD for i in range(len(self.names))
+            CENTRAL if i in self.offsets or name in LEVER else FORWARD
+            for i, name in enumerate(self.names)
         ]
         self._is_forward = np.array([ends is FORWARD for ends in self._differences])
         self.frozen: frozenset[str] = frozenset()
