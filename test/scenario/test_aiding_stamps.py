@@ -24,8 +24,8 @@ class Aided(Drive):
             self.play(t - PERIOD, t)
             self.read(t - 0.02)
 
-    def read(self, t: float, ahead: float = 0.0) -> None:
-        i = int(np.searchsorted(self.truth.t, t))
+    def read(self, t: float, ahead: float = 0.0, measured: float | None = None) -> None:
+        i = int(np.searchsorted(self.truth.t, t if measured is None else measured))
         velocity_b = matrix_from_quat(self.truth.quat_xyzw[i]).T @ self.truth.velocity_n[i]
         message = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
         set_stamp(message.header.stamp, self.stamp(t + ahead))
@@ -75,6 +75,21 @@ def test_a_late_reading_is_compared_with_the_state_of_its_own_time() -> None:
     values = dict(drive.status("aiding").values)
     assert drive.state == "aiding" and not drive.aiding_warnings
     assert float(values["velocity_nis"]) < 1.0
+
+
+@pytest.mark.parametrize(("measured_ahead", "state"), [(0.6, "aiding"), (0.0, "refused")])
+def test_a_reading_that_is_ahead_of_the_imu_waits_for_it(measured_ahead: float, state: str) -> None:
+    """It is compared with the state at its stamp: what it measures is of that time, or is not."""
+    drive = Aided(**KNOWN)
+    for k in range(round(25.0 / PERIOD)):
+        t = PERIOD * (k + 1)
+        drive.play(t - PERIOD, t)
+        if t > 4.0:
+            drive.read(t, 0.6, t + measured_ahead)
+
+    assert drive.state == state
+    nis = float(dict(drive.status("aiding").values)["velocity_nis"])
+    assert (nis < 1.0) is (state == "aiding")
 
 
 def test_readings_go_on_after_all_stamps_have_gone_back(aided: Aided) -> None:

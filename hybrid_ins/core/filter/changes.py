@@ -20,9 +20,11 @@ from hybrid_ins.core.filter.events import (
     Outage,
     ScatterInForce,
     SettingsChange,
+    StateRestored,
 )
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.state import AGE_SENSITIVITY, COVARIANCE, NAVIGATION, SENSITIVITY
 from hybrid_ins.core.noise.position_scatter import PositionScatter
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
@@ -83,5 +85,9 @@ def apply_change(own: Held, nav: Array, change: Change, ring: ImuRing) -> None:
         inject(nav, own.lever_arm.shift(change.by_b, change.moves_odometry))
         own.noise.restart(keep_weights=False)
         own.scale_errors.restart()
+    elif isinstance(change, StateRestored):
+        for part in (NAVIGATION, COVARIANCE, SENSITIVITY, AGE_SENSITIVITY):
+            nav[part] = change.nav[part]
+        own.noise.restart(keep_weights=True)
     elif isinstance(change, Outage):
         own.scale_errors.begin_outage(nav, ring, own.corrected_ns, change.t_ns)

@@ -139,6 +139,16 @@ class ScatterInForce:
     kind: ClassVar[str] = "scatter in force"
 
 
+@dataclass(frozen=True, slots=True)
+class StateRestored:
+    """At its stamp the state is what it would be had nothing aided it since an earlier stamp."""
+
+    t_ns: int
+    nav: Array  # (N_FLAT,) flat state then, with nothing pending
+    since_ns: int
+    kind: ClassVar[str] = "state restored"
+
+
 Change = (
     AntennaFound
     | AntennaShift
@@ -152,6 +162,7 @@ Change = (
     | Outage
     | ScatterInForce
     | SettingsChange
+    | StateRestored
 )
 Event = Measurement | Change
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.filter.events import ClockShift, CovarianceInflation
+from hybrid_ins.core.filter.events import ClockShift, CovarianceInflation, StateRestored
 from hybrid_ins.core.filter.filter_record import Decided, FilterRecord, FilterStart
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.inertial.rotations import (
@@ -190,7 +190,11 @@ def _plan(
     first_levels = _raise(steps, first.start)
     updates: list[Update] = []
     levels = first_levels
+    restored = [one for step in steps if isinstance(one := step.decided.event, StateRestored)]
     for step, dt in zip(steps, moved, strict=True):
+        is_undone = any(one.since_ns < step.decided.event.t_ns <= one.t_ns for one in restored)
+        if is_undone and not _is_gnss(step):
+            continue
         update = _update(step, round(dt * 1e9), psd(step.levels))
         if update is not None or not np.array_equal(step.levels, levels):
             updates.append(update or Update(step.decided.event.t_ns, psd(step.levels)))

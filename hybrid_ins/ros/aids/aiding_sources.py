@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.aiding.life_cycle import AidingSensor, AidingState
 from hybrid_ins.core.aiding.measurements import BodyVelocity
-from hybrid_ins.core.aiding.sensors import (
-    AidingSensor,
-    AidingState,
-    HeadingSensor,
-    HeightSensor,
-    VelocitySensor,
-)
+from hybrid_ins.core.aiding.sensors import HeadingSensor, HeightSensor, VelocitySensor
+from hybrid_ins.core.aiding.unaided import UnaidedState
+from hybrid_ins.core.filter.events import StateRestored
 from hybrid_ins.core.filter.ins_filter import TOO_OLD, InsFilter
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.core.navigator.navigator import Navigator
@@ -36,8 +33,10 @@ Array = NDArray[np.float64]
 
 TOPICS = {topic.name: topic.type_name for topic in AIDING}
 QUIET_NS = 100_000_000_000  # after a change of a sensor's state was logged: it may flap
+AHEAD_KEPT = 64  # readings that wait for the IMU
 STATES_KEPT = 12  # states, one with each tenth of a second: readings may be a second late
 OLDEST_NS = 1_200_000_000  # late readings are refused from here on
+PRESENT_NS = 30_000_000  # readings of that age are compared with the present state
 EXCESSIVE, BOUNDED = 16.0, 8.0  # factors on a claimed variance that are logged, that end it
 REMEDIES = {
     "velocity": "check aiding.velocity_scale, aiding.velocity_position and the axes",
@@ -72,7 +71,10 @@ class AidingSources:
         self._navigator = navigator
         self._fixes = fixes
         self._inputs = inputs
-        self._states: deque[tuple[int, Array]] = deque(maxlen=STATES_KEPT)
+        # Stamps [ns], flat states, and in outages those that nothing has aided for some seconds.
+        self._states: deque[tuple[int, Array, Array | None]] = deque(maxlen=STATES_KEPT)
+        self._unaided = UnaidedState()
+        self._ahead: deque[tuple[str, AidingSensor, Measurement]] = deque(maxlen=AHEAD_KEPT)
 
     def configure(self, arm_b: Array) -> None:
         """Begin anew with the IMU at a place (3,) relative to the base frame's origin [m], b."""
@@ -94,6 +96,8 @@ class AidingSources:
         for sensor in (self._velocity, self._heading, self._height):
             sensor.restart()
         self._states.clear()
+        self._unaided.restart()
+        self._ahead.clear()
         self._quiet_until_ns.clear()
 
     def handle(self, topic: str, message: Message, received_ns: int | None = None) -> None:
@@ -126,15 +130,21 @@ class AidingSources:
             text = _describe_stamp((reading.t_ns - running.t_ns) * 1e-9)
             self._inputs.count_and_warn(topic, Refused(f"{sensor.name}: {fault}", text))
             return
+        if reading.t_ns > running.t_ns + PRESENT_NS:
+            self._ahead.append((topic, sensor, reading))
+            return
         if self._precedes_states(reading.t_ns) or not sensor.admit(reading.t_ns):
             return
-        nav = self._state_at(reading.t_ns, running)
-        fixes_come = self._fixes.settled(self._navigator.last_ns)
-        outage = self._fixes.outage(self._navigator.last_ns)
-        measurement = sensor.check(reading, nav, checked=fixes_come, outage=outage)
+        now_ns = self._navigator.last_ns
+        nav, unaided = self._states_at(reading.t_ns, running)
+        fixes_come, outage = self._fixes.settled(now_ns), self._fixes.outage(now_ns)
+        measurement = sensor.check(reading, nav, checked=fixes_come, outage=outage, unaided=unaided)
         self._log_change(sensor)
         if measurement is not None:
             self._navigator.measure(measurement)
+        if sensor.took_along:
+            sensor.took_along = False
+            self._restore(running)
 
     def _stamp_fault(self, t_ns: int, running: InsFilter) -> str:
         """Return why there is no state to check a reading with a stamp [ns] against, if so."""
@@ -146,19 +156,39 @@ class AidingSources:
         """Return whether a stamp [ns] is before the states that are kept since a sensor came."""
         return bool(self._states) and t_ns < self._states[0][0] - 60_000_000
 
-    def _state_at(self, t_ns: int, running: InsFilter) -> Array:
-        """Return the flat state nearest to a stamp [ns]."""
-        if t_ns > running.t_ns - 30_000_000 or not self._states:
-            return running.flat_state()
-        return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1]
+    def _states_at(self, t_ns: int, running: InsFilter) -> tuple[Array, Array | None]:
+        """Return the flat state nearest to a stamp [ns], and that which nothing has aided."""
+        if t_ns > running.t_ns - PRESENT_NS or not self._states:
+            nav = running.flat_state()
+            return nav, self._follow_unaided(nav, running)
+        return min(self._states, key=lambda kept: abs(kept[0] - t_ns))[1:]
+
+    def _follow_unaided(self, nav: Array, running: InsFilter) -> Array | None:
+        """Return what the filter's present flat state would be unaided; None while fixes come."""
+        if not self._fixes.outage(running.t_ns):
+            self._unaided.restart()
+            return None
+        return self._unaided.follow(nav, running.t_ns, running.ring, running.covariance_interval)
+
+    def _restore(self, running: InsFilter) -> None:
+        """Undo what a sensor that took the filter along has done to it."""
+        unaided = self._follow_unaided(running.flat_state(), running)
+        if unaided is not None:
+            since_ns = self._unaided.since_ns
+            self._navigator.phases.submit(StateRestored(running.t_ns, unaided, since_ns))
+            self._states.clear()
 
     def run_periodic(self, t_ns: int) -> None:
-        """Keep the state at a stamp [ns]; some times a second."""
+        """Keep the state at a stamp [ns], and use readings that waited; some times a second."""
         running = self._navigator.filter
         heard = (self._velocity, self._heading, self._height)
-        if running is None or all(s.state(t_ns) is AidingState.ABSENT for s in heard):
+        is_heard = any(sensor.state(t_ns) is not AidingState.ABSENT for sensor in heard)
+        if running is None or not (is_heard or self._ahead):
             return
-        self._states.append((t_ns, running.flat_state()))
+        nav = running.flat_state()
+        self._states.append((t_ns, nav, self._follow_unaided(nav, running)))
+        for _ in range(len(self._ahead)):
+            self._use(*self._ahead.popleft())
         for sensor in heard:
             self._log_change(sensor)
 
@@ -181,6 +211,12 @@ class AidingSources:
                 "warn",
                 f"aiding: {sensor.name} disagrees with the motion (NIS {sensor.nis:.0f} per "
                 f"component): it is not used; {REMEDIES[sensor.name]}",
+            )
+        elif state is AidingState.FROZEN:
+            self._inputs.log(
+                "warn",
+                f"aiding: {sensor.name} repeats one reading while the vehicle moves: it is not "
+                "used until it changes; check the sensor and its driver",
             )
         elif state is AidingState.LOST:
             self._inputs.log("warn", f"aiding: {sensor.name}: no message of use for 2 s")
@@ -212,7 +248,7 @@ class AidingSources:
             parts.append(f"{sensor.name} {state.value}")
             values[f"{sensor.name}_nis"] = sensor.nis
             values[f"{sensor.name}_factor"] = sensor.factor
-            if state in (AidingState.REFUSED, AidingState.LOST):
+            if state in (AidingState.REFUSED, AidingState.FROZEN, AidingState.LOST):
                 level = 1
         sigma = self._velocity.sigma
         values["velocity_scale"] = self._velocity.scale

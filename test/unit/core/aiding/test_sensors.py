@@ -8,8 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.derivatives import derivative, flat_state, swing, vectors
 
+from hybrid_ins.core.aiding.life_cycle import AidingState
 from hybrid_ins.core.aiding.measurements import BarometricHeight, BodyVelocity, Heading
-from hybrid_ins.core.aiding.sensors import AidingState, HeadingSensor, HeightSensor, VelocitySensor
+from hybrid_ins.core.aiding.sensors import HeadingSensor, HeightSensor, VelocitySensor
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_G,
@@ -173,9 +174,8 @@ def in_outage(sensor: VelocitySensor, start: float, read: float, std: float) -> 
     for k in range(30):
         t_ns = round((start + 0.2 * k) * SECOND)
         nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=std)
-        reading = BodyVelocity(
-            t_ns, np.array([read, np.nan, np.nan]), 0.05**2 * np.eye(3), np.zeros(3)
-        )
+        velocity_b = np.array([read + 0.001 * (k % 2), np.nan, np.nan])
+        reading = BodyVelocity(t_ns, velocity_b, 0.05**2 * np.eye(3), np.zeros(3))
         assert sensor.admit(t_ns)
         used.append(sensor.check(reading, nav, checked=False, outage=True) is not None)
     return used
@@ -191,6 +191,99 @@ def test_wheels_that_stop_reading_in_an_outage_are_refused_until_a_known_state_a
     assert not any(in_outage(sensor, 82.2, 0.0, 5.0)), "it agrees with anything"
     assert not in_outage(sensor, 88.2, 10.0, 0.4)[0]
     assert in_outage(sensor, 94.2, 10.0, 0.4)[-1], "a state that is known as well as then"
+
+
+def test_a_reading_far_off_is_not_fused_in_an_outage() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+
+    assert all(in_outage(sensor, 70.2, 10.0, 0.05))
+    assert not in_outage(sensor, 76.2, 12.0, 0.05)[0]
+
+
+def test_a_sensor_that_takes_the_filter_along_is_refused_by_what_the_imu_measures() -> None:
+    """GIVEN a reading that the filter has followed WHEN a state without aid contradicts it."""
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+    used, told = [], []
+    for k in range(12):
+        t_ns = round((70.2 + 0.2 * k) * SECOND)
+        nav, unaided = (
+            flat_state(np.array([speed, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.1)
+            for speed in (10.0, 12.0)
+        )
+        velocity_b = np.array([10.0 + 0.001 * (k % 2), np.nan, np.nan])
+        reading = BodyVelocity(t_ns, velocity_b, 0.05**2 * np.eye(3), np.zeros(3))
+        assert sensor.admit(t_ns)
+        fused = sensor.check(reading, nav, checked=False, outage=True, unaided=unaided)
+        used.append(fused is not None)
+        told.append(sensor.took_along)
+
+    assert all(used[:3]) and not any(used[6:])
+    assert told == [not one for one in used], "until who restores the state has done it"
+
+
+def test_one_reading_again_and_again_is_not_used_while_the_vehicle_moves() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+    used = []
+    for k in range(30):
+        t_ns = round((70.2 + 0.2 * k) * SECOND)
+        nav = flat_state(np.array([10.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.3)
+        velocity_b = np.array([10.0 if k < 20 else 10.1, np.nan, np.nan])
+        reading = BodyVelocity(t_ns, velocity_b, 0.05**2 * np.eye(3), np.zeros(3))
+        assert sensor.admit(t_ns)
+        used.append(sensor.check(reading, nav, checked=False, outage=True) is not None)
+        if k == 19:
+            assert sensor.state(t_ns) is AidingState.FROZEN
+
+    assert all(used[:10]) and not any(used[12:20]) and all(used[20:])
+
+
+def test_a_sensor_may_read_zero_for_long_and_anything_at_rest() -> None:
+    for read, speed in ((0.0, 0.31), (0.2, 0.0)):
+        sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+        wheels(sensor, 60.0, 1.0, 10.0, 2)
+        for k in range(30):
+            t_ns = round((70.2 + 0.2 * k) * SECOND)
+            nav = flat_state(np.array([speed, 0.0, 0.0]), np.zeros(3), np.zeros(3), std=0.3)
+            velocity_b = np.array([read, np.nan, np.nan])
+            reading = BodyVelocity(t_ns, velocity_b, 0.05**2 * np.eye(3), np.zeros(3))
+            assert sensor.admit(t_ns)
+            assert sensor.check(reading, nav, checked=False, outage=True) is not None
+
+
+def test_a_scale_that_was_shown_is_not_learned_from_readings_that_are_wrong() -> None:
+    """GIVEN wheels that are stuck for 10 s THEN they are used soon after, with their scale."""
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.02, 10.0, 2)
+    scale, sigma = sensor.scale, sensor.sigma[0]
+
+    wheels(sensor, 10.0, 1e9, 70.0, 2)
+    assert sensor.state(80 * SECOND) is AidingState.REFUSED
+    assert abs(sensor.scale - scale) < sigma
+    wheels(sensor, 15.0, 1.02, 80.0, 2)
+
+    assert sensor.state(95 * SECOND) is AidingState.AIDING
+    assert abs(sensor.scale - 1.02) < 3.0 * sensor.sigma[0]
+
+
+def test_a_scale_is_learned_from_readings_in_another_unit() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0 / 3.6, 10.0, 2)
+
+    assert sensor.state(70 * SECOND) is AidingState.AIDING
+    assert sensor.scale == pytest.approx(1.0 / 3.6, rel=0.01)
+
+
+def test_what_fixes_have_refused_does_not_aid_in_the_next_outage() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.0, 10.0, 2)
+    assert all(in_outage(sensor, 70.2, 10.0, 0.3))
+    wheels(sensor, 10.0, 2.0, 76.4, 2)
+    assert sensor.state(86 * SECOND) is AidingState.REFUSED
+
+    assert not any(in_outage(sensor, 86.6, 10.0, 0.05))
 
 
 @pytest.mark.parametrize(("factor", "used"), [(1.0, True), (2.0, False)])
