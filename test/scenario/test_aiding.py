@@ -10,7 +10,7 @@ from hybrid_ins.ros.estimator.estimator import Estimator
 from tools.vehicles.aiding import Aiding, barometer, compass, in_order, wheels
 from tools.vehicles.drives import Drive
 from tools.vehicles.judge import run
-from tools.vehicles.outages import ends
+from tools.vehicles.outages import begins, ends
 
 
 def aiding_values(estimator: Estimator, t_ns: int) -> dict[str, str]:
@@ -50,6 +50,34 @@ def test_a_barometer_that_jumps_is_named_and_does_not_bend_the_height_silently()
 
     assert any("baro errs by more than it claims" in text for text in log)
     assert max(end.nees for end in found) < 4.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_wheels_that_are_stuck_at_a_speed_do_not_take_the_filter_along(noise: float) -> None:
+    """
+    GIVEN wheels that repeat one speed from 15 s into the first outage on, with or without noise
+    THEN they are named, the covariance holds, and the error is that without them, or less.
+    """
+    found, rng, log = drive("road car"), np.random.default_rng(2), []
+    aiding = wheels(recording("road car"), 1.0)
+    start = begins(found)[0]
+    t = np.array([one.arrival_ns - found.imu_ns[0] for one in aiding]) * 1e-9
+    stuck = [one for one, at in zip(aiding, t, strict=True) if at > start + 15.0]
+    speed = stuck[0].message.twist.twist.linear.x
+    for one in stuck:
+        one.message.twist.twist.linear.x = speed + noise * rng.standard_normal()
+    other = calibrated(**{"vehicle.kind": "other"})
+
+    aided = ends(found, other, lambda _, text: log.append(text), aiding, np.array([start]))
+    alone = ends(found, other, starts=np.array([start]))
+
+    said = "repeats one reading" if noise == 0.0 else "disagrees with the motion"
+    assert any(said in text for text in log)
+    assert [end.after for end in aided] == [30.0, 60.0]
+    for end, unaided in zip(aided, alone, strict=True):
+        assert end.error < max(unaided.error, 5.0)
+        assert end.nees < 4.0
 
 
 def horizontal(found: Drive, aiding: list[Aiding], until: float) -> tuple[Estimator, list[str]]:

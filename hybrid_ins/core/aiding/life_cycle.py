@@ -250,7 +250,7 @@ class AidingSensor:
         """
         Decide whether the sensor is used, by the NIS per component of its readings.
 
-        Not by a state whose mean ``variance`` is far above the usual one: fixes begin to be missing.
+        Not by a state whose mean ``variance`` is far above the usual one: fixes are about to miss.
         """
         if self._checked is None:
             self._nis, self._checked, self._usual = min(nis, LARGEST_NIS), 0.0, variance
