@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment.alignment import Need
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
-from hybrid_ins.core.inertial.state import JUMP_VARIANCE, W_G, total_std
+from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, JUMP_VARIANCE, W_G, total_std
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.phases import Aligning
 from hybrid_ins.core.noise.innovation import InnovationNoise
@@ -251,7 +251,8 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             )
             break
     innovations = running.noise.found
-    if innovations.stamp_probability > 0.5:
+    clock_std = math.sqrt(running.nav[CLOCK_VARIANCE])  # an unknown offset looks like a scatter
+    if innovations.stamp_probability > 0.5 and innovations.stamp_std > clock_std:
         found["stamps of fixes scatter"] = (
             f"the stamps of fixes scatter by about {innovations.stamp_std:.2g} s, and count for "
             "so much less along the motion: let the driver stamp them with the time of validity, "

@@ -10,7 +10,7 @@ import pytest
 
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
-from hybrid_ins.core.inertial.state import N_FLAT, W_G
+from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, N_FLAT, W_G
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise.weights import NoiseFactors
@@ -104,6 +104,20 @@ def test_what_scatters_by_more_than_it_claims_is_named(
     )
 
     assert [text.split(" by more")[0] for text in found.values()] == [named] * bool(named)
+
+
+@pytest.mark.parametrize(("clock_std", "named"), [(0.0, True), (0.01, True), (0.1, False)])
+def test_stamps_are_not_blamed_for_an_offset_that_is_not_known_yet(
+    clock_std: float, named: bool
+) -> None:
+    bank, nav = NoiseMultipleModelBank(), np.zeros(N_FLAT)
+    noise = FilterNoise(ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), bank)
+    bank.found = NoiseFactors(stamp_probability=0.9, stamp_std=0.03)
+    nav[CLOCK_VARIANCE] = clock_std**2
+
+    found = noise_conditions(SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=nav)))
+
+    assert ("stamps of fixes scatter" in found) is named
 
 
 def test_truths_are_written_as_json_reads_them() -> None:
