@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu_axes.faults import AxesFault, mount_upright
+from hybrid_ins.core.imu_axes.faults import AxesFault, mount_as_shown, mount_upright
 from hybrid_ins.core.imu_axes.fit import STEP, Fit, Motion, attitudes
 
 Array = NDArray[np.float64]
@@ -50,11 +50,9 @@ def mount_fault(
     given: Array, motion: Motion, accelerometer: Array, gyroscope: Array, fitted: Fit
 ) -> AxesFault | None:
     """Return the fault if the mount given, (3, 3), does not fit gravity or course."""
-    upright = mount_upright(given, accelerometer @ motion.impulse.sum(axis=0))
-    if upright is not None:
-        nearest = mount_upright(given, _mean_up(motion, accelerometer, fitted), least=1.0)
-        if nearest is None or not np.allclose(nearest, upright):
-            upright = None
+    upright = _mount_upright(
+        given, accelerometer @ motion.impulse.sum(axis=0), _mean_up(motion, accelerometer, fitted)
+    )
     mount = given if upright is None else upright
     along = _mount_along_course(motion, mount, accelerometer, fitted)
     if upright is None and along is None:
@@ -63,6 +61,22 @@ def mount_fault(
     by_course = along is not None
     explanation = ((accelerometer, gyroscope),)
     return AxesFault(explanation, chosen, turned=True, by_course=by_course)
+
+
+def _mount_upright(given: Array, mean_force: Array, mean_up: Array) -> Array | None:
+    """
+    Return the mount with which mean specific force and attitudes point up; None: the one given.
+
+    A bank that lasts moves one of both: the mount is skew where neither fits right angles.
+    """
+    upright = mount_upright(given, mean_force)
+    nearest = mount_upright(given, mean_up, least=1.0)
+    if upright is None or nearest is None or not np.allclose(nearest, upright):
+        return None
+    if any(np.allclose(mount_as_shown(given, one), upright) for one in (mean_force, mean_up)):
+        return upright
+    both = mean_force / np.linalg.norm(mean_force) + mean_up / np.linalg.norm(mean_up)
+    return mount_as_shown(given, both)
 
 
 def _attitudes_n(motion: Motion, accelerometer: Array, fitted: Fit) -> Array:

@@ -64,7 +64,7 @@ class AxesFault:
             other.by_course,
             other.no_turns,
             other.at_rest,
-        ) and np.allclose(self.mount, other.mount)
+        ) and _are_alike(self.mount, other.mount)
         return replace(self, explanations=both) if both and alike else None
 
     def same(self, other: AxesFault) -> bool:
@@ -91,6 +91,7 @@ PERMUTATIONS = _signed_permutations()
 ROTATIONS = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]
 NEW_MOTION = 0.5  # share of the motion that shows a fault again, where that may be chance
 UP = 0.5  # cosine of the angle between mean specific force and up that a vehicle may have
+SQUARE, ALIKE = np.radians(12.0), 0.25  # rad: from a right angle; between a mount measured twice
 SCALES = (DEGREES, 1.0 / DEGREES)
 
 
@@ -133,3 +134,41 @@ def mount_upright(mount: Array, mean_up: Array, least: float = UP) -> Array | No
         if height > max(heights) - 1e-3:
             return np.asarray(mount @ rotation)
     return None
+
+
+def mount_as_shown(mount: Array, mean_up: Array) -> Array:
+    """
+    Return the mount, turned by right angles, with which a mean points up; a skew one if it has to.
+
+    Parameters
+    ----------
+    mount : ndarray, shape (3, 3)
+        From the IMU's axes to b, as given.
+    mean_up : ndarray, shape (3,)
+        What points up, in the IMU's axes, such as the mean specific force.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Where no such mount leaves less than ``SQUARE``: by the mean alone. It shows no yaw, so the
+        IMU's x axis keeps the horizontal direction it has as given.
+    """
+    square = mount_upright(mount, mean_up, least=1.0)
+    up = mean_up / max(float(np.linalg.norm(mean_up)), 1e-9)
+    if square is not None and -(square @ up)[2] > np.cos(SQUARE):
+        return square
+    x_axis = np.array([1.0, 0.0, 0.0])
+    along = x_axis - (x_axis @ up) * up
+    along /= max(float(np.linalg.norm(along)), 1e-9)
+    along_b, up_b = np.array([mount[0, 0], mount[1, 0], 0.0]), np.array([0.0, 0.0, -1.0])
+    length = float(np.linalg.norm(along_b))
+    along_b = x_axis if length < 1e-6 else along_b / length
+    axes_b = np.column_stack((along_b, up_b, np.cross(along_b, up_b)))
+    return np.asarray(axes_b @ np.vstack((along, up, np.cross(along, up))))
+
+
+def _are_alike(mount: Array, other: Array) -> bool:
+    """Return whether two checks found one mount, (3, 3); one that is measured varies."""
+    if np.allclose(mount[2], other[2]):  # as given or by right angles
+        return bool(np.allclose(mount, other))
+    return float(np.trace(mount.T @ other)) > 1.0 + 2.0 * np.cos(ALIKE)

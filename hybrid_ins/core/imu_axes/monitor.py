@@ -23,8 +23,9 @@ from hybrid_ins.core.imu_axes.antenna import FarAntenna
 from hybrid_ins.core.imu_axes.comparison import AS_GIVEN, MotionComparison, Outcome
 from hybrid_ins.core.imu_axes.course import courses, is_winding, kinds_of, mount_fault
 from hybrid_ins.core.imu_axes.explanation import AS_GOOD, MUCH_BETTER, ComparedMotion, hypothesis_of
-from hybrid_ins.core.imu_axes.faults import AxesFault, mount_upright
+from hybrid_ins.core.imu_axes.faults import AxesFault, mount_as_shown, mount_upright
 from hybrid_ins.core.imu_axes.fit import Motion, fit
+from hybrid_ins.core.imu_axes.level import LevelCheck, Tilt, is_gravity_alone
 from hybrid_ins.core.imu_axes.motion import WINDOW, MotionWindow
 from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 
@@ -59,12 +60,14 @@ class ImuAxesCheck:
         self._mount, self._arm = mount, mount.T @ lever_b
         self.fault: AxesFault | None = None
         self._antenna = FarAntenna()
+        self._level = LevelCheck(mount)
         self._upright = 0  # motions with the mount given upright, less those with it turned
         self.reset()
 
     def reset(self) -> None:
         """Forget the motion so far."""
         self._window = MotionWindow(self._mount)
+        self._level.reset()
         self._next_ns = self._rare_ns = 0
         self._checked: Counter[str] = Counter()
         self._work: Generator[None, None, AxesFault | Outcome] | None = None
@@ -80,6 +83,11 @@ class ImuAxesCheck:
         return is_found or not self._concluded
 
     @property
+    def tilt(self) -> Tilt | None:
+        """How the mount is tilted by the mean specific force, where nothing worse is wrong."""
+        return self._level.tilt if self.fault is None else None
+
+    @property
     def antenna_error_b(self) -> tuple[Array, Array] | None:
         """True minus given place of an antenna far from the given one, and its σ, (3,) [m], b."""
         error, std = self._antenna.error, self._antenna.std
@@ -88,10 +96,14 @@ class ImuAxesCheck:
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
         self._window.add_samples(samples)
+        self._level.add_samples(samples)
+        if self._level.has_moved_level:
+            self._withdraw_what_rest_showed()
 
     def add_fix(self, t_ns: int, lla: Array) -> None:
         """Add a position fix: stamp [ns], latitude, longitude [rad] and height [m], (3,)."""
         self._window.add_fix(t_ns, lla)
+        self._level.add_fix(lla)
 
     def advance(self, t_ns: int) -> None:
         """Do a share of the work that is due at a stamp [ns]: some milliseconds at most."""
@@ -138,6 +150,13 @@ class ImuAxesCheck:
         if self.fault is None or not self.fault.same(self._found):
             self.fault = self._found
 
+    def _withdraw_what_rest_showed(self) -> None:
+        """Withdraw what gravity alone has shown of the mount: level motion shows the contrary."""
+        if self._found is not None and self._found.at_rest:
+            self._times, self._found = 0, None
+        if self.fault is not None and self.fault.at_rest:
+            self.fault = None
+
     def _compare(self, motions: Sequence[Motion]) -> Generator[None, None, AxesFault | Outcome]:
         """Return what motions show of axes, units and mount; see `advance`."""
         comparison = MotionComparison(self._mount, self._arm, self._antenna)
@@ -182,10 +201,16 @@ class ImuAxesCheck:
         Return how the IMU lies by its mean specific force, if it does not lie as given.
 
         Without gravity, which a driver may have removed, that says nothing, nor does more than
-        gravity: a vehicle that circles, at any bank, has that.
+        gravity: a vehicle that circles, at any bank, has that. A tailsitter that hovers again after
+        level motion has not turned its IMU.
         """
-        mean_force = self._window.mean_force()
-        if mean_force is None or not LEAST_FORCE < np.linalg.norm(mean_force) < MOST_MEAN_FORCE:
+        mean_force = None if self._level.has_moved_level else self._window.mean_force()
+        force = 0.0 if mean_force is None else float(np.linalg.norm(mean_force))
+        if mean_force is None or not LEAST_FORCE < force < MOST_MEAN_FORCE:
             return None
         mount = mount_upright(self._mount, mean_force)
-        return None if mount is None else AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)
+        if mount is None:
+            return None
+        if is_gravity_alone(force):
+            mount = mount_as_shown(self._mount, mean_force)
+        return AxesFault(AS_GIVEN, mount, turned=True, at_rest=True)

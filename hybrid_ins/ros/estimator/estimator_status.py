@@ -67,7 +67,9 @@ class EstimatorStatus:
             else diagnostics.filter_status(
                 self.navigator, t_ns, reporter.fused_ns, reporter.fixes_fused, self.waiting_for
             ),
-            diagnostics.input_status(self.navigator, self.inputs, t_ns, self.fault, moved_b),
+            diagnostics.input_status(
+                self.navigator, self.inputs, t_ns, self.fault, moved_b, self.review.axes.tilt
+            ),
             diagnostics.noise_status(self.navigator, self.noise.reader, mode),
             self.clock.status(),
             *self.aids.statuses(t_ns, silent > 0.0),
@@ -79,6 +81,7 @@ class EstimatorStatus:
         reporter = self.reporter
         without = (self.navigator.last_ns - reporter.fused_ns) * 1e-9 if reporter.fused_ns else 0.0
         ended = f"none in the last {without:.0f} s" if without > LONG_WITHOUT else ""
-        fault = f"imu/data: {self.fault.text}" if self.fault is not None else ""
+        wrong = self.fault or self.review.axes.tilt
+        fault = f"imu/data: {wrong.text}" if wrong is not None else ""
         lines = f"{reporter.fixes_fused} fixes fused", ended, refused, self.review.summary(), fault
         return "; ".join(filter(None, lines))

@@ -166,6 +166,7 @@ def input_status(
     t_ns: int,
     axes_fault: Refused | None = None,
     moved_b: Array = NOT_MOVED,
+    tilt: Refused | None = None,
 ) -> Status:
     """Return what was refused until a stamp [ns], and what is wrong with the IMU now."""
     fault, new = navigator.monitor.fault, inputs.new_in_last_seconds(t_ns)
@@ -175,6 +176,8 @@ def input_status(
     if fault is not None:
         text = f"{wording.name_of_fault(fault)}: {wording.describe_fault(fault)}"
         return status("input", 2, text, values)
+    if tilt is not None:
+        return status("input", 1, f"{tilt.name}: {tilt.text}", values)
     for found in antenna_conditions(navigator, moved_b).values():
         return status("input", 1, found, values)
     refused = sum(n for name, n in inputs.counts.items() if name not in ORDINARY)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.imu_axes.faults import SCALES, AxesFault
+from hybrid_ins.core.imu_axes.level import Tilt
 from hybrid_ins.core.imu_axes.monitor import ImuAxesCheck
 from hybrid_ins.core.inertial.rotations import quat_from_matrix, rpy_from_quat
 from hybrid_ins.core.navigator.navigator import Navigator
@@ -51,11 +52,17 @@ class AxesMonitor:
         self._check = ImuAxesCheck(self._placement.mount, self._placement.lever_b)
         self._taken_ns = self._next_ns = 0
         self._reported: AxesFault | None = None
+        self._was_tilted = False
 
     @property
     def fault(self) -> Refused | None:
         """What is wrong, as a name and a text."""
         return None if self._check.fault is None else describe(self._check.fault)
+
+    @property
+    def tilt(self) -> Refused | None:
+        """How the mount seems to be tilted, as a name and a text; it is only a warning."""
+        return None if self._check.tilt is None else describe(self._check.tilt)
 
     @property
     def moved_b(self) -> Array:
@@ -86,6 +93,10 @@ class AxesMonitor:
             self._reported = self._check.fault
             if self._reported is not None:
                 self._inputs.count_and_warn("imu/data", describe(self._reported))
+        tilt = self.tilt
+        if tilt is not None and not self._was_tilted:
+            self._inputs.count_and_warn("imu/data", tilt)
+        self._was_tilted = tilt is not None
         found, placement = self._check.antenna_error_b, self._placement
         if found is None:
             return False
@@ -117,8 +128,10 @@ def describe_antenna(error_b: Array, std: Array) -> Refused:
     )
 
 
-def describe(fault: AxesFault) -> Refused:
+def describe(fault: AxesFault | Tilt) -> Refused:
     """Return what is wrong with axes, units or mount, and the remedy."""
+    if isinstance(fault, Tilt):
+        return _describe_tilt(fault)
     one = np.eye(3)
     if fault.no_turns:
         return Refused(
@@ -144,10 +157,20 @@ def describe(fault: AxesFault) -> Refused:
     ways = fault.explanations[:MOST_EXPLANATIONS]
     text = "the axes do not fit the motion: " + ", or ".join(_describe_axes(*way) for way in ways)
     if fault.turned:
-        text += f"; then {_remount(fault)}"
+        text += f"; then {_remount(fault.mount)}"
     if any(_is_mirrored(*way) for way in fault.explanations):
         text += "; or latitude and longitude of the fixes are exchanged, or a sign of them is wrong"
     return Refused("imu: wrong axes", f"{text}; correct the driver")
+
+
+def _describe_tilt(tilt: Tilt) -> Refused:
+    """Return how a mount is tilted, and the one that is level."""
+    return Refused(
+        "imu: tilted mount",
+        f"in {tilt.seconds:.0f} s of motion the mean specific force is {np.degrees(tilt.angle):.0f}"
+        f"° from base_frame's z axis: {_remount(tilt.mount)} (roll and pitch are measured, yaw is "
+        "as given), unless the vehicle itself is as tilted",
+    )
 
 
 def _is_mirrored(accelerometer: Array, gyroscope: Array) -> bool:
@@ -165,9 +188,9 @@ def _describe_mount(fault: AxesFault) -> str:
     if fault.by_course:
         return (
             "the vehicle moves at one angle to base_frame's x axis, which is not forward: unless "
-            f"it reverses, and if it moves along its nose, {_remount(fault)}"
+            f"it reverses, and if it moves along its nose, {_remount(fault.mount)}"
         )
-    text = f"gravity is not along base_frame's z axis: {_remount(fault)}"
+    text = f"gravity is not along base_frame's z axis: {_remount(fault.mount)}"
     if np.allclose(fault.mount[2], [0.0, 0.0, 1.0], atol=0.1):  # FRD axes
         text += ", or let the driver publish forward-left-up axes"
     if fault.at_rest:
@@ -175,9 +198,11 @@ def _describe_mount(fault: AxesFault) -> str:
     return text
 
 
-def _remount(fault: AxesFault) -> str:
-    """Return the remedy of a wrong mount."""
-    rpy = rpy_from_quat(quat_from_matrix(FLIP @ fault.mount))
+def _remount(mount: Array) -> str:
+    """Return the remedy of a wrong mount, by the right one, (3, 3)."""
+    rpy = rpy_from_quat(quat_from_matrix(FLIP @ mount))
+    if np.abs(np.sin(2.0 * rpy)).max() > 1e-3:  # no right angles: as far as they are measured
+        rpy = np.round(rpy, 2)
     angles = ", ".join(f"{angle + 0.0:.4g}" for angle in np.where(np.abs(rpy) < 1e-6, 0.0, rpy))
     return f"set imu.mount_rpy to [{angles}]"
 
