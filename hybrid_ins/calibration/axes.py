@@ -1,4 +1,4 @@
-"""The check of the IMU's axes and units over a whole recording, before anything is calibrated."""
+"""The check of the IMU's axes, units and mount over a recording, before anything is calibrated."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.calibration.stamps import stamps_of
 from hybrid_ins.core.imu.samples import as_samples
 from hybrid_ins.core.imu_axes.faults import AxesFault
+from hybrid_ins.core.imu_axes.level import Tilt
 from hybrid_ins.core.imu_axes.monitor import ImuAxesCheck
 from hybrid_ins.ros.messages.conversions import FLIP, mount_matrix
 
 STEP = 0.1  # s, between two shares of the check's work
 
 
-def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | None:
+def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | Tilt | None:
     """
-    Return what is wrong with the axes or units of a recording's IMU; None: nothing was found.
+    Return what is wrong with axes, units or mount of a recording's IMU; None: nothing was found.
 
     Parameters
     ----------
@@ -45,4 +46,4 @@ def axes_fault(recording: Recording, values: Mapping[str, Any]) -> AxesFault | N
             check.add_fix(int(waiting[0]), waiting[1])
             waiting = next(fixes, None)
         check.advance(now_ns)
-    return check.fault
+    return check.fault or check.tilt
