@@ -393,6 +393,28 @@ def test_flying_on_its_back_is_not_taken_for_a_mount() -> None:
     assert [fault for _, fault in check(run, FRD, FRD) if fault]
 
 
+def test_a_tailsitter_that_has_cruised_is_not_accused() -> None:
+    """
+    GIVEN an aircraft that hovers on its tail, cruises in turns, and hovers again
+    WHEN it hovers first, which looks like a wrong mount
+    THEN that is withdrawn within half a minute of the cruise, and not said again.
+    """
+    t = time_grid(150.0)
+    cruise = smoothed(((t > 40.0) & (t < 110.0)).astype(float), 1.0)
+    course = integral(0.25 * cruise**3 * np.sin(0.4 * t))
+    bank = -np.arctan(0.25 * cruise**3 * np.sin(0.4 * t) * 18.0 / 9.8)
+    pitch = np.radians(88.0 - 83.0 * cruise) + 0.05 * (1.0 - cruise) * np.sin(0.9 * t)
+    speed = 18.0 * cruise + 0.8 * (1.0 - cruise) * np.sin(0.7 * t)
+    velocity = velocity_of(speed, course, np.full(len(t), 0.2))
+    rpy = np.stack((-bank, pitch, course), axis=-1)
+    run = readings(motion_through(t, velocity, rpy, START_LLA), 150.0)
+
+    found = list(check(run))
+
+    assert any(fault for time, fault in found if time < 40.0)
+    assert not any(fault for time, fault in found if time > 70.0)
+
+
 @pytest.mark.parametrize(
     "offset",
     [-1.5, 0.2, *(pytest.param(t, marks=pytest.mark.slow) for t in (-0.4, 0.9, 5.0, 18.0))],

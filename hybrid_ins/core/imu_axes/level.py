@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 SECONDS_NS = 10_000_000_000  # over which the specific force is averaged
 MOVED = 3.0  # m over ground in that time: more than fixes of a vehicle at rest wander
 GRAVITY_ALONE = 0.04  # of gravity: the mean may differ from it where nothing else acts
+EXPLAINED, LEAST_COSINE = 0.6, 0.8  # share of what an acceleration would add to the force
 LEVEL, TILTED = np.radians(10.0), np.radians(18.0)  # from z: of a right mount, of a wrong one
 FEWEST, ALONG_ONE = 6, 0.96  # means that show a tilt; their mean resultant length
 WORTH, MOST_LEVEL = 20, 6  # tilted means that one level mean outweighs; level means that count
@@ -33,6 +34,16 @@ IN_A_ROW = 3  # level means that withdraw a tilt
 def is_gravity_alone(force: float) -> bool:
     """Return whether a mean specific force is as large [m/s²] as that of gravity."""
     return abs(force / STANDARD_GRAVITY - 1.0) < GRAVITY_ALONE
+
+
+def _is_tilt(force: float, cosine: float) -> bool:
+    """
+    Return whether a mean force [m/s²] at an angle to z, by its cosine, is not by an acceleration.
+
+    One that turns gravity by that angle would make the force larger.
+    """
+    most = 1.0 + EXPLAINED * (1.0 / max(cosine, LEAST_COSINE) - 1.0)
+    return is_gravity_alone(force) or 1.0 < force / STANDARD_GRAVITY < most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +130,7 @@ class LevelCheck:
                 self._forget_tilted()
         else:
             self._in_a_row = 0
-            if moves and is_gravity_alone(size):
+            if moves and _is_tilt(size, -up_b[2]):
                 self._tilted += 1
                 self._tilted_sum_b += up_b
         self.tilt = self._judge()

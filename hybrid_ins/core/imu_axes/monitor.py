@@ -171,7 +171,8 @@ class ImuAxesCheck:
         fault = mount_fault(self._mount, last.motion, *AS_GIVEN[0], last.as_given)
         is_turned = fault is not None and not fault.by_course
         self._upright += -1 if is_turned else 1
-        if is_turned and self._upright >= 0:  # an aircraft that flies loops and rolls
+        was_level = self._upright >= 0 or self._level.has_moved_level
+        if is_turned and was_level:  # an aircraft that flies loops and rolls, or has hovered
             return Outcome.FITS
         if is_turned and self._may_be_reversed(last):
             return self._by_gravity() or Outcome.FITS

@@ -88,6 +88,14 @@ def test_nothing_is_said_of_other_forces(force: np.ndarray, speed: float) -> Non
     assert run.check.tilt is None
 
 
+def test_more_than_gravity_is_a_tilt_where_no_acceleration_turns_it_as_far() -> None:
+    run = Run(LevelCheck(FRD))
+
+    run.go(80.0, 1.06 * leaning(0.6), CRUISE)  # a multirotor that circles
+
+    assert run.check.tilt is not None
+
+
 def test_a_lean_to_either_side_is_no_tilt() -> None:
     run = Run(LevelCheck(FRD))
 
