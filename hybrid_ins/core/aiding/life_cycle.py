@@ -250,7 +250,8 @@ class AidingSensor:
         """
         Decide whether the sensor is used, by the NIS per component of its readings.
 
-        Not by a state whose mean ``variance`` is far above the usual one: fixes are about to miss.
+        A state whose mean ``variance`` is far above the usual one, as behind the last fix before an
+        outage, decides nothing.
         """
         if self._checked is None:
             self._nis, self._checked, self._usual = min(nis, LARGEST_NIS), 0.0, variance
@@ -262,7 +263,7 @@ class AidingSensor:
         self._checked += self._interval
         if self._checked >= SHOWN:
             self._decide()
-            self._refused_with = 0.0  # if it is, by fixes: no state in an outage is known as well
+            self._refused_with = 0.0  # what fixes refuse does not come back in an outage
 
     def _check_in_outage(self, nis: float, variance: float) -> None:
         """Decide that by the filter alone, with the mean variance of what it predicts."""

@@ -175,7 +175,7 @@ class AidingSources:
         unaided = self._follow_unaided(running.flat_state(), running)
         if unaided is not None:
             since_ns = self._unaided.since_ns
-            self._navigator.phases.submit(StateRestored(running.t_ns, unaided, since_ns))
+            running.submit(StateRestored(running.t_ns, unaided, since_ns))
             self._states.clear()
 
     def run_periodic(self, t_ns: int) -> None:
