@@ -39,9 +39,11 @@ class _PlainLoader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-# YAML 1.1 reads 1e-4 as a text; ROS reads it as the number that everybody means.
+# YAML 1.1 reads 1e-4 and -.4 as texts; ROS reads them as the numbers that everybody means.
 _PlainLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"([-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+|[-+]\.\d+)$"),
+    list("-+.0123456789"),
 )
 
 
