@@ -251,7 +251,9 @@ class TestFiles:
     def test_an_empty_section_is_the_defaults(self, tmp_path: Path) -> None:
         assert self.read(tmp_path, "/**:\n  ros__parameters: {}\n") == DEFAULTS
 
-    @pytest.mark.parametrize("text", ["-.4", "+.25", ".5e1", "1e-8", "1e-08", "1E+3", "-2.e-3", "1.5e3"])
+    @pytest.mark.parametrize(
+        "text", ["-.4", "+.25", ".5e1", "1e-8", "1e-08", "1E+3", "-2.e-3", "1.5e3"]
+    )
     def test_numbers_with_exponents(self, text: str) -> None:
         assert yaml_reader.parse(text) == float(text)
 
