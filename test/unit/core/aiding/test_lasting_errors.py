@@ -42,6 +42,20 @@ def test_what_the_state_does_not_know_is_no_error_of_the_sensor() -> None:
     assert found.factor == 1.0
 
 
+def test_a_state_that_errs_as_it_claims_blames_the_sensor_rarely() -> None:
+    """Half a minute at a time: in some batches by more than σ, in others by less."""
+    factors = []
+    for seed in range(10):
+        rng, found = np.random.default_rng(seed), LastingErrors()
+        for _ in range(40):
+            error = 0.1 * rng.standard_normal(1)
+            for _ in range(150):
+                found.add(error, np.array([[0.1**2]]), R, INTERVAL)
+        factors.append(found.factor)
+
+    assert sum(factor > 1.5 for factor in factors) <= 3
+
+
 def test_axes_may_come_and_go() -> None:
     found = LastingErrors()
     for k in range(1000):
