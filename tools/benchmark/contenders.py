@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.earth import curvature_scale
 from hybrid_ins.core.inertial.rotations import matrix_from_quat
-from hybrid_ins.core.inertial.state import LAST_F, LAST_W, LLA, N_NAV, PSD, covariance
+from hybrid_ins.core.inertial.state import LAST_F, LAST_W, LLA, PSD, covariance
 from hybrid_ins.core.update.iterated_update import update
 from hybrid_ins.core.update.measurements import PositionFix
 from tools.benchmark.careful_numpy import CarefulFilter
 from tools.paper.runs import Run
 
 Array = NDArray[np.float64]
-NO_ROWS = np.empty((0, N_NAV))
 LEVER = np.zeros(3)
 RATE, FIX_RATE = 200.0, 5.0  # Hz
 
@@ -60,7 +59,7 @@ class Compiled:
             step(nav, t, fx, fy, fz, wx, wy, wz, interval)
 
     def _batch(self, dt: Any, readings: Any) -> None:
-        propagation.run(self.nav, dt, readings, self._interval, NO_ROWS)
+        propagation.run(self.nav, dt, readings, self._interval, propagation.NO_ROWS)
 
     def fix(self, fix: PositionFix) -> None:
         """See `Contender`."""

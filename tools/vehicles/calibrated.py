@@ -116,7 +116,8 @@ def one(source: str | Path | Log, variant: int | str, keep: Path | None) -> str:
             from_log(source, variant) if isinstance(source, tuple) else load(Path(source), variant)
         )
     default = score(judge, parameters.defaults())
-    report = None if keep is None else keep / f"{judge.name.partition(', ')[0]}, {variant}.txt"
+    name = (source[0] if isinstance(source, tuple) else Path(source)).stem
+    report = None if keep is None else keep / f"{name}, {variant}.txt"
     values, refused = calibrated(other, report)
     found = default if values is None else score(judge, values)
     return (

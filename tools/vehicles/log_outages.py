@@ -103,7 +103,7 @@ def one(files: Log, name: str, values: Mapping[str, Any], length: float) -> str:
     """Return the row of one recording; ``name`` is that of the parameters' ``values``."""
     errors, nees = ends(from_log(files, "all"), parameters.defaults() | values, length)
     claimed = errors[np.isfinite(errors)]
-    median, most = np.quantile(claimed, (0.5, 0.9))
+    median, most = np.quantile(claimed, (0.5, 0.9)) if len(claimed) else (np.nan, np.nan)
     rms = float(np.sqrt(np.mean(claimed**2)))
     return (
         f"| {files[0].stem} | {name} | {len(errors)}, {len(errors) - len(claimed)} "

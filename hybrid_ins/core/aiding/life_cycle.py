@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,21 @@ class AidingState(Enum):
     REFUSED = "refused"
     FROZEN = "frozen"
     LOST = "lost"
+
+
+class Innovation(NamedTuple):
+    """How far a reading, corrected, is off a state, and the covariances of that by their causes."""
+
+    z: Array  # (m,)
+    of_state: Array  # (m, m), H P Hᵀ
+    nuisance: Array
+    considered: Array
+    R: Array  # (m, m), as claimed
+
+    @property
+    def expected(self) -> Array:
+        """Covariance of all but the reading."""
+        return self.of_state + self.nuisance + self.considered
 
 
 class AidingSensor:
@@ -172,29 +187,38 @@ class AidingSensor:
         unaided : ndarray, optional
             In an outage, the same as it would be had nothing aided it for some seconds.
         """
+        if not self.prepare(reading, nav, checked):
+            return None
         if self._was_silent:
             self._resume(outage)
         self._note_repetition(reading, nav)
-        corrected = self.corrected(reading)
-        z, H, R = corrected.linearise(nav)
-        HPH = H @ covariance(nav) @ H.T
-        nuisance, considered = self.nuisance(reading, nav), self.considered(nav)
-        expected = HPH + nuisance + considered
-        nis = float(z @ np.linalg.solve(expected + R, z)) / len(z)
+        seen = self._innovation(reading, nav)
+        z, R = seen.z, seen.R
+        nis = float(z @ np.linalg.solve(seen.expected + R, z)) / len(z)
+        variance = float(np.trace(seen.of_state)) / len(z)
         if outage and self._agrees is not None:
-            self._check_in_outage(nis, float(np.trace(HPH)) / len(z))
-            if self._is_far(reading, nav):
+            self._check_in_outage(nis, variance)
+            if self._is_far(seen):
                 return None
             if self._agrees and unaided is not None:
-                self._compare(reading, unaided)
-        elif checked and self.can_check(HPH + considered, R):
-            self._check(nis, float(np.trace(HPH)) / len(z))
+                self._compare(self._innovation(reading, unaided))
+        elif checked and self.can_check(seen.of_state + seen.considered, R):
+            self._check(nis, variance)
             of_sensor = inflated(R, self.error_time, self._interval)
-            self._lasting.add(z, expected, of_sensor, self._interval)
-            self.learn(reading, nav, z, HPH, R)
+            self._lasting.add(z, seen.expected, of_sensor, self._interval)
+            self.learn(reading, nav, z, seen.of_state, R)
         if not self._agrees or self._is_frozen or not (outage or self.always):
             return None
-        return self.measurement(corrected, self.factor * R, nuisance)
+        return self.measurement(self.corrected(reading), self.factor * R, seen.nuisance)
+
+    def prepare(self, reading: Measurement, nav: Array, checked: bool) -> bool:
+        """Follow errors that change by themselves; return whether the reading can be compared."""
+        return True
+
+    def _innovation(self, reading: Measurement, nav: Array) -> Innovation:
+        z, H, R = self.corrected(reading).linearise(nav)
+        of_state = H @ covariance(nav) @ H.T
+        return Innovation(z, of_state, self.nuisance(reading, nav), self.considered(nav), R)
 
     def value(self, reading: Measurement) -> Array:
         """Return what was measured; zero of a sensor that may read so for long, at rest."""
@@ -274,15 +298,14 @@ class AidingSensor:
         self._average(nis)
         self._decide()
 
-    def _is_far(self, reading: Measurement, nav: Array) -> bool:
+    def _is_far(self, seen: Innovation) -> bool:
         """Return whether a reading is farther off a state than errors as large as known explain."""
-        z, H, R = self.corrected(reading).linearise(nav)
-        S = H @ covariance(nav) @ H.T + self.nuisance(reading, nav) + self.considered(nav)
-        return float(z @ np.linalg.solve(S + self.factor * R, z)) > FAR[len(z) - 1]
+        S = seen.expected + self.factor * seen.R
+        return float(seen.z @ np.linalg.solve(S, seen.z)) > FAR[len(seen.z) - 1]
 
-    def _compare(self, reading: Measurement, unaided: Array) -> None:
+    def _compare(self, unaided: Innovation) -> None:
         """Refuse a sensor that has taken the filter along, away from what the IMU measures."""
-        is_far = self._is_far(reading, unaided)
+        is_far = self._is_far(unaided)
         self._contradicted = self._contradicted + self._interval if is_far else 0.0
         if self._contradicted >= CONTRADICTED:
             self._agrees, self._nis, self._contradicted = False, LARGEST_NIS, 0.0

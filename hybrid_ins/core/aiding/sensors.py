@@ -90,14 +90,14 @@ class VelocitySensor(AidingSensor):
         """See `AidingSensor`; z = scale · reading - velocity of the place."""
         assert isinstance(reading, BodyVelocity)
         J = reading.by_scale_and_place(nav)
-        S = HPH + J @ self._P @ J.T + R
-        is_far = float(z @ np.linalg.solve(S, z)) > DISAGREES * len(z)
+        known = J @ self._P @ J.T
+        is_far = float(z @ np.linalg.solve(HPH + known + R, z)) > DISAGREES * len(z)
         self._is_shown |= bool(self._agrees and self.sigma[0] < self._shown_std)
         if self._is_shown and (is_far or not self._agrees):
             return
         N = inflated(HPH, STATE_TIME, self._interval)
         N = N + inflated(R, self.error_time, self._interval)
-        K = np.linalg.solve(J @ self._P @ J.T + N, J @ self._P).T
+        K = np.linalg.solve(known + N, J @ self._P).T
         error = K @ z
         self.scale -= float(error[0])
         self.shift_b = self.shift_b - error[1:]
@@ -182,25 +182,16 @@ class HeightSensor(AidingSensor):
         variance = nav[SLOW_VARIANCE][2] + nav[JUMP_VARIANCE][2]
         return np.array([[self.SIGMAS**2 * variance]])
 
-    def check(
-        self,
-        reading: Measurement,
-        nav: Array,
-        *,
-        checked: bool,
-        outage: bool,
-        unaided: Array | None = None,
-    ) -> Measurement | None:
+    def prepare(self, reading: Measurement, nav: Array, checked: bool) -> bool:
         """See `AidingSensor`; the offset wanders, and begins with the first reading."""
-        if math.isinf(self._variance):
-            if not checked:
-                return None
+        if math.isfinite(self._variance):
+            self._variance += self.WANDER**2 * self._interval
+            return True
+        if checked:
             z, H, R = reading.linearise(nav)
             self.offset = float(z[0])
             self._variance = float((H @ covariance(nav) @ H.T + R)[0, 0]) + 1.0
-            return None
-        self._variance += self.WANDER**2 * self._interval
-        return super().check(reading, nav, checked=checked, outage=outage, unaided=unaided)
+        return False
 
     def learn(self, reading: Measurement, nav: Array, z: Array, HPH: Array, R: Array) -> None:
         """See `AidingSensor`: z = reading - offset - height."""

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.imu.samples import ImuRing, readings_of, steps_since
 from hybrid_ins.core.inertial import propagation
-from hybrid_ins.core.inertial.state import N_NAV
 
 Array = NDArray[np.float64]
 
 SPAN_NS = 4_000_000_000
 LONGEST_STEP_NS = 100_000_000  # between samples; what a longer one hides is not known without aid
-NO_ROWS = np.empty((0, N_NAV))
 
 
 class UnaidedState:
@@ -61,8 +59,9 @@ class UnaidedState:
         if not self._navs or steps.max() > LONGEST_STEP_NS:
             self._navs = [(t_ns, nav.copy())]
         elif len(samples):
+            dt, readings = steps * 1e-9, readings_of(samples)
             for _, unaided in self._navs:
-                propagation.run(unaided, steps * 1e-9, readings_of(samples), interval, NO_ROWS)
+                propagation.run(unaided, dt, readings, interval, propagation.NO_ROWS)
                 propagation.propagate_covariance(unaided)
         self._t_ns = t_ns
         if t_ns - self._navs[-1][0] >= SPAN_NS:

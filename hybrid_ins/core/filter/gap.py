@@ -88,7 +88,7 @@ def bridge(nav: Array, reading: Array, dt: float, interval: float) -> None:
     last = np.concatenate((nav[LAST_F], nav[LAST_W]))
     readings = line(last, reading, dt)
     steps = np.full(len(readings), dt / len(readings))
-    propagation.run(nav, steps, readings, interval, np.empty((0, N_NAV)))
+    propagation.run(nav, steps, readings, interval, propagation.NO_ROWS)
     propagation.propagate_covariance(nav)
     inflate(nav, last, reading, dt)
 

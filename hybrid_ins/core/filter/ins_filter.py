@@ -23,6 +23,7 @@ from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.rewind import Checkpoint, History
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
 from hybrid_ins.core.inertial import propagation
+from hybrid_ins.core.inertial.propagation import NO_ROWS
 from hybrid_ins.core.inertial.state import (
     CLOCK_VARIANCE,
     HEADING_DOUBT,
@@ -40,7 +41,6 @@ from hybrid_ins.core.update.gate import Gate, Verdict
 from hybrid_ins.core.update.measurements import GNSS, Measurement
 
 Array = NDArray[np.float64]
-NO_ROWS = np.empty((0, N_NAV))
 NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: in a longer step samples are missing
 MIN_GAP = 0.025  # s

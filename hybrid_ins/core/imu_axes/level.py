@@ -96,13 +96,13 @@ class LevelCheck:
         self._begin_ns = 0
         self._sum_b, self._count = np.zeros(3), 0
         self._first_lla: Array | None = None
-        self._moved = 0.0
+        self._last_lla = np.zeros(3)
 
     def add_fix(self, lla: Array) -> None:
         """Add a position fix: latitude, longitude [rad] and height [m], (3,)."""
         if self._first_lla is None:
             self._first_lla = lla
-        self._moved = float(np.hypot(*displacement(self._first_lla, lla)[:2]))
+        self._last_lla = lla
 
     def add_samples(self, samples: NDArray[np.void]) -> None:
         """Add samples (``SAMPLE_DTYPE``, in b) that follow the last ones."""
@@ -113,8 +113,14 @@ class LevelCheck:
         self._sum_b += samples["f"].sum(axis=0)
         self._count += len(samples)
         if samples["t_ns"][-1] - self._begin_ns >= SECONDS_NS:
-            self._use(self._sum_b / self._count, self._moved > MOVED)
+            self._use(self._sum_b / self._count, self._moved() > MOVED)
             self.reset()
+
+    def _moved(self) -> float:
+        """Return how far the fixes have moved over ground [m]."""
+        if self._first_lla is None:
+            return 0.0
+        return float(np.hypot(*displacement(self._first_lla, self._last_lla)[:2]))
 
     def _use(self, force_b: Array, moves: bool) -> None:
         """Use a mean specific force (3,) [m/s²], of a vehicle that moves or stands."""

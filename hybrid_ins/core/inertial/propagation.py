@@ -11,6 +11,8 @@ References
 
 from __future__ import annotations
 
+import numpy as np
+
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial._covariance_step import covariance_step
 from hybrid_ins.core.inertial.error_model import process_noise, system_matrix
@@ -40,6 +42,7 @@ from hybrid_ins.core.inertial.strapdown import mechanise
 
 FASTMATH = {"contract", "arcp"}  # fused multiply-add, reciprocals: rounding only
 MEAN_TIME = 0.05  # s, over which acceleration and angular rate are averaged
+NO_ROWS = np.empty((0, N_NAV))  # no state is kept
 GRAVITY = 9.8  # m/s²: the mean acceleration needs it no better
 
 
