@@ -42,6 +42,7 @@ def test_transforms_are_a_tree_that_agrees_with_the_odometry(
     """GIVEN /tf_static that came before the node WHEN it runs THEN /tf is map, odom, base_link."""
     from geometry_msgs.msg import TransformStamped
     from nav_msgs.msg import Odometry
+    from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from tf2_msgs.msg import TFMessage
 
@@ -51,7 +52,8 @@ def test_transforms_are_a_tree_that_agrees_with_the_odometry(
     fixed = TFMessage(transforms=[TransformStamped() for _ in PLACES])
     for transform, (name, place) in zip(fixed.transforms, PLACES.items(), strict=True):
         fill_transform(transform, 0, "base_link", name, place, UNTURNED)
-    client.node.create_publisher(TFMessage, "/tf_static", latched).publish(fixed)
+    publisher = client.node.create_publisher(TFMessage, "/tf_static", latched)
+    publisher.publish(fixed)
     heard: list[Any] = []
     odometry: dict[int, Any] = {}
     client.node.create_subscription(TFMessage, "/tf", heard.append, 1000)
@@ -59,6 +61,8 @@ def test_transforms_are_a_tree_that_agrees_with_the_odometry(
         Odometry, "/odometry", lambda m: odometry.update({stamp_ns(m.header.stamp): m}), 10_000
     )
     start_node(processes, log, environment=types)
+    client.spin_until(lambda: publisher.get_subscription_count() > 0, 30.0)
+    assert publisher.wait_for_all_acked(Duration(seconds=30.0)), "the node got no /tf_static"
     play = [sys.executable, "-m", "hybrid_ins.cli.play", str(flight)]
 
     processes.start(play, subprocess.DEVNULL, ENVIRONMENT)
