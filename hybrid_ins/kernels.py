@@ -153,6 +153,7 @@ def _compile_filter() -> None:
     propagation.run_samples(nav, 0, numbers, integers, 1, 0.0, np.empty((1, N_NAV)))
     z, H = measurements.position_model(nav, np.zeros(3), np.zeros(3))
     kalman.innovation(nav, z, H, np.eye(3))
+    kalman.linear_update(nav, z, H, np.eye(3))
     iterated_update.update(nav, z, H, np.eye(3))
     iterated_update.linearisation(nav[COVARIANCE], z, H, np.eye(3))
     kalman.inject(nav, np.zeros(N_ERROR))

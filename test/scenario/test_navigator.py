@@ -164,10 +164,21 @@ def test_heading_does_not_outlast_a_gap_in_a_fast_turn() -> None:
     run = scene(motion_through(t, velocity_n, yaw, START_LLA))
     navigator = make_navigator("parameter", yaw=run.yaw(0.0))
 
-    play(run, navigator, stop=31.6, imu=lambda t: not 30.0 < t < 31.5)
+    # WHEN it lasts until within an outage THEN the state goes on, and knows how little it knows
+    play(run, navigator, stop=35.0, imu=lambda t: not 30.0 < t < 31.5, fix=lambda t: t < 30.0)
 
-    [notice] = run.notices
+    assert [type(notice) for notice in run.notices] == [GapBridged]
+    std = sigma(navigator)
+    assert std[8] > 0.35 and std[3:5].max() > 0.35 * 8.0
+    position, _, heading = run.errors(navigator, 35.0)
+    assert position < 3.0 * std[:2].max() and abs(heading) < 3.0 * std[8]
+
+    # AND alignment follows with the next fix
+    play(run, navigator, start=35.0, stop=36.1)
+
+    [_, notice] = run.notices
     assert isinstance(notice, Restarted) and notice.cause is RestartCause.NO_SAMPLES
+    assert notice.seconds == pytest.approx(1.5, abs=0.1)
 
 
 def test_long_gap_ends_dead_reckoning_and_alignment_follows(flight) -> None:

@@ -34,6 +34,7 @@ class BodyVelocity:
 
     kind: ClassVar[str] = "body velocity"
     sensor: ClassVar[str] = "velocity"
+    in_body: ClassVar[bool] = True
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`; the rate is that of the last IMU sample."""
@@ -60,6 +61,7 @@ class Heading:
 
     kind: ClassVar[str] = "heading"
     sensor: ClassVar[str] = "heading"
+    in_body: ClassVar[bool] = False
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`; the innovation is within ±π."""
@@ -82,6 +84,7 @@ class BarometricHeight:
 
     kind: ClassVar[str] = "height"
     sensor: ClassVar[str] = "baro"
+    in_body: ClassVar[bool] = False
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`."""

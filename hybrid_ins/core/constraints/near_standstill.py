@@ -85,6 +85,7 @@ class NearStandstill:
 
     kind: ClassVar[str] = "near standstill"
     sensor: ClassVar[str] = IMU
+    in_body: ClassVar[bool] = True
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`: H is that of the velocity along the nose."""

@@ -91,6 +91,7 @@ class NonHolonomic:
 
     kind: ClassVar[str] = "non-holonomic"
     sensor: ClassVar[str] = IMU
+    in_body: ClassVar[bool] = True
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """

@@ -48,6 +48,7 @@ class NoSideslip:
 
     kind: ClassVar[str] = "sideslip"
     sensor: ClassVar[str] = IMU
+    in_body: ClassVar[bool] = False
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`: H is r' [0, C_nb', -C_nb' [(v - w)×], 0, 0]."""

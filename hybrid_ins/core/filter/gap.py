@@ -19,6 +19,7 @@ from hybrid_ins.core.inertial.state import (
     N_ERROR,
     N_NAV,
     QUAT,
+    VELOCITY,
     covariance,
     pack,
 )
@@ -114,29 +115,42 @@ def inflate(nav: Array, last: Array, reading: Array, dt: float) -> None:
     Add unmeasured motion in a gap to the covariance of ``nav``; parameters as in `bridge`.
 
     It is a force and a rate that are constant over the gap: tilt by a rate moves the velocity, too.
+    The velocity may have turned as far as the vehicle, though not with it: a drone's does not.
     """
     force_std, rate_std = _unmeasured(last, reading, dt)
-    f_n = matrix_from_quat(nav[QUAT]) @ (0.5 * (last + reading)[:3])
-    by_force, by_rate = np.zeros((2, N_ERROR, 3))
+    C = matrix_from_quat(nav[QUAT])
+    f_n, rate_n = C @ (0.5 * (last + reading)[:3]), C * rate_std
+    by_force, by_rate, by_turn = np.zeros((3, N_ERROR, 3))
     by_force[DP], by_force[DV] = 0.5 * dt**2 * np.eye(3), dt * np.eye(3)
     by_rate[DP], by_rate[DV] = dt**3 / 6.0 * skew(f_n), 0.5 * dt**2 * skew(f_n)
     by_rate[EPS] = dt * np.eye(3)
+    turn = skew(nav[VELOCITY])
+    by_turn[DP], by_turn[DV] = 0.5 * dt**2 * turn, dt * turn
     P = covariance(nav)
-    P += force_std**2 * by_force @ by_force.T + rate_std**2 * by_rate @ by_rate.T
+    P += force_std**2 * by_force @ by_force.T
+    for by_rate_b in (by_rate @ rate_n, by_turn @ rate_n):
+        P += by_rate_b @ by_rate_b.T
     pack(P, nav[COVARIANCE])
 
 
 def turn_std(last: Array, reading: Array, dt: float) -> float:
     """Return the standard deviation [rad] of a turn in a gap; parameters as in `bridge`."""
-    return _unmeasured(last, reading, dt)[1] * dt
+    return float(_unmeasured(last, reading, dt)[1].max()) * dt
 
 
-def _unmeasured(last: Array, reading: Array, dt: float) -> tuple[float, float]:
-    """Return the standard deviations of force [m/s²] and rate [rad/s] about a line over a gap."""
+def _unmeasured(last: Array, reading: Array, dt: float) -> tuple[float, Array]:
+    """
+    Return standard deviations about a line over a gap: force [m/s²], rates (3,) [rad/s], b.
+
+    It is most uncertain about the axis that the vehicle turns about.
+    """
     jump, rate = np.abs(reading - last), float(np.linalg.norm(reading[3:]))
     swing = min(dt / SWING_TIME, 1.0) ** 2
     force = abs(float(np.linalg.norm(reading[:3])) - STANDARD_GRAVITY)
     return (
         GAP_FORCE + 0.25 * jump[:3].max() + 0.5 * (rate + swing * force),
-        GAP_RATE + 0.25 * jump[3:].max() + (0.1 + 0.4 * swing) * rate,
+        GAP_RATE
+        + 0.15 * (jump[3:] + jump[3:].max())
+        + 0.1 * rate
+        + 0.4 * swing * np.abs(reading[3:]),
     )

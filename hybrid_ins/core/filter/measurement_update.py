@@ -72,7 +72,7 @@ from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.gate import Gate, Verdict
 from hybrid_ins.core.update.inflation import inflate_to_innovation
-from hybrid_ins.core.update.kalman import inject, innovation
+from hybrid_ins.core.update.kalman import inject, innovation, update_in_body
 from hybrid_ins.core.update.measurements import (
     GNSS,
     IMU,
@@ -283,14 +283,19 @@ class MeasurementUpdate:
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            if self.noise.uses_corrections or self.scale_errors.in_outage:
+            linearises = self.noise.uses_corrections or self.scale_errors.in_outage
+            if linearises and not measurement.in_body:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             shown, variance = IN_FULL, nav.item(HEADING_VARIANCE)
             if measurement.sensor == GNSS:
                 shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
-            dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
+            if measurement.in_body:
+                dx, K, T = update_in_body(nav, z, H, R / verdict.weight)
+                linear = (z, H, dx, T) if linearises else None
+            else:
+                dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
             self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)

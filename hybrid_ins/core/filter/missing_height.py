@@ -47,6 +47,7 @@ class LevelMotion:
 
     kind: ClassVar[str] = "level motion"
     sensor: ClassVar[str] = ASSUMED
+    in_body: ClassVar[bool] = False
 
     def linearise(self, nav: Array) -> LinearModel:
         """See `Measurement.linearise`."""

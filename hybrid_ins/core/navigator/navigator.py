@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Alignment, AlignmentSettings
+from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeightCheck
 from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
 from hybrid_ins.core.navigator.notices import (
     FaultFound,
@@ -33,7 +35,7 @@ from hybrid_ins.core.navigator.restart import ResetCount, heading_after, outlast
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.update.gate import Verdict
-from hybrid_ins.core.update.measurements import ASSUMED, GNSS, IMU, Measurement
+from hybrid_ins.core.update.measurements import ASSUMED, GNSS, IMU, Measurement, PositionFix
 
 Array = NDArray[np.float64]
 
@@ -107,6 +109,7 @@ class Navigator:
         """Give up the state, but not the samples; return the alignment that begins."""
         self.monitor.reset()
         self._attempt_ns = 0
+        self._lost_heading: GapBridged | None = None
         self._resets = ResetCount()
         alignment = Alignment(self._alignment_settings, self.ring)
         if self.monitor.biases is not None:
@@ -196,8 +199,11 @@ class Navigator:
             return
         step_ns = t_ns - self.stamps.last_ns
         seconds = abs(step_ns) * 1e-9
-        if 0 < step_ns <= self.stamps.max_gap_ns and outlasts(self.filter, reading, seconds):
-            self._notices.append(GapBridged(seconds))
+        if 0 < step_ns <= self.stamps.max_gap_ns:
+            bridged = GapBridged(seconds)
+            self._notices.append(bridged)
+            if not outlasts(self.filter, reading, seconds):
+                self._lost_heading = bridged
         elif step_ns < 0:
             self._notices.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
             self.monitor.discard_biases()
@@ -246,6 +252,8 @@ class Navigator:
         """Use an aiding measurement; its verdict appears among the notices."""
         measurement = self._heights.checked(measurement)
         refused = self._measurements.check(measurement, self.stamps, speed(self.phase))
+        if refused is None and measurement.kind == PositionFix.kind:
+            self._restart_where_heading_was_lost()
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)
         if self._measurements.contradiction is not None:
@@ -258,6 +266,19 @@ class Navigator:
             refused = Verdict.rejected(measurement, "aligning")
         if refused is not None:
             self._notices.append(refused)
+
+    def _restart_where_heading_was_lost(self) -> None:
+        """
+        Align anew if the heading did not outlast a gap and nothing has shown it since.
+
+        Without fixes nothing better is to be had than the state that went on over the gap.
+        """
+        if self._lost_heading is None or self.filter is None:
+            return
+        seconds, self._lost_heading = self._lost_heading.seconds, None
+        if float(total_std(self.filter.flat_state())[8]) > HEADING_KEPT_STD:
+            self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
+            self.realign().forget_parameter()
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""

@@ -58,7 +58,7 @@ from hybrid_ins.core.smoothing.step import (
 )
 from hybrid_ins.core.update import iterated_update
 from hybrid_ins.core.update.inflation import inflate, inflate_to_innovation
-from hybrid_ins.core.update.kalman import heading_turn, innovation
+from hybrid_ins.core.update.kalman import heading_turn, innovation, update_in_body
 from hybrid_ins.core.update.measurements import GNSS
 
 Array = NDArray[np.float64]
@@ -194,11 +194,15 @@ class Smoother:
                     self._spans[k] = (update.t_ns - self._corrected_ns) * 1e-9
                     inflate_to_innovation(nav, z, H, self._spans[k])
                 before = nav.copy()
-                _, K, turn = iterated_update.update(nav, z, H, R)
+                if measurement.in_body:
+                    _, K, T = update_in_body(nav, z, H, R)
+                else:
+                    _, K, turn = iterated_update.update(nav, z, H, R)
+                    T = heading_turn(turn) if turn else None
                 if self._constants is not None:
                     self._constants.correct(measurement, before, K, R)
-                if turn:
-                    self._turns[k] = T = heading_turn(turn)
+                if T is not None:
+                    self._turns[k] = T
                     if self._constants is not None:
                         self._constants.turn(T)
                 if measurement.sensor == GNSS:
@@ -251,7 +255,7 @@ class Smoother:
         if self._constants is not None:
             self._constants.correct_adjoint(update.measurement, nav, R * update.r_scale)
         before: tuple[Array, Array] = correction_adjoint(
-            nav, z, H, R * update.r_scale, costate, information
+            nav, z, H, R * update.r_scale, update.measurement.in_body, costate, information
         )
         return before
 

@@ -141,9 +141,9 @@ def propagation_adjoint(F, lengths, costate, information):  # type: ignore[no-un
 
 
 @kernel()
-def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-untyped-def]
+def correction_adjoint(nav, z, H, R, is_linear, costate, information):  # type: ignore[no-untyped-def]
     """
-    Carry the adjoint back through `iterated_update.correct`; eq. (9)-(12) of [1]_.
+    Carry the adjoint back through a correction; eq. (9)-(12) of [1]_.
 
     Parameters
     ----------
@@ -151,6 +151,8 @@ def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-u
         Flat state before the correction.
     z, H, R : ndarray
         See `iterated_update.update`.
+    is_linear : bool
+        It was `kalman.linear_update`, else `iterated_update.correct`.
     costate, information : ndarray, shape (15,), (15, 15)
         lambda and Lambda after it.
 
@@ -161,7 +163,7 @@ def correction_adjoint(nav, z, H, R, costate, information):  # type: ignore[no-u
     """
     packed = nav[COVARIANCE]
     dx, K = gain(packed, z, H, R)
-    if is_nonlinear(packed, dx, H, R):
+    if not is_linear and is_nonlinear(packed, dx, H, R):
         converged, K_x, z_x, H_x, _, G = iterate(packed, z, H, R, dx, K)
         if converged:
             # What comes later speaks of the error about the corrected state, where P is G P' G'.

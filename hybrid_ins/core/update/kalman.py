@@ -10,9 +10,13 @@ References
        2nd ed., sections 3.2 and 14.1.1.
 .. [2] B. Or, I. Klein, "A hybrid model and learning-based adaptive navigation filter", IEEE TIM
        2022, eq. (8)-(12).
+.. [3] A. Barrau, S. Bonnabel, "The invariant extended Kalman filter as a stable observer", IEEE
+       TAC 62, 2017.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba.extending import register_jitable
@@ -20,6 +24,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.earth import radii
+from hybrid_ins.core.inertial.rotations import skew
 from hybrid_ins.core.inertial.state import (
     BIAS_A,
     BIAS_G,
@@ -32,6 +37,8 @@ from hybrid_ins.core.inertial.state import (
     PLACES,
     QUAT,
     VELOCITY,
+    covariance,
+    pack,
     pack_upper,
     unpack,
 )
@@ -179,6 +186,44 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
     norm = np.sqrt(quat[0] ** 2 + quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
     for i in range(4):
         quat[i] /= norm
+
+
+def update_in_body(
+    nav: NDArray[np.float64], z: NDArray[np.float64], H: NDArray[np.float64], R: Any
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """
+    Fuse a measurement of velocity in b into the flat state ``nav``, in place.
+
+    A turn of the whole trajectory leaves it as it is: it shows no heading. Of the errors before,
+    δp and δv contain what a turn ε has moved by: [δp, δv] + [p, v] × ε. Behind the correction it
+    is that of the corrected ones, and P becomes T P T', [3]_. Else it would seem to be less than
+    that, and the next of such measurements would seem to show the heading.
+
+    Parameters
+    ----------
+    nav, z, H, R
+        See `innovation`.
+
+    Returns
+    -------
+    dx, K : ndarray, shape (15,), (15, m)
+        The correction, and its gain.
+    T : ndarray, shape (15, 15)
+        See above.
+    """
+    dx, K = linear_update(nav, z, H, R)
+    T = np.eye(N_ERROR)
+    T[DP, EPS], T[DV, EPS] = skew(dx[DP]), skew(dx[DV])
+    pack(T @ covariance(nav) @ T.T, nav[COVARIANCE])
+    return dx, K, T
+
+
+@kernel()
+def linear_update(nav, z, H, R):  # type: ignore[no-untyped-def]
+    """Return correction and gain, as `gain`, which the flat state ``nav`` is corrected by."""
+    dx, K = gain(nav[COVARIANCE], z, H, R)
+    apply(nav, dx, K, H, R)
+    return dx, K
 
 
 def heading_turn(angle: float) -> NDArray[np.float64]:

@@ -127,10 +127,13 @@ class Measurement(Protocol):
         wrong.
     t_ns : int
         When it was true, IMU clock [ns].
+    in_body : bool
+        It is a velocity in b: a turn of the whole trajectory about the vertical leaves it as it is.
     """
 
     kind: ClassVar[str]
     sensor: ClassVar[str]
+    in_body: ClassVar[bool]
 
     @property
     def t_ns(self) -> int:
@@ -154,6 +157,7 @@ class PositionFix:
 
     kind: ClassVar[str] = "position"
     sensor: ClassVar[str] = GNSS
+    in_body: ClassVar[bool] = False
 
     @property
     def claimed(self) -> Array:
@@ -179,6 +183,7 @@ class VelocityFix:
 
     kind: ClassVar[str] = "velocity"
     sensor: ClassVar[str] = GNSS
+    in_body: ClassVar[bool] = False
 
     @property
     def claimed(self) -> Array:
@@ -209,6 +214,7 @@ class Standstill:
 
     kind: ClassVar[str] = "standstill"
     sensor: ClassVar[str] = IMU
+    in_body: ClassVar[bool] = False
 
     @classmethod
     def of(cls, samples: NDArray[np.void]) -> Standstill:

@@ -1,5 +1,7 @@
 """The update against the textbook, and the law of the closed loop."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from support.analytic_motion import TEL_AVIV, difference
 
+from hybrid_ins.core.aiding.measurements import BodyVelocity
 from hybrid_ins.core.inertial.rotations import (
     left_jacobian,
     matrix_from_quat,
@@ -215,6 +218,26 @@ def test_an_update_turns_the_errors_by_as_much_as_the_heading(by_iteration: bool
     np.testing.assert_allclose(covariance(turned), covariance(plain), rtol=1e-9, atol=1e-12)
     T = kalman.heading_turn(turn)
     assert np.abs(T @ T.T - np.eye(N_ERROR)).max() < 1e-15
+
+
+def test_velocities_in_body_show_no_heading() -> None:
+    """GIVEN that nobody knows the direction of a trajectory THEN no speed along it shows that."""
+
+    def heading_std(update: Any) -> float:
+        velocity_n, place_n, down = np.array([5.0, 1.0, 0.0]), [40.0, -20.0, 0.0], [0.0, 0.0, 1.0]
+        by_turn = np.zeros(N_ERROR)
+        by_turn[DP], by_turn[DV] = np.cross(place_n, down), np.cross(velocity_n, down)
+        by_turn[EPS] = down
+        P = np.diag(np.repeat([4.0, 1.0, 1e-8, 1e-8, 1e-12], 3)) + 0.16 * np.outer(by_turn, by_turn)
+        quat, none = quat_from_rpy(0.0, 0.0, 0.7), np.zeros(3)
+        nav = NavState(TEL_AVIV, velocity_n, quat, none, none, P).to_flat()
+        for velocity_b in ([7.0, 0.0, 0.0], [3.0, 1.0, 0.0], [6.0, -1.0, 0.2]):
+            reading = BodyVelocity(0, np.array(velocity_b), 0.01 * np.eye(3), none)
+            update(nav, *reading.linearise(nav))
+        return float(np.sqrt(covariance(nav)[8, 8]))
+
+    assert heading_std(kalman.update_in_body) == pytest.approx(0.4, rel=1e-3)
+    assert heading_std(iterated_update.update) < 0.2
 
 
 def test_zero_error_changes_nothing() -> None:
