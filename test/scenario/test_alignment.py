@@ -100,6 +100,24 @@ def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
     assert np.all(np.abs(navigator.filter.nav[BIAS_G] - truth) < 4.0 * std)
 
 
+def test_a_sway_at_rest_teaches_no_gyroscope_bias() -> None:
+    """A kayak's heading was off by 180 degrees for minutes, with a claim of 4."""
+    for phase in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
+        # GIVEN a boat that drifts and rolls so slowly that within a second it seems to stand
+        t = time_grid(3.0)
+        roll = 0.016 * np.sin(2.0 * np.pi * t / 6.0 + phase)
+        yaw = np.stack((roll, 0.0 * t, 0.0 * t), axis=-1)
+        run = scene(motion_through(t, velocity_of(0.2 + 0.0 * t, 0.0 * t, 0.0 * t), yaw, START_LLA))
+        navigator = make_navigator("parameter")
+        # WHEN it is aligned
+        play(run, navigator)
+        # THEN the bias of the gyroscopes is as uncertain as that
+        assert navigator.filter is not None
+        off = navigator.filter.nav[BIAS_G] - [0.002, -0.003, 0.001]
+        std = np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL][12:15])
+        assert np.all(np.abs(off) < 4.0 * std), (phase, off, std)
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.006, 0.02])
 def test_a_slow_turn_at_anchor_is_no_gyroscope_bias_when_the_boat_sails(turn: float) -> None:
     """The heading was off by 150 degrees for minutes, with a claim of 2."""

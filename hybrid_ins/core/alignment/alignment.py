@@ -29,7 +29,7 @@ from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.imu.standstill import STANDING_RATE_STD, is_standing, may_be_zero
+from hybrid_ins.core.imu.standstill import is_standing, may_be_zero, rate_std_of_stand
 from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.inertial.rotations import (
     UNKNOWN_ANGLE_STD,
@@ -291,7 +291,7 @@ class Alignment:
         standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
-        bias_g_std = 0.1 * STANDING_RATE_STD
+        bias_g_std = rate_std_of_stand(samples) if standing else np.full(3, np.inf)
         states = []
         for yaw, yaw_std in yaws:
             quat = quat_from_rpy(*roll_pitch(down_b), yaw)
@@ -300,10 +300,10 @@ class Alignment:
             P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
             P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
             P[9:, 9:] = bias_P
-            if standing and P[14, 14] > bias_g_std**2:
+            if np.all(bias_g_std**2 < np.diag(P[B_G, B_G])):
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0
-                P[B_G, B_G] = np.eye(3) * bias_g_std**2
+                P[B_G, B_G] = np.diag(bias_g_std**2)
             antenna = NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P)
             states.append(_at_imu(antenna, samples["w"][-1], lever_b))
         return states

@@ -53,7 +53,7 @@ from hybrid_ins.core.noise.heading_information import (
 )
 from hybrid_ins.core.noise.multiple_model import StateCorrection
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
-from hybrid_ins.core.noise.process_noise import Correction
+from hybrid_ins.core.noise.process_noise import Correction, Linearisation
 from hybrid_ins.core.noise.scatter_evidence import Evidence
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import (
@@ -283,19 +283,14 @@ class MeasurementUpdate:
         before = nav.copy()
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            linearises = self.noise.uses_corrections or self.scale_errors.in_outage
-            if linearises and not measurement.in_body:
+            if self.noise.uses_corrections or self.scale_errors.in_outage:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
             shown, variance = IN_FULL, nav.item(HEADING_VARIANCE)
             if measurement.sensor == GNSS:
                 shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
-            if measurement.in_body:
-                dx, K, T = update_in_body(nav, z, H, R / verdict.weight)
-                linear = (z, H, dx, T) if linearises else None
-            else:
-                dx, K, _ = iterated_update.update(nav, z, H, R / verdict.weight)
+            dx, K, linear = _correct(nav, measurement, (z, H, R / verdict.weight), linear)
             self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
         is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
@@ -360,6 +355,17 @@ def _move(nav: Array, moved: StateCorrection) -> None:
     inject(nav, moved.dx)
     pack(moved.P, nav[COVARIANCE])
     nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+
+
+def _correct(
+    nav: Array, measurement: Measurement, model: LinearModel, linear: Linearisation | None
+) -> tuple[Array, Array, Linearisation | None]:
+    """Fuse a measurement; return correction, gain, and what it comes down to, see `Correction`."""
+    if measurement.in_body:
+        dx, K, T = update_in_body(nav, *model)
+        return dx, T @ K, (*model[:2], dx, T)
+    dx, K, _ = iterated_update.update(nav, *model)
+    return dx, K, linear
 
 
 def _linearised(

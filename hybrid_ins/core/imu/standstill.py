@@ -31,6 +31,7 @@ STANDING_RATE_STD = 0.02  # rad/s
 SLOW_FORCE_STD = 0.05  # m/s², of the means, beyond what the samples' noise explains
 SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
+SWAY = 5.0  # of a rate over its spread within a window: that of one in nine of its lengths
 MEANS = 8  # per window
 FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES, MAX_FIXES = 4, 64  # of those
@@ -53,6 +54,20 @@ def is_standing(samples: NDArray[np.void]) -> bool:
         return False
     mean, _ = mean_and_std(as_numbers(samples))
     return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
+
+
+def rate_std_of_stand(samples: NDArray[np.void]) -> NDArray[np.float64]:
+    """
+    Return the standard deviation (3,) [rad/s] of the mean rate of a stand about the bias.
+
+    A hull or a vehicle on soft ground sways slowly: within a second the rate changes little, and
+    its mean is not the bias. What the samples' noise does not explain of the change shows it.
+    """
+    size = len(samples) // MEANS
+    noise, slow = _spread(readings_of(samples)[-MEANS * size :], size)
+    explained = 2.0 * noise[3:] / np.sqrt(size)
+    sway = np.sqrt(np.maximum(slow[3:] ** 2 - explained**2, 0.0))
+    return np.asarray(np.hypot(0.1 * STANDING_RATE_STD, SWAY * sway))
 
 
 def may_be_zero(velocity_n: NDArray[np.float64], covariance_n: NDArray[np.float64]) -> bool:

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Alignment, AlignmentSettings
-from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.fix_checks.frozen_height import FrozenHeightCheck
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.core.navigator.imu_monitor import ImuMonitor
 from hybrid_ins.core.navigator.notices import (
     FaultFound,
@@ -31,11 +29,11 @@ from hybrid_ins.core.navigator.notices import (
 )
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import Aligning, FilterParts, Phase, Searching, speed
-from hybrid_ins.core.navigator.restart import ResetCount, heading_after, outlasts
+from hybrid_ins.core.navigator.restart import ResetCount, UnseenTurn, heading_after
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.update.gate import Verdict
-from hybrid_ins.core.update.measurements import ASSUMED, GNSS, IMU, Measurement, PositionFix
+from hybrid_ins.core.update.measurements import ASSUMED, GNSS, IMU, Measurement
 
 Array = NDArray[np.float64]
 
@@ -108,19 +106,17 @@ class Navigator:
     def realign(self) -> Alignment:
         """Give up the state, but not the samples; return the alignment that begins."""
         self.monitor.reset()
-        self._attempt_ns = 0
-        self._lost_heading: GapBridged | None = None
-        self._resets = ResetCount()
+        self._attempt_ns, self._unseen_turn, self._resets = 0, UnseenTurn(), ResetCount()
         alignment = Alignment(self._alignment_settings, self.ring)
         if self.monitor.biases is not None:
             alignment.remember(self.monitor.biases)
         self.phases.align(alignment)
         return alignment
 
-    def give_up(self, cause: RestartCause) -> None:
-        """Give up the state for a cause, and align again."""
+    def give_up(self, cause: RestartCause, seconds: float = 0.0) -> None:
+        """Give up the state for a cause, see `Restarted`, and align again."""
         fault = self.monitor.fault if cause in IMU_WAS_WRONG else None
-        self._notices.append(Restarted(cause, fault=fault))
+        self._notices.append(Restarted(cause, seconds, fault))
         if cause in STATE_WAS_WRONG:
             self.phases.kept.discard_antenna()
         self.realign().forget_parameter()
@@ -200,10 +196,8 @@ class Navigator:
         step_ns = t_ns - self.stamps.last_ns
         seconds = abs(step_ns) * 1e-9
         if 0 < step_ns <= self.stamps.max_gap_ns:
-            bridged = GapBridged(seconds)
-            self._notices.append(bridged)
-            if not outlasts(self.filter, reading, seconds):
-                self._lost_heading = bridged
+            self._notices.append(GapBridged(seconds))
+            self._unseen_turn.observe(self.filter, reading, seconds)
         elif step_ns < 0:
             self._notices.append(Restarted(RestartCause.STAMPS_WENT_BACK, seconds))
             self.monitor.discard_biases()
@@ -211,10 +205,9 @@ class Navigator:
             if not self.stamps.begin_anew(t_ns):
                 alignment.forget_parameter()
         else:
-            self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
             kept = heading_after(seconds, self.filter, self.monitor.standing)
-            alignment = self._discard_samples()
-            alignment.forget_parameter()
+            self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
+            (alignment := self._discard_samples()).forget_parameter()
             if kept is not None:
                 alignment.set_yaw(t_ns, *kept)
 
@@ -252,8 +245,8 @@ class Navigator:
         """Use an aiding measurement; its verdict appears among the notices."""
         measurement = self._heights.checked(measurement)
         refused = self._measurements.check(measurement, self.stamps, speed(self.phase))
-        if refused is None and measurement.kind == PositionFix.kind:
-            self._restart_where_heading_was_lost()
+        if refused is None and (gap := self._unseen_turn.pop(measurement, self.filter)):
+            self.give_up(RestartCause.NO_SAMPLES, gap)
         if self._measurements.was_misled and isinstance(self.phase, Searching):
             self.give_up(RestartCause.FIXES_REPEATED)
         if self._measurements.contradiction is not None:
@@ -267,26 +260,12 @@ class Navigator:
         if refused is not None:
             self._notices.append(refused)
 
-    def _restart_where_heading_was_lost(self) -> None:
-        """
-        Align anew if the heading did not outlast a gap and nothing has shown it since.
-
-        Without fixes nothing better is to be had than the state that went on over the gap.
-        """
-        if self._lost_heading is None or self.filter is None:
-            return
-        seconds, self._lost_heading = self._lost_heading.seconds, None
-        if float(total_std(self.filter.flat_state())[8]) > HEADING_KEPT_STD:
-            self._notices.append(Restarted(RestartCause.NO_SAMPLES, seconds))
-            self.realign().forget_parameter()
-
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
         before, moving = self.monitor.fault, self._measurements.motion.moves(self.last_ns)
         if not self.monitor.check(self.phases, self.ring, self.last_ns, moving):
             return
-        fault = self.monitor.fault
-        if fault is not None and fault != before:
+        if (fault := self.monitor.fault) is not None and fault != before:
             self._notices.append(FaultFound(fault))
         if self.monitor.restart_cause is not None:
             self.give_up(self.monitor.restart_cause)

@@ -16,6 +16,7 @@ from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.inertial.rotations import heading_from_quat
 from hybrid_ins.core.inertial.state import QUAT, total_std
 from hybrid_ins.core.update.gate import Verdict
+from hybrid_ins.core.update.measurements import Measurement, PositionFix
 
 Array = NDArray[np.float64]
 
@@ -43,20 +44,38 @@ class ResetCount:
         return recent >= RESETS and speed > MOVING
 
 
-def outlasts(running: InsFilter | None, reading: Array, gap: float) -> bool:
+class UnseenTurn:
     """
-    Return whether the heading is still known after a gap.
+    A turn in a gap after which the heading has to be found anew, as soon as fixes can show it.
 
-    Parameters
-    ----------
-    running : InsFilter or None
-        The filter before it; None: there was no heading yet.
-    reading : ndarray, shape (6,)
-        Sample behind the gap: specific force [m/s²] and angular rate [rad/s], b.
-    gap : float
-        Time without IMU samples [s].
+    Without fixes nothing is better than the state that goes on, as uncertain as it is.
     """
-    return running is None or turn_std(running.sample, reading, gap) < HEADING_KEPT_STD
+
+    def __init__(self) -> None:
+        self._gap = 0.0  # s
+
+    def observe(self, running: InsFilter | None, reading: Array, gap: float) -> None:
+        """
+        Use a gap.
+
+        Parameters
+        ----------
+        running : InsFilter or None
+            The filter before it; None: there was no heading yet.
+        reading : ndarray, shape (6,)
+            Sample behind the gap: specific force [m/s²] and angular rate [rad/s], b.
+        gap : float
+            Time without IMU samples [s].
+        """
+        if running is not None and turn_std(running.sample, reading, gap) >= HEADING_KEPT_STD:
+            self._gap = gap
+
+    def pop(self, measurement: Measurement, running: InsFilter | None) -> float:
+        """Return at a fix how long the gap was [s] if nothing has shown the heading since; or 0."""
+        if running is None or measurement.kind != PositionFix.kind or not self._gap:
+            return 0.0
+        gap, self._gap = self._gap, 0.0
+        return gap if total_std(running.flat_state())[8] >= HEADING_KEPT_STD else 0.0
 
 
 def heading_after(

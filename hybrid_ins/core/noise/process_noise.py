@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.shallow_copy import ShallowCopy
 
 Array = NDArray[np.float64]
+Linearisation = tuple[Array, Array, Array, Array]  # see `iterated_update.linearisation`
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ class Correction:
     fused: bool
     restarted: bool = False
     weight: float = 1.0
-    linear: tuple[Array, Array, Array, Array] | None = None
+    linear: Linearisation | None = None
     of_stamp: Array | None = None
     fix_factor: float = 1.0
     stamp_std: float = 0.0

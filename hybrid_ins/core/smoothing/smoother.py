@@ -194,11 +194,7 @@ class Smoother:
                     self._spans[k] = (update.t_ns - self._corrected_ns) * 1e-9
                     inflate_to_innovation(nav, z, H, self._spans[k])
                 before = nav.copy()
-                if measurement.in_body:
-                    _, K, T = update_in_body(nav, z, H, R)
-                else:
-                    _, K, turn = iterated_update.update(nav, z, H, R)
-                    T = heading_turn(turn) if turn else None
+                K, T = _correct(nav, z, H, R, measurement.in_body)
                 if self._constants is not None:
                     self._constants.correct(measurement, before, K, R)
                 if T is not None:
@@ -337,6 +333,15 @@ class Smoother:
         t_ns, rows = run_backward(nav, self._start.t_ns, samples, self._long_step_ns)
         if len(rows):
             yield t_ns, rows
+
+
+def _correct(nav: Array, z: Array, H: Array, R: Array, in_body: bool) -> tuple[Array, Array | None]:
+    """Fuse a measurement; return the gain, and what turns the errors after it, or None."""
+    if in_body:
+        _, K, T = update_in_body(nav, z, H, R)
+        return K, T
+    _, K, turn = iterated_update.update(nav, z, H, R)
+    return K, heading_turn(turn) if turn else None
 
 
 def _inflate(nav: Array, update: Update) -> None:

@@ -10,6 +10,7 @@ from hybrid_ins.core.imu.standstill import (
     is_standing,
     may_be_zero,
     mean_and_std,
+    rate_std_of_stand,
     significant_speed,
 )
 
@@ -60,6 +61,26 @@ def test_a_biased_sensor_that_stands_stands() -> None:
 )
 def test_motion_is_not_standing(what: str, changes: dict) -> None:
     assert not is_standing(samples(**changes)), what
+
+
+@pytest.mark.parametrize("period", [2.0, 4.0, 6.0])
+def test_a_slow_sway_is_not_taken_for_the_bias(period: float) -> None:
+    """GIVEN a hull that sways WHEN a second of it seems to stand THEN its rate may be its own."""
+    off = []
+    for phase in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+
+        def sway(t, phase=phase):
+            return 0.004 * period * np.sin(2.0 * np.pi * t / period + phase)
+
+        table = samples(rate_std=1e-3, rate=sway)
+        if is_standing(table):
+            off.append(table["w"].mean(axis=0) / rate_std_of_stand(table))
+    assert len(off) > 4 and np.sqrt(np.mean(np.square(off))) < 4.0
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.015])
+def test_noise_is_no_sway(noise: float) -> None:
+    assert np.all(rate_std_of_stand(samples(rate_std=noise)) < 0.0021)
 
 
 def test_too_few_samples_tell_nothing() -> None:

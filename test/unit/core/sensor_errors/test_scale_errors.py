@@ -20,9 +20,10 @@ from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.earth import curvature_scale, normal_gravity
-from hybrid_ins.core.inertial.rotations import matrix_from_quat
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, skew
 from hybrid_ins.core.inertial.state import (
     DP,
+    DV,
     EPS,
     N_ERROR,
     N_NAV,
@@ -39,7 +40,7 @@ from hybrid_ins.core.sensor_errors.scale_errors import N_LEVER, SHARES, VARYING,
 from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE, follow_samples
 from hybrid_ins.core.update.chi_square import quantile
 from hybrid_ins.core.update.gate import Gate, Verdict
-from hybrid_ins.core.update.kalman import heading_turn, inject
+from hybrid_ins.core.update.kalman import inject
 from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.simulation.motions import aircraft_flight, car_drive
 from tools.paper.runs import Run, Scenario, draw
@@ -117,6 +118,13 @@ def fly(ins: InsFilter, samples: Samples) -> list[Outage]:
     return events
 
 
+def turned_with(dx: Array) -> Array:
+    """Return what `kalman.update_in_body` turns the errors by."""
+    T = np.eye(N_ERROR)
+    T[DP, EPS], T[DV, EPS] = skew(dx[DP]), skew(dx[DV])
+    return T
+
+
 def observer(ins: InsFilter) -> ScaleErrorObserver:
     """Return a filter's."""
     return ins.update.scale_errors
@@ -176,7 +184,7 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
         joint = along @ joint @ along.T
         joint[:N_ERROR, :N_ERROR] = covariance(ins.nav)
         if begin == 1:
-            _, H, R = wheels.linearise(ins.nav)
+            z, H, R = wheels.linearise(ins.nav)
             for one in (ins, plain):
                 one.submit(wheels)
             assert ins.verdicts[-1].accepted
@@ -187,6 +195,9 @@ def test_covariance_is_that_of_a_filter_that_considers_the_scale_errors() -> Non
             by_gain[:N_ERROR, :N_ERROR] -= K @ H
             joint = by_gain @ joint @ by_gain.T
             joint[:N_ERROR, :N_ERROR] += K @ (R / weight) @ K.T
+            T = np.eye(N_ERROR + N_SCALE)
+            T[:N_ERROR, :N_ERROR] = turned_with(K @ z)
+            joint = T @ joint @ T.T
             np.testing.assert_allclose(covariance(ins.nav), joint[:15, :15], rtol=1e-6, atol=1e-15)
     assert smallest_eigenvalue(joint) > -1e-9  # covariance and correlation of one distribution
     correlation = observer(ins).correlation
@@ -226,11 +237,11 @@ def test_a_nose_that_contains_scale_errors_is_fused_as_what_it_is() -> None:
     joint = by_gain @ joint @ by_gain.T + K @ R @ K.T
     dx = K[:N_ERROR] @ (z - by_scale @ m)
     inject(expected, dx)
-    T = heading_turn(dx[8])
-    P = T @ joint[:15, :15] @ T.T
+    T = turned_with(dx)
+    P, correlation = T @ joint[:15, :15] @ T.T, T @ joint[:15, 15:]
     np.testing.assert_allclose(ins.nav[:16], expected[:16], rtol=1e-6)
     np.testing.assert_allclose(covariance(ins.nav), P, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(observer(ins).correlation, joint[:15, 15:], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(observer(ins).correlation, correlation, rtol=1e-5, atol=1e-9)
 
 
 def position_nees(seconds: float, runs: int, std: float) -> Array:

@@ -46,7 +46,7 @@ from hybrid_ins.core.smoothing.smoother import N_ADJOINT, N_PACKED, N_STATE, Smo
 from hybrid_ins.core.update.gate import Gate
 from hybrid_ins.core.update.inflation import inflate
 from hybrid_ins.core.update.iterated_update import update as correct
-from hybrid_ins.core.update.kalman import heading_turn
+from hybrid_ins.core.update.kalman import heading_turn, update_in_body
 from hybrid_ins.core.update.measurements import GNSS, Measurement, PositionFix
 from hybrid_ins.row_file import BlockFile, RowFile
 from tools.field.batch_least_squares import (
@@ -115,9 +115,14 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
             moved.append(np.zeros(N_ERROR))
             turns.append(np.eye(N_ERROR))
         else:
-            dx, _, turn = correct(nav, *update.measurement.linearise(nav))
+            model = update.measurement.linearise(nav)
+            if update.measurement.in_body:
+                dx, _, T = update_in_body(nav, *model)
+            else:
+                dx, _, turn = correct(nav, *model)
+                T = heading_turn(turn)
             moved.append(dx)
-            turns.append(heading_turn(turn))
+            turns.append(T)
         P_after.append(covariance(nav))
         nav[PSD] = update.psd
         begin, last_ns = stop, update.t_ns
@@ -128,7 +133,8 @@ def test_smoothed_errors_are_those_of_rauch_tung_and_striebel(aids: bool) -> Non
             C = np.linalg.solve(P_after[k + 1], P_before[k]).T
             e, P_s = C @ e, P_before[k] + C @ (P_s - P_after[k + 1]) @ C.T
         else:
-            e, P_s = turns[k].T @ e + moved[k], turns[k].T @ P_s @ turns[k]
+            back = np.linalg.inv(turns[k])
+            e, P_s = back @ e + moved[k], back @ P_s @ back.T
         # THEN the adjoint before each update says the same, error and covariance
         costate, information = adjoints[k][:N_ERROR], adjoints[k][N_ERROR:][:N_PACKED][PLACES]
         std = np.sqrt(np.diag(P_before[k]))
