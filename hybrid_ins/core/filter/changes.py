@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -19,12 +20,21 @@ from hybrid_ins.core.filter.events import (
     NoiseChange,
     Outage,
     ScatterInForce,
+    ScatterShown,
     SettingsChange,
     StateRestored,
 )
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.inertial.state import AGE_SENSITIVITY, COVARIANCE, NAVIGATION, SENSITIVITY
+from hybrid_ins.core.inertial.state import (
+    AGE_SENSITIVITY,
+    COVARIANCE,
+    DP,
+    DV,
+    N_ERROR,
+    NAVIGATION,
+    SENSITIVITY,
+)
 from hybrid_ins.core.noise.position_scatter import PositionScatter
 from hybrid_ins.core.noise.process_noise import NoiseEstimate
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
@@ -35,6 +45,8 @@ from hybrid_ins.core.update.inflation import inflate
 from hybrid_ins.core.update.kalman import inject
 
 Array = NDArray[np.float64]
+
+FIRST_SPAN = 1.0  # s, of the fixes that have given a first velocity
 
 
 class Held(Protocol):
@@ -79,6 +91,12 @@ def apply_change(own: Held, nav: Array, change: Change, ring: ImuRing) -> None:
     elif isinstance(change, ScatterInForce):
         own.scatter.in_force = True
         own.noise.jumps = own.noise.jumps.or_earlier(change.jumps, change.t_ns)
+    elif isinstance(change, ScatterShown):
+        own.noise.begin_with(change.log_likelihood)
+        std, unclaimed = np.zeros(N_ERROR), math.sqrt(max(own.noise.found.fixes - 1.0, 0.0))
+        std[DP] = unclaimed * change.claimed_std
+        std[DV] = math.sqrt(2.0) * std[DP] / FIRST_SPAN
+        inflate(nav, std, np.zeros(3))
     elif isinstance(change, AntennaFound):
         own.lever_arm = own.lever_arm.or_earlier(change.earlier)
     elif isinstance(change, AntennaShift):

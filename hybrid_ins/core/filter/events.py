@@ -140,6 +140,20 @@ class ScatterInForce:
 
 
 @dataclass(frozen=True, slots=True)
+class ScatterShown:
+    """
+    What fixes before its stamp say of the factor on their covariance, see `FixDifferences`.
+
+    The state that they led to is inflated by as much.
+    """
+
+    t_ns: int
+    log_likelihood: Array  # of the hypotheses on noise
+    claimed_std: Array  # (3,) m, NED
+    kind: ClassVar[str] = "scatter shown"
+
+
+@dataclass(frozen=True, slots=True)
 class StateRestored:
     """At its stamp the state is what it would be had nothing aided it since an earlier stamp."""
 
@@ -161,6 +175,7 @@ Change = (
     | FilterChosen
     | Outage
     | ScatterInForce
+    | ScatterShown
     | SettingsChange
     | StateRestored
 )

@@ -250,6 +250,16 @@ class FilterNoise:
         self.restart(keep_weights=True)
         self.jumps = self.jumps.doubted(t_ns)
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether fixes have been learned from."""
+        return self.factors is None or self.factors.t_ns > 0
+
+    def begin_with(self, log_likelihood: Array) -> None:
+        """Begin with what is known of the factor on R, see `ScatterShown`."""
+        for bank in self._banks():
+            bank.begin_with(log_likelihood)
+
     def follow(self, correction: Correction) -> None:
         """Learn what a measurement that is no fix did to the state."""
         for bank in self._banks():

@@ -10,19 +10,46 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 
-from hybrid_ins.core.filter.events import AntennaFound, ScatterInForce
+from hybrid_ins.core.filter.events import AntennaFound, ScatterInForce, ScatterShown
 from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.navigator.phases import Phase
+from hybrid_ins.core.noise.fix_differences import FixDifferences
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
+from hybrid_ins.core.update.measurements import Measurement, PositionFix
 
 
 class KeptKnowledge:
-    """Keeps the jumps of the fixes and the antenna's place for filters that begin later."""
+    """
+    Keeps what is known of the fixes and of the antenna's place for filters that begin later.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    ring : ImuRing
+        Recent IMU samples.
+    """
+
+    def __init__(self, ring: ImuRing) -> None:
+        self._ring = ring
+        self._differences = FixDifferences()
         self._jumps = PositionJumps()
         self._antenna: LeverArmObserver | None = None
         self._is_misled = False
+
+    def observe(self, measurement: Measurement, phase: Phase) -> None:
+        """Use a measurement that no filter has judged; tell those that search what is shown now."""
+        if not isinstance(measurement, PositionFix):
+            return
+        self._differences.observe(measurement)
+        if phase.bank is not None and self._differences.begin_to_show:
+            self._tell_scatter(phase.bank.filters)
+
+    def _tell_scatter(self, filters: Sequence[InsFilter]) -> None:
+        shown = self._differences.shown(self._ring)
+        if shown is not None:
+            for one in filters:
+                one.submit(ScatterShown(one.t_ns, *shown))
 
     def discard_antenna(self) -> None:
         """Discard its place: the filter that runs was wrong, or the sensors are elsewhere."""
@@ -55,6 +82,7 @@ class KeptKnowledge:
             self._jumps = ended.noise.jumps
         if runs is not None and runs is not ended:
             runs.submit(ScatterInForce(runs.t_ns, self._jumps))
+        self._tell_scatter([begun for begun in filters if not begun.noise.has_begun])
         if self._antenna is not None:
             for begun in filters:
                 if not begun.update.lever_arm.has_begun:

@@ -97,7 +97,7 @@ class PhaseMachine:
         self._notices = notices
         self._record = record
         self.clock_open = False
-        self.kept = KeptKnowledge()
+        self.kept = KeptKnowledge(ring)
         self.phase: Phase
         self.filter: InsFilter | None = None
 
@@ -123,8 +123,7 @@ class PhaseMachine:
     @property
     def filters(self) -> list[InsFilter]:
         """All filters that run."""
-        running = [] if self.filter is None else [self.filter]
-        bank = self.phase.bank
+        running, bank = [] if self.filter is None else [self.filter], self.phase.bank
         return running if bank is None else [*running, *bank.filters]
 
     # The filters.
@@ -138,6 +137,7 @@ class PhaseMachine:
     def measure(self, measurement: Measurement) -> bool:
         """Give a measurement to all filters; False if there is none, or none so old."""
         bank, running = self.phase.bank, self.filter
+        self.kept.observe(measurement, self.phase)
         if running is not None:
             running.submit(measurement)
             self.collect_verdicts(running)

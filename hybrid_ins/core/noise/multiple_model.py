@@ -129,14 +129,15 @@ class NoiseMultipleModelBank(ShallowCopy):
     found : NoiseFactors
     estimates : ndarray, shape (N_ROWS, WIDTH), or None
         Of the hypotheses, see `advance`; None before the second fix.
-
+    t_ns : int
+        Stamp of the last correction [ns]; 0 before the first.
     """
 
     def __init__(self) -> None:
         self.found = NoiseFactors()
         self._values = _START
         self.estimates: Array | None = None
-        self._t_ns, self._heightless_ns = 0, -NEW_HEIGHTS_NS
+        self.t_ns, self._heightless_ns = 0, -NEW_HEIGHTS_NS
 
     def restart(self, *, keep_weights: bool) -> None:
         """
@@ -149,6 +150,10 @@ class NoiseMultipleModelBank(ShallowCopy):
             of_fixes = likelihood_of_r(self._values[LOG_LIKELIHOOD], self._values[OF_FAMILY])
             self._forget()
             self._add_log_likelihood(of_fixes)
+
+    def begin_with(self, log_likelihood: Array) -> None:
+        """Weigh the hypotheses, (COUNT,), by what is known before the first fix."""
+        self._add_log_likelihood(log_likelihood)
 
     def forget_heights(self, t_ns: int) -> None:
         """Forget what was found where it is of heights up to a stamp [ns]: they were none."""
@@ -186,12 +191,11 @@ class NoiseMultipleModelBank(ShallowCopy):
             S = correction.S - R + scaled_by_axis(R / correction.fix_factor, *factors)
             tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
             found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
-        self._values = self._values.copy()
         self._add_log_likelihood(np.logaddexp(found - found.max(), math.log(OUTLIERS)))
 
     def _add_log_likelihood(self, one: Array) -> None:
         """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
-        values = self._values
+        values = self._values = self._values.copy()
         lowest = values[LOWEST].copy()
         of_family = values[OF_FAMILY]
         add_likelihood(one, values[CLAIMED_STD], values[LOG_LIKELIHOOD], of_family)
@@ -235,7 +239,7 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def _time_to(self, correction: Correction) -> float:
         """Return the time since the last correction [s]."""
-        return (correction.t_ns - self._t_ns) * 1e-9
+        return (correction.t_ns - self.t_ns) * 1e-9
 
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
@@ -251,7 +255,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             T, before = 0.0, np.zeros((N_ROWS, WIDTH))
             before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
             self._values[PENDING_G] = _START[PENDING_G]
-        self.estimates, self._t_ns = np.empty((N_ROWS, WIDTH)), correction.t_ns
+        self.estimates, self.t_ns = np.empty((N_ROWS, WIDTH)), correction.t_ns
         have_risen = update_hypotheses(
             hypotheses,
             before,

@@ -1,0 +1,85 @@
+"""
+How much fixes scatter from one to the next, before any filter has judged them.
+
+A receiver that claims centimetres and scatters by metres makes all filters fail that begin with its
+claims, one after the other, and by when each has learned the scatter would decide which heading
+and which clock offset is right. The third differences of fixes at even distances contain hardly any
+motion: white errors of σ have 20 σ², [1]_, a vehicle the change of its acceleration.
+
+References
+----------
+.. [1] A. Papoulis, *Probability, Random Variables, and Stochastic Processes*, 3rd ed., 1991,
+       section 9: white noise through a difference filter, 1 + 9 + 9 + 1.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid_ins.core.imu.samples import ImuRing
+from hybrid_ins.core.inertial.earth import displacement
+from hybrid_ins.core.noise.hypotheses import COUNT, ON_R, R_LEVELS
+from hybrid_ins.core.update.measurements import PositionFix
+
+Array = NDArray[np.float64]
+
+KEPT = 24  # fixes
+LEAST = 4  # third differences that show anything
+OF_WHITE = 20.0
+INDEPENDENT = 0.3  # share of third differences, which overlap, that are
+UNEVEN = 0.25  # of the interval
+LEVER = 1.0  # m, of an antenna whose place nobody knows
+TAIL_DOF = 6.0  # of a t distribution: single fixes may jump
+
+
+class FixDifferences:
+    """The last position fixes, and what they say of the factor on their covariance."""
+
+    def __init__(self) -> None:
+        self._fixes: deque[tuple[int, Array, Array]] = deque(maxlen=KEPT)
+
+    def observe(self, fix: PositionFix) -> None:
+        """Use a fix; one that is older than the last begins anew."""
+        if self._fixes and fix.t_ns <= self._fixes[-1][0]:
+            self._fixes.clear()
+        if np.isfinite(fix.lla).all():
+            self._fixes.append((fix.t_ns, fix.lla, np.diag(fix.covariance_n)))
+
+    @property
+    def begin_to_show(self) -> bool:
+        """Whether the last fix is the first with which they show anything."""
+        return len(self._fixes) == LEAST + 3
+
+    def shown(self, ring: ImuRing) -> tuple[Array, Array] | None:
+        """
+        Return what the hypotheses assume of R and what fixes claim; None where nothing is shown.
+
+        The former as log-likelihoods (COUNT,), the latter as standard deviations (3,) [m], NED.
+        ``ring`` holds the IMU's samples meanwhile: how the vehicle moves.
+        """
+        if len(self._fixes) < LEAST + 3:
+            return None
+        t_ns = np.array([t for t, _, _ in self._fixes])
+        steps = np.diff(t_ns) * 1e-9
+        step = float(np.median(steps))
+        even = np.abs(steps - step) < UNEVEN * step
+        even = even[:-2] & even[1:-1] & even[2:]
+        samples = ring.after(int(t_ns[0]))
+        if even.sum() < LEAST or len(samples) < 2:
+            return None
+        places = np.array([lla for _, lla, _ in self._fixes])
+        third = np.diff(displacement(places[0], places), 3, axis=0)[even]
+        claimed = np.array([variance for _, _, variance in self._fixes])[3:][even]
+        force, rate = (float(np.sqrt(samples[name].var(axis=0).sum())) for name in ("f", "w"))
+        motion = 2.0 * (force * step**2 + LEVER * rate * step)
+        found = np.empty(COUNT)
+        for level in R_LEVELS:
+            common, on_height = ON_R[:, level[0]]
+            variance = OF_WHITE * common * claimed * [1.0, 1.0, on_height] + motion**2
+            tail = np.log1p(third**2 / (variance * (TAIL_DOF - 2.0)))
+            found[level] = -0.5 * np.sum(np.log(variance) + (TAIL_DOF + 1.0) * tail)
+        found = INDEPENDENT * (found - found.max())
+        return found, np.sqrt(np.median(claimed, axis=0))
