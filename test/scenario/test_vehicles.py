@@ -39,6 +39,21 @@ def test_valid_fixes_of_a_car_are_used_at_every_turn() -> None:
     assert found.nees < 2.0
 
 
+@pytest.mark.parametrize(("name", "seed"), [("car", 1), ("car", 4), ("quadrotor", 1)])
+def test_a_claim_that_is_far_too_small_does_not_draw_the_clock(name: str, seed: int) -> None:
+    """
+    GIVEN a receiver that scatters by 0.5 m, and claims the 0.02 m that its driver was given
+    THEN the clock is right: it was 0.2 to 0.4 s off, sure to 0.05, by when each filter had learned
+    the scatter.
+    """
+    receiver = Receiver(5.0, (0.5, 0.5, 0.5), claimed_std=(0.02, 0.02, 0.02))
+    vehicle = replace(VEHICLES[name], receiver=receiver, rest=2.0, duration=60.0)
+
+    estimator, _, _ = run(from_simulation(record(vehicle, seed)), parameters.defaults())
+
+    assert abs(estimator.clock.offset) < 0.02
+
+
 @pytest.mark.slow
 def test_velocities_older_than_positions_do_not_draw_the_clock() -> None:
     """

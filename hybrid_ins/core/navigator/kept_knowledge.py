@@ -42,11 +42,11 @@ class KeptKnowledge:
         if not isinstance(measurement, PositionFix):
             return
         self._differences.observe(measurement)
-        if phase.bank is not None and self._differences.begin_to_show:
+        if phase.bank is not None and self._differences.begins_to_show:
             self._tell_scatter(phase.bank.filters)
 
     def _tell_scatter(self, filters: Sequence[InsFilter]) -> None:
-        shown = self._differences.shown(self._ring)
+        shown = self._differences.shown(self._ring) if filters else None
         if shown is not None:
             for one in filters:
                 one.submit(ScatterShown(one.t_ns, *shown))

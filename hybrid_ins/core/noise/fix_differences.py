@@ -4,12 +4,7 @@ How much fixes scatter from one to the next, before any filter has judged them.
 A receiver that claims centimetres and scatters by metres makes all filters fail that begin with its
 claims, one after the other, and by when each has learned the scatter would decide which heading
 and which clock offset is right. The third differences of fixes at even distances contain hardly any
-motion: white errors of σ have 20 σ², [1]_, a vehicle the change of its acceleration.
-
-References
-----------
-.. [1] A. Papoulis, *Probability, Random Variables, and Stochastic Processes*, 3rd ed., 1991,
-       section 9: white noise through a difference filter, 1 + 9 + 9 + 1.
+motion: the change of the acceleration, whereas white errors of σ have (1 + 9 + 9 + 1) σ² there.
 """
 
 from __future__ import annotations
@@ -49,16 +44,25 @@ class FixDifferences:
             self._fixes.append((fix.t_ns, fix.lla, np.diag(fix.covariance_n)))
 
     @property
-    def begin_to_show(self) -> bool:
-        """Whether the last fix is the first with which they show anything."""
+    def begins_to_show(self) -> bool:
+        """Whether the last fix is the first with which they may show anything."""
         return len(self._fixes) == LEAST + 3
 
     def shown(self, ring: ImuRing) -> tuple[Array, Array] | None:
         """
-        Return what the hypotheses assume of R and what fixes claim; None where nothing is shown.
+        Return the evidence on R; None where nothing is shown.
 
-        The former as log-likelihoods (COUNT,), the latter as standard deviations (3,) [m], NED.
-        ``ring`` holds the IMU's samples meanwhile: how the vehicle moves.
+        Parameters
+        ----------
+        ring : ImuRing
+            The IMU's samples meanwhile: how the vehicle moves.
+
+        Returns
+        -------
+        log_likelihood : ndarray, shape (COUNT,)
+            Of the hypotheses' factors on R.
+        claimed_std : ndarray, shape (3,)
+            What the fixes claim [m], NED.
         """
         if len(self._fixes) < LEAST + 3:
             return None

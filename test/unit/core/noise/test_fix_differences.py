@@ -58,11 +58,11 @@ def test_motion_is_no_scatter(claimed: float, rate: float) -> None:
 
 def test_few_fixes_and_uneven_ones_show_nothing() -> None:
     seen, ring = differences(0.5, 0.02, count=6)
-    assert seen.shown(ring) is None and not seen.begin_to_show
+    assert seen.shown(ring) is None and not seen.begins_to_show
 
     seen, ring = differences(0.5, 0.02, count=7)
     shown = seen.shown(ring)
-    assert seen.begin_to_show and shown is not None
+    assert seen.begins_to_show and shown is not None
     log_likelihood, claimed_std = shown
     assert log_likelihood.shape == (COUNT,) and claimed_std == pytest.approx(np.full(3, 0.02))
     assert log_likelihood.max() == 0.0
