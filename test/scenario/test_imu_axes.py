@@ -451,3 +451,22 @@ def test_a_drifting_bias_on_straight_rows_is_not_taken_for_degrees(seed: int) ->
     assert not any(fault for _, fault in check(field))
     found = next((t, fault) for t, fault in check(field, ONE, DEGREES * ONE) if fault)
     assert found[0] < 60.0 and "divided by 57.3" in describe(found[1]).text
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_a_vehicle_that_has_moved_along_its_nose_may_reverse(forward: bool) -> None:
+    """
+    GIVEN a truck that backs for minutes, after a drive or from the start
+    THEN its mount is questioned in the second case alone.
+    """
+    t = time_grid(360.0)
+    speed = smoothed(np.where(t < 60.0, 6.0 if forward else -3.0, -3.0), 1.0)
+    course = integral(0.3 * np.sin(0.15 * t))
+    rpy = np.stack((0.0 * t, 0.0 * t, course), axis=-1)
+    motion = motion_through(t, velocity_of(speed, course, 0.0 * t), rpy, START_LLA)
+
+    found = [fault for _, fault in check(readings(motion, 359.0)) if fault is not None]
+
+    assert forward == (not found)
+    if found:
+        assert "unless it reverses" in describe(found[-1]).text

@@ -95,6 +95,25 @@ def _mount_along_course(
     motion: Motion, mount: Array, accelerometer: Array, fitted: Fit
 ) -> Array | None:
     """Return the mount turned about up so that the vehicle moves along its nose, if it does so."""
+    turned = _nose_from_course(motion, mount, accelerometer, fitted)
+    if turned is None or abs(turned) < NOSE_ANGLE:
+        return None
+    quarter = round(turned / (0.5 * np.pi)) * 0.5 * np.pi
+    turned = quarter if abs(turned - quarter) < NEAR else round(turned, 2)
+    c, s = np.cos(turned), np.sin(turned)
+    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)
+
+
+def moves_along_nose(given: Array, motion: Motion, accelerometer: Array, fitted: Fit) -> bool:
+    """Return whether a vehicle with the mount given, (3, 3), moves where it points."""
+    turned = _nose_from_course(motion, given, accelerometer, fitted)
+    return turned is not None and abs(turned) < NOSE_ANGLE
+
+
+def _nose_from_course(
+    motion: Motion, mount: Array, accelerometer: Array, fitted: Fit
+) -> float | None:
+    """Return the mean angle [rad] from the nose to the course; None: the course shows no nose."""
     course, t = courses(motion)
     if not is_winding(course):
         return None
@@ -102,10 +121,4 @@ def _mount_along_course(
     nose_n = _attitudes_n(motion, accelerometer, fitted)[k] @ mount.T[:, 0]
     angle = course - np.arctan2(nose_n[:, 1], nose_n[:, 0])
     mean = np.mean(np.exp(1j * angle))
-    if abs(mean) < NOSE_SPREAD or abs(np.angle(mean)) < NOSE_ANGLE:
-        return None
-    turned = float(np.angle(mean))
-    quarter = round(turned / (0.5 * np.pi)) * 0.5 * np.pi
-    turned = quarter if abs(turned - quarter) < NEAR else round(turned, 2)
-    c, s = np.cos(turned), np.sin(turned)
-    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ mount)
+    return None if abs(mean) < NOSE_SPREAD else float(np.angle(mean))

@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 from hybrid_ins.core.imu.health import LEAST_FORCE
 from hybrid_ins.core.imu_axes.antenna import FarAntenna
 from hybrid_ins.core.imu_axes.comparison import AS_GIVEN, MotionComparison, Outcome
-from hybrid_ins.core.imu_axes.course import courses, is_winding, kinds_of, mount_fault
+from hybrid_ins.core.imu_axes.course import (
+    courses,
+    is_winding,
+    kinds_of,
+    mount_fault,
+    moves_along_nose,
+)
 from hybrid_ins.core.imu_axes.explanation import AS_GOOD, MUCH_BETTER, ComparedMotion, hypothesis_of
 from hybrid_ins.core.imu_axes.faults import AxesFault, mount_as_shown, mount_upright
 from hybrid_ins.core.imu_axes.fit import Motion, fit
@@ -61,6 +67,7 @@ class ImuAxesCheck:
         self.fault: AxesFault | None = None
         self._antenna = FarAntenna()
         self._level = LevelCheck(mount)
+        self._moved_along_nose = False
         self._upright = 0  # motions with the mount given upright, less those with it turned
         self.reset()
 
@@ -169,6 +176,11 @@ class ImuAxesCheck:
         """Return what motions that fit as given show of the mount."""
         last = fitting[-1]
         fault = mount_fault(self._mount, last.motion, *AS_GIVEN[0], last.as_given)
+        as_given = AS_GIVEN[0][0], last.as_given
+        if fault is None and moves_along_nose(self._mount, last.motion, *as_given):
+            self._moved_along_nose = True
+        if fault is not None and fault.by_course and self._moved_along_nose:
+            return Outcome.FITS  # it reverses, or moves sideways
         is_turned = fault is not None and not fault.by_course
         self._upright += -1 if is_turned else 1
         was_level = self._upright >= 0 or self._level.has_moved_level
