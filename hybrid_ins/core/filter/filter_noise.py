@@ -258,7 +258,7 @@ class FilterNoise:
     def begin_with(self, log_likelihood: Array) -> None:
         """Begin with what is known of the factor on R, see `ScatterShown`."""
         for bank in self._banks():
-            bank.begin_with(log_likelihood)
+            bank.add_log_likelihood(log_likelihood)
 
     def follow(self, correction: Correction) -> None:
         """Learn what a measurement that is no fix did to the state."""

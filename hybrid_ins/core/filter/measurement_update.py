@@ -280,10 +280,11 @@ class MeasurementUpdate:
         S, nis = innovation(nav, z, H, R + of_clock)
         interval = (measurement.t_ns - self.corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval, claimed)
-        before = nav.copy()
+        before, is_position = nav.copy(), split is not None
         dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
         if verdict.accepted:
-            if self.noise.uses_corrections or self.scale_errors.in_outage:
+            is_told = self.noise.uses_corrections or self.scale_errors.in_outage
+            if is_told and not measurement.in_body:
                 linear = iterated_update.linearisation(nav[COVARIANCE], z, H, R / verdict.weight)
             if verdict.inflated:
                 inflate_to_innovation(nav, z, H, interval)
@@ -292,7 +293,6 @@ class MeasurementUpdate:
                 shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
             dx, K, linear = _correct(nav, measurement, (z, H, R / verdict.weight), linear)
             self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
-        is_position = split is not None
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
         correction = Correction(

@@ -45,12 +45,10 @@ SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
 
 def is_standing(samples: NDArray[np.void]) -> bool:
     """Return whether the vehicle stood during ``samples`` (``SAMPLE_DTYPE``), about a second."""
-    size = len(samples) // MEANS
-    if size < 2:
+    if len(samples) < 2 * MEANS:
         return False
-    readings = readings_of(samples)
-    noise, slow = _spread(readings[-MEANS * size :], size)
-    if np.any(noise > _STD) or np.any(slow > np.hypot(SLOW_STD, 2.0 * noise / np.sqrt(size))):
+    noise, slow, explained = _spreads(samples)
+    if np.any(noise > _STD) or np.any(slow > np.hypot(SLOW_STD, explained)):
         return False
     mean, _ = mean_and_std(as_numbers(samples))
     return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
@@ -63,11 +61,20 @@ def rate_std_of_stand(samples: NDArray[np.void]) -> NDArray[np.float64]:
     A hull or a vehicle on soft ground sways slowly: within a second the rate changes little, and
     its mean is not the bias. What the samples' noise does not explain of the change shows it.
     """
+    _, slow, explained = _spreads(samples)
+    sway = np.sqrt(np.maximum(slow**2 - explained**2, 0.0))[3:]
+    return np.asarray(np.hypot(0.1 * STANDING_RATE_STD, SWAY * sway))
+
+
+def _spreads(samples: NDArray[np.void]) -> tuple[NDArray[np.float64], ...]:
+    """
+    Return standard deviations (6,) of readings, of their means, and what noise explains of these.
+
+    There are ``MEANS`` of the last samples.
+    """
     size = len(samples) // MEANS
     noise, slow = _spread(readings_of(samples)[-MEANS * size :], size)
-    explained = 2.0 * noise[3:] / np.sqrt(size)
-    sway = np.sqrt(np.maximum(slow[3:] ** 2 - explained**2, 0.0))
-    return np.asarray(np.hypot(0.1 * STANDING_RATE_STD, SWAY * sway))
+    return noise, slow, 2.0 * noise / np.sqrt(size)
 
 
 def may_be_zero(velocity_n: NDArray[np.float64], covariance_n: NDArray[np.float64]) -> bool:

@@ -176,9 +176,11 @@ class ImuAxesCheck:
         """Return what motions that fit as given show of the mount."""
         last = fitting[-1]
         fault = mount_fault(self._mount, last.motion, *AS_GIVEN[0], last.as_given)
-        as_given = AS_GIVEN[0][0], last.as_given
-        if fault is None and moves_along_nose(self._mount, last.motion, *as_given):
-            self._moved_along_nose = True
+        if fault is None and not self._moved_along_nose:
+            accelerometer, _ = AS_GIVEN[0]
+            self._moved_along_nose = moves_along_nose(
+                self._mount, last.motion, accelerometer, last.as_given
+            )
         if fault is not None and fault.by_course and self._moved_along_nose:
             return Outcome.FITS  # it reverses, or moves sideways
         is_turned = fault is not None and not fault.by_course

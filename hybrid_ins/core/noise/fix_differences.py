@@ -9,6 +9,7 @@ motion: the change of the acceleration, whereas white errors of σ have (1 + 9 +
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -23,25 +24,53 @@ Array = NDArray[np.float64]
 
 KEPT = 24  # fixes
 LEAST = 4  # third differences that show anything
-OF_WHITE = 20.0
+OF_WHITE = 20.0  # variance of third differences of white errors, over theirs
 INDEPENDENT = 0.3  # share of third differences, which overlap, that are
 UNEVEN = 0.25  # of the interval
 LEVER = 1.0  # m, of an antenna whose place nobody knows
 TAIL_DOF = 6.0  # of a t distribution: single fixes may jump
 
 
+def third_differences(
+    t_ns: NDArray[np.int64], lla: Array
+) -> tuple[Array, NDArray[np.bool_], float]:
+    """
+    Return the third differences of fixes, which of them are of even distances, and the distance.
+
+    Parameters
+    ----------
+    t_ns : ndarray, shape (N,)
+        Stamps [ns].
+    lla : ndarray, shape (N, 3)
+        Latitude, longitude [rad] and height [m].
+
+    Returns
+    -------
+    third : ndarray, shape (N - 3, 3)
+        Of the positions [m], NED.
+    even : ndarray of bool, shape (N - 3,)
+    step : float
+        The median distance [s].
+    """
+    steps = np.diff(t_ns) * 1e-9
+    step = float(np.median(steps))
+    even = np.abs(steps - step) < UNEVEN * step
+    third = np.diff(displacement(lla[0], lla), 3, axis=0)
+    return third, even[:-2] & even[1:-1] & even[2:], step
+
+
 class FixDifferences:
     """The last position fixes, and what they say of the factor on their covariance."""
 
     def __init__(self) -> None:
-        self._fixes: deque[tuple[int, Array, Array]] = deque(maxlen=KEPT)
+        self._fixes: deque[PositionFix] = deque(maxlen=KEPT)
 
     def observe(self, fix: PositionFix) -> None:
-        """Use a fix; one that is older than the last begins anew."""
-        if self._fixes and fix.t_ns <= self._fixes[-1][0]:
+        """Use a fix with a height; one that is older than the last begins anew."""
+        if self._fixes and fix.t_ns <= self._fixes[-1].t_ns:
             self._fixes.clear()
-        if np.isfinite(fix.lla).all():
-            self._fixes.append((fix.t_ns, fix.lla, np.diag(fix.covariance_n)))
+        if not math.isnan(fix.lla.item(2)):
+            self._fixes.append(fix)
 
     @property
     def begins_to_show(self) -> bool:
@@ -66,17 +95,13 @@ class FixDifferences:
         """
         if len(self._fixes) < LEAST + 3:
             return None
-        t_ns = np.array([t for t, _, _ in self._fixes])
-        steps = np.diff(t_ns) * 1e-9
-        step = float(np.median(steps))
-        even = np.abs(steps - step) < UNEVEN * step
-        even = even[:-2] & even[1:-1] & even[2:]
+        t_ns = np.array([fix.t_ns for fix in self._fixes])
+        third, even, step = third_differences(t_ns, np.array([fix.lla for fix in self._fixes]))
         samples = ring.after(int(t_ns[0]))
         if even.sum() < LEAST or len(samples) < 2:
             return None
-        places = np.array([lla for _, lla, _ in self._fixes])
-        third = np.diff(displacement(places[0], places), 3, axis=0)[even]
-        claimed = np.array([variance for _, _, variance in self._fixes])[3:][even]
+        third = third[even]
+        claimed = np.array([fix.covariance_n.diagonal() for fix in self._fixes])[3:][even]
         force, rate = (float(np.sqrt(samples[name].var(axis=0).sum())) for name in ("f", "w"))
         motion = 2.0 * (force * step**2 + LEVER * rate * step)
         found = np.empty(COUNT)

@@ -149,11 +149,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         if not keep_weights:
             of_fixes = likelihood_of_r(self._values[LOG_LIKELIHOOD], self._values[OF_FAMILY])
             self._forget()
-            self._add_log_likelihood(of_fixes)
-
-    def begin_with(self, log_likelihood: Array) -> None:
-        """Weigh the hypotheses, (COUNT,), by what is known before the first fix."""
-        self._add_log_likelihood(log_likelihood)
+            self.add_log_likelihood(of_fixes)
 
     def forget_heights(self, t_ns: int) -> None:
         """Forget what was found where it is of heights up to a stamp [ns]: they were none."""
@@ -191,9 +187,9 @@ class NoiseMultipleModelBank(ShallowCopy):
             S = correction.S - R + scaled_by_axis(R / correction.fix_factor, *factors)
             tail = math.log1p(float(z @ np.linalg.solve(S, z)) / (TAIL_DOF - 1.3))
             found[level] = -0.5 * (log_determinant(S) + (TAIL_DOF + m) * tail)
-        self._add_log_likelihood(np.logaddexp(found - found.max(), math.log(OUTLIERS)))
+        self.add_log_likelihood(np.logaddexp(found - found.max(), math.log(OUTLIERS)))
 
-    def _add_log_likelihood(self, one: Array) -> None:
+    def add_log_likelihood(self, one: Array) -> None:
         """Add log-likelihoods of the hypotheses, (COUNT,), and read the factors."""
         values = self._values = self._values.copy()
         lowest = values[LOWEST].copy()

@@ -16,8 +16,6 @@ References
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
@@ -44,6 +42,8 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.inertial.strapdown import half_rotation
 from hybrid_ins.core.update.linalg import factorise, solve, whiten
+
+Array = NDArray[np.float64]
 
 NORTH = (DP.start, DV.start, EPS.start)  # of each error in n, followed by east
 
@@ -188,9 +188,7 @@ def inject(nav, dx):  # type: ignore[no-untyped-def]
         quat[i] /= norm
 
 
-def update_in_body(
-    nav: NDArray[np.float64], z: NDArray[np.float64], H: NDArray[np.float64], R: Any
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def update_in_body(nav: Array, z: Array, H: Array, R: Array) -> tuple[Array, Array, Array]:
     """
     Fuse a measurement of velocity in b into the flat state ``nav``, in place.
 
@@ -226,7 +224,7 @@ def linear_update(nav, z, H, R):  # type: ignore[no-untyped-def]
     return dx, K
 
 
-def heading_turn(angle: float) -> NDArray[np.float64]:
+def heading_turn(angle: float) -> Array:
     """Return T, shape (15, 15), with which `turn_errors` turns P to T P T'."""
     T, c, s = np.eye(N_ERROR), np.cos(angle), np.sin(angle)
     for north in NORTH:

@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.inertial.earth import displacement
+from hybrid_ins.core.noise.fix_differences import OF_WHITE, third_differences
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import PositionFix
 from hybrid_ins.ros.messages.conversions import Refused
@@ -74,17 +74,14 @@ class FixScatter:
 
     def _scatter(self) -> float:
         """Return the standard deviation of the fixes' white errors [m], per horizontal axis."""
-        t = np.array([stamp for stamp, *_ in self._fixes]) * 1e-9
-        dt = float(np.median(np.diff(t)))
-        even = np.abs(np.diff(t) - dt) < 0.25 * dt
-        places = np.array([place for _, place, *_ in self._fixes])
-        places = displacement(places[0], places)[:, :2]
-        third = np.diff(places, 3, axis=0)[even[:-2] & even[1:-1] & even[2:]]
+        t_ns = np.array([stamp for stamp, *_ in self._fixes])
+        third, even, dt = third_differences(t_ns, np.array([place for _, place, *_ in self._fixes]))
+        third = third[even, :2]
         if len(third) < FIXES_KEPT // 3:
             return 0.0
         motion = JERK * dt**3
         variance = (float(np.median(np.abs(third))) / 0.6745) ** 2 - motion**2
-        return math.sqrt(max(variance, 0.0) / 20.0)
+        return math.sqrt(max(variance, 0.0) / OF_WHITE)
 
 
 def _rounded_up(value: float) -> float:

@@ -36,7 +36,7 @@ def factor(seen: FixDifferences, ring: ImuRing) -> float:
     """Return the factor on R that noise hypotheses begin with."""
     shown, bank = seen.shown(ring), NoiseMultipleModelBank()
     if shown is not None:
-        bank.begin_with(shown[0])
+        bank.add_log_likelihood(shown[0])
     return bank.found.fixes * bank.found.heights
 
 
