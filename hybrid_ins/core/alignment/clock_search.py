@@ -63,6 +63,9 @@ IDLE_SPEED = 0.2  # m/s, at a claimed σ of 1 m: clock and heading move fixes by
 WARM_UP_NS, WARM_UP_FIXES = 2_000_000_000, 3
 """Before that the filters differ by the time since their inflation: no evidence on the clock."""
 
+SHAKEN_NS = 30_000_000_000
+"""In which fixes show a motion; else what seems to be one is the vibration of a vehicle at rest."""
+
 MIN_SHIFT = 0.15  # s: `clock_offset` corrects smaller ones beside a running filter
 EXCLUDED = 0.01  # weight of offsets below that, at which a running filter is replaced
 SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
@@ -106,7 +109,9 @@ class ClockSearch(MultipleModelBank):
     """
     The same filter under several clock offsets of fixes, for each of several headings.
 
-    The filters follow the IMU at a distance, so that a fix is late by none of the clocks.
+    The filters follow the IMU at a distance, so that a fix is late by none of the clocks. A search
+    begins when the IMU is not at rest. Fixes show a slow motion late, or that there is none, see
+    `SHAKEN_NS`: what the weights were until then was chance.
 
     Parameters
     ----------
@@ -150,10 +155,10 @@ class ClockSearch(MultipleModelBank):
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
-        self.motion.moves = self.motion.shown = True  # else no search begins
+        self._may_rest = False  # the IMU is not at rest
         self.in_force_ns = 0
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
-        self._log_prior = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
+        self._prior_of_offset = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
         self._first_ns = self.best.t_ns + MAX_OFFSET_NS
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
@@ -189,7 +194,9 @@ class ClockSearch(MultipleModelBank):
             is_idle = speed < max(IDLE_SPEED * claimed, 3.0 * math.sqrt(max(variance, 0.0)))
             hovers = self.has_lasted("idle", is_idle, IDLE_NS)
             self._spacing_ns = IDLE_SPACING_NS if hovers else MIN_SPACING_NS
-        if self._fixes > self._warm_up_fixes and measurement.t_ns > self._weighed_from_ns:
+        if not self._may_rest and self.has_lasted("rest", not self.motion.shown, SHAKEN_NS):
+            self._may_rest, self.log_weights = self.heading_open, self._log_prior.copy()
+        elif self._fixes > self._warm_up_fixes and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 
     @property
@@ -246,7 +253,7 @@ class ClockSearch(MultipleModelBank):
         """Give the decision's filter the mixture's clock offset."""
         tried = self._offsets_ns[self._best] * 1e-9
         decision = decision._replace(offset=tried - self.in_force_ns * 1e-9)
-        log_prior = np.array([self._log_prior[offset_ns] for offset_ns in self._offsets_ns])
+        log_prior = np.array([self._prior_of_offset[offset_ns] for offset_ns in self._offsets_ns])
         residual, sigma = self._clock(self.log_weights - log_prior)
         prior = self._prior and self._prior._replace(mean=self._prior.mean - tried)
         t_ns, found = decision.filter.t_ns, residual - decision.offset
