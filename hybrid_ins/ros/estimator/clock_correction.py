@@ -66,7 +66,7 @@ class ClockCorrection:
         self._given = values["gnss.time_offset.value"]
         self._estimate = values["gnss.time_offset.estimate"]
         self.moved = 0.0
-        self._settled: ClockPrior | None = None  # offset once it was known well
+        self._settled: ClockPrior | None = None  # what showed once it was known well
         self._axes_are_plausible = True
         self._std = values["gnss.time_offset.std"]
         self._given_drift = clock_drift(values)
@@ -209,7 +209,8 @@ class ClockCorrection:
         if is_usable and abs(missing) > 0.3 * sigma and is_left:
             self._shift(running, missing)
         if sigma < SETTLED and self._settled is None:
-            self._settled = ClockPrior(self.offset, 0.0, running.t_ns)
+            shown = self.offset + running.clock.residual
+            self._settled = ClockPrior(shown, running.clock.sigma, running.t_ns)
 
     def _shift(self, running: InsFilter, by: float) -> None:
         """Add some more [s] to the stamps of fixes."""
@@ -249,7 +250,8 @@ class ClockCorrection:
             settled = self._settled
             if settled is None:
                 return ""
-            if abs(total - settled.at(running.t_ns, self._given_drift).mean) > limit:
+            by_now = settled.at(running.t_ns, self._given_drift).mean
+            if abs(total - by_now) > max(limit, 5.0 * settled.scale):
                 return (
                     f"the clock offset moved from {settled.mean:+.3f} s to {total:+.3f} s: do IMU "
                     "and receiver stamp by one clock?"

@@ -117,6 +117,23 @@ def test_fixes_that_jump_about_are_no_clock_that_is_seconds_off() -> None:
     assert any("the clock offset moved from +0.000 s" in line for line in lines)
 
 
+def test_an_offset_that_is_not_in_force_yet_has_not_moved() -> None:
+    # GIVEN innovations that begin to show an offset, by too little to leave the given one
+    lines: list[str] = []
+    running = Running(0.0)
+    clock, navigator = correction(running)
+    clock._inputs = InputLog(lambda level, text: lines.append(text))
+    navigator.phases.clock_open = False
+    running.show(0.031, 0.0, 0.0105)
+    clock.run_periodic()
+    assert clock.offset == 0.0
+    # WHEN they show it well
+    running.show(0.04, 0.0, 0.004)
+    clock.run_periodic()
+    # THEN it is in force, and was so before
+    assert clock.offset == pytest.approx(0.04, abs=0.005) and lines == []
+
+
 def test_what_a_filter_has_found_is_the_prior_of_the_next() -> None:
     running = Running(0.0)
     clock, navigator = correction(running)
