@@ -1,6 +1,7 @@
 """Vehicles that are no quadrotor: valid fixes are used, and show motion."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.core.imu.standstill import FixMotion
 from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.ros.messages.conversions import stamp_ns
-from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, record
+from hybrid_ins.simulation.sensors import Tone
+from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, city_car, record
 from tools.vehicles import calibrated, campaign
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Score, run, score
@@ -52,6 +54,35 @@ def test_a_claim_that_is_far_too_small_does_not_draw_the_clock(name: str, seed: 
     estimator, _, _ = run(from_simulation(record(vehicle, seed)), parameters.defaults())
 
     assert abs(estimator.clock.offset) < 0.02
+
+
+@pytest.mark.parametrize("seed", [3, 6])
+def test_a_vehicle_that_is_shaken_at_rest_shows_no_heading(seed: int) -> None:
+    """
+    GIVEN a car whose engine idles for two minutes, and RTK with a wander of a centimetre
+    THEN its heading is as unknown as before: it was known to 46 and 28 degrees, and later wrong.
+    """
+    antenna_b = 0.4, 0.1, -1.2
+    vehicle = replace(
+        VEHICLES["car"],
+        motion=partial(city_car, rest=1000.0),
+        receiver=Receiver(
+            5.0,
+            slow_std=(0.01, 0.01, 0.02),
+            slow_time=200.0,
+            claimed_std=(0.015, 0.015, 0.03),
+            antenna_b=antenna_b,
+        ),
+        errors=replace(VEHICLES["car"].errors, tones=(Tone(27.0, 0.42, 0.004),)),
+        duration=120.0,
+    )
+    values = {**parameters.defaults(), "gnss.antenna_position": [0.4, 0.1, 1.2]}
+
+    estimator, _, _ = run(from_simulation(record(vehicle, seed)), values)
+
+    bank = estimator.navigator.phase.bank
+    assert bank is not None and bank.clock_open
+    assert bank.heading()[1] > np.radians(90.0)
 
 
 @pytest.mark.slow
