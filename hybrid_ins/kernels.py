@@ -27,8 +27,8 @@ from hybrid_ins.core.inertial.state import COVARIANCE, N_ERROR, N_NAV, NavState
 from hybrid_ins.core.noise import (
     heading_information,
     hypotheses,
-    position_scatter,
     scatter_evidence,
+    slow_error,
 )
 from hybrid_ins.core.noise import multiple_model as noise_multiple_model
 from hybrid_ins.core.noise import multiple_model_step as noise_multiple_model_step
@@ -162,8 +162,8 @@ def _compile_filter() -> None:
     heading_information.follow_heading(np.zeros(4), 0.0, 0.0, 0.0, 1.0, 1.0)
     scatter_evidence.scatter_evidence(nav[COVARIANCE], z, H, np.eye(3), np.eye(3))
     measurements.scaled_by_axis(np.eye(3), 1.0, 1.0)
-    position_scatter.slow_part(np.eye(3), 1.0, 1.0, 0.0, 0.0, 0.0, np.empty(0), 0.0)
-    position_scatter.change_slow_error(nav, np.zeros(3), 0.0, position_scatter.NO_GROWTH)
+    slow_error.slow_part(np.eye(3), 1.0, 1.0, 0.0, 0.0, 0.0, np.empty(0), 0.0)
+    slow_error.change_slow_error(nav, np.zeros(3), 0.0, slow_error.NO_GROWTH)
     clock = clock_offset.ClockOffsetObserver(0.1).values
     fix_update.fuse_ordinary_fix(
         nav,
@@ -173,7 +173,7 @@ def _compile_filter() -> None:
         True,
         np.zeros(3),
         0.0,
-        position_scatter.NO_GROWTH,
+        slow_error.NO_GROWTH,
         False,
         1.0,
         0.0,
@@ -217,7 +217,7 @@ def _compile_output() -> None:
         np.ones((3, hypotheses.WIDTH)),
         np.ones(3),
         zero,
-        0.0,
+        (0.0, 0.0),
         np.zeros(N_ERROR),
         z,
         H,

@@ -8,7 +8,7 @@ from dataclasses import replace
 from hybrid_ins.calibration.findings import SIGNIFICANT, Finding, Verdict
 from hybrid_ins.calibration.fit import Fit
 from hybrid_ins.calibration.likelihood import POSITION_SCALE, SLOW_SHARE, VELOCITY_SCALE
-from hybrid_ins.core.noise.position_scatter import SLOW_TIME
+from hybrid_ins.core.noise.slow_error import SLOW_TIME
 
 DEFAULT_STD = "gnss.position_std_default"
 SCATTER, SMALLEST_SCATTER, LARGEST_SCATTER = "gnss.position_scatter", 0.2, 10.0

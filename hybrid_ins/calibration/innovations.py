@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.inertial.propagation import propagate_covariance, step
 from hybrid_ins.core.inertial.state import LAST_F, LAST_W, N_ERROR, N_NAV, PSD
-from hybrid_ins.core.noise.position_scatter import NO_GROWTH, change_slow_error
+from hybrid_ins.core.noise.slow_error import NO_GROWTH, change_slow_error
 from hybrid_ins.core.sensor_errors.clock_sensitivity import (
     correct_sensitivities,
     noise_information,

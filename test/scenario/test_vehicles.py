@@ -56,6 +56,25 @@ def test_a_claim_that_is_far_too_small_does_not_draw_the_clock(name: str, seed: 
     assert abs(estimator.clock.offset) < 0.02
 
 
+def test_heights_that_wander_beyond_their_claim_are_not_blamed_on_the_accelerometers() -> None:
+    """
+    GIVEN a receiver that claims 0.8 m, and whose heights wander by 4 m within half a minute
+    THEN the published height contains that: its noise was taken for 80 times as large, and nothing
+    of the heights was published.
+    """
+    receiver = Receiver(5.0, (0.3, 0.3, 0.3), (0.4, 0.4, 4.0), 30.0, (0.8, 0.8, 0.8))
+    vehicle = replace(VEHICLES["car"], receiver=receiver, duration=100.0)
+
+    estimator, _, _ = run(from_simulation(record(vehicle, 1)), parameters.defaults())
+
+    assert estimator.navigator.filter is not None
+    noise = estimator.navigator.filter.noise
+    across, upward = noise.split.unclaimed_stds
+    assert across < 1.2 and 2.5 < upward < 8.0
+    assert noise.found.accelerometer < 20.0
+    assert noise.drifts_beyond_claim == pytest.approx((0.0, upward), abs=1.0)
+
+
 @pytest.mark.parametrize("seed", [3, 6])
 def test_a_vehicle_that_is_shaken_at_rest_shows_no_heading(seed: int) -> None:
     """

@@ -155,7 +155,7 @@ class ClockSearch(MultipleModelBank):
             MAX_OFFSET_NS + STEP_NS,
         )
         self.heading_open = len(states) > 1
-        self._may_rest = False  # the IMU is not at rest
+        self.motion.may_rest = False  # by the IMU
         self.in_force_ns = 0
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._prior_of_offset = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
@@ -194,8 +194,9 @@ class ClockSearch(MultipleModelBank):
             is_idle = speed < max(IDLE_SPEED * claimed, 3.0 * math.sqrt(max(variance, 0.0)))
             hovers = self.has_lasted("idle", is_idle, IDLE_NS)
             self._spacing_ns = IDLE_SPACING_NS if hovers else MIN_SPACING_NS
-        if not self._may_rest and self.has_lasted("rest", not self.motion.shown, SHAKEN_NS):
-            self._may_rest, self.log_weights = self.heading_open, self._log_prior.copy()
+        seems_to_move = self.heading_open and not self.motion.may_rest
+        if seems_to_move and self.has_lasted("rest", not self.motion.shown, SHAKEN_NS):
+            self.motion.may_rest, self.log_weights = True, self._log_prior.copy()
         elif self._fixes > self._warm_up_fixes and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 

@@ -39,10 +39,13 @@ class MotionEvidence:
         The last measurement shows motion.
     shown : bool
         It was shown for a while: the vehicle has moved.
+    may_rest : bool
+        Before that the vehicle may be at rest, as far as its IMU has shown.
     """
 
     def __init__(self) -> None:
         self.moves = self.shown = False
+        self.may_rest = True
         self._first_lla: Array | None = None
         self._last_lla = np.empty(3)
         self._largest = np.zeros(2)  # m, NE: step from a fix to the next
@@ -53,8 +56,10 @@ class MotionEvidence:
         """
         Use a measurement and the likeliest filter.
 
-        Returns whether a motion begins here.
+        Returns whether a motion begins here, before which all was chance.
         """
+        if self.shown:
+            return False
         variance = float(best.nav[COVARIANCE][DIAGONAL[DV]][:2].sum())
         speed = float(np.linalg.norm(best.nav[VELOCITY][:2]))
         before, self.moves = self.moves, speed > FAST * math.sqrt(max(variance, 0.0))
@@ -75,4 +80,14 @@ class MotionEvidence:
             self._since_ns = best.t_ns
         elif self.moves and best.t_ns - self._since_ns >= LASTING_NS:
             self.shown = True
-        return self.moves and not before
+        return self.may_rest and self.moves and not before
+
+    @property
+    def counts(self) -> bool:
+        """What is measured now is evidence on the heading."""
+        return self.moves or not self.may_rest
+
+    @property
+    def shows_heading(self) -> bool:
+        """What was measured so far says which heading is right."""
+        return self.shown or not self.may_rest

@@ -179,7 +179,6 @@ class MultipleModelBank:
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
         self._log_prior = self.log_weights.copy()
         self.heading_open = len(states) > 1
-        self._may_rest = True  # then nothing shows the heading before `motion` does
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
         self._lag_ns, self._lever_b = lag_ns, settings.lever_b
@@ -204,11 +203,6 @@ class MultipleModelBank:
     def is_misled(self) -> bool:
         """The filters were moved by an antenna that turns about the vehicle on the spot."""
         return self._turns.misleads
-
-    @property
-    def shows_heading(self) -> bool:
-        """The vehicle has moved: the weights say which heading is right."""
-        return self.motion.shown or not self._may_rest
 
     @property
     def _best(self) -> int:
@@ -304,11 +298,10 @@ class MultipleModelBank:
             verdict = replace(verdicts[self._best], measurement=self._waiting.pop(key))
             if key not in self._told:
                 weighed.append(verdict)
-            begins = not self.motion.shown and self.motion.observe(verdict.measurement, self.best)
-            if begins and self._may_rest:
+            if self.motion.observe(verdict.measurement, self.best):
                 _restore_cells(self.filters, self._lever_b)
             hidden = self.heading_open and self._turns.observe(verdict.measurement, self.best)
-            if (self.motion.moves or not (self.heading_open and self._may_rest)) and not hidden:
+            if (self.motion.counts or not self.heading_open) and not hidden:
                 self._weigh(verdicts)
         for k in _excluded(self.log_weights, self.filters)[::-1].tolist():
             del self.filters[k], self._offsets_ns[k], self._decided[k]
@@ -374,14 +367,14 @@ class MultipleModelBank:
 
     def _is_known(self) -> bool:
         """Return whether one filter can do the rest."""
-        if not (self.heading_open and (self.motion.moves or self.shows_heading)):
+        if not (self.heading_open and (self.motion.moves or self.motion.shows_heading)):
             return not self.heading_open  # what was known at rest is not once a motion begins
         std = self.heading()[1]
         known = [
             self.has_lasted(("heading", limit), std <= limit, lasting_ns)
             for limit, lasting_ns in HEADING_KNOWN
         ]
-        return self.shows_heading and any(known)
+        return self.motion.shows_heading and any(known)
 
     def has_lasted(self, condition: object, true: bool, lasting_ns: int) -> bool:
         """Return whether a condition is true, and was for so long [ns]."""

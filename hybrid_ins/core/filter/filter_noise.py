@@ -21,12 +21,14 @@ from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCo
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
+from hybrid_ins.core.noise.slow_error import Shares, SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
 Array = NDArray[np.float64]
 
+PROBABLE = 0.5  # of a slow error of fixes, to be remembered
 JUMP_PROBABILITY = 0.9  # of a slow error of fixes: an innovation that began it was a jump
 SUSPICION_NS = 3_000_000_000  # in which the innovations show that
 
@@ -58,6 +60,8 @@ class FilterNoise:
         Jumps of fixes that are not claimed.
     without_scale : NoiseMultipleModelBank or None
         As ``factors``, by innovations without what scale errors explain of them.
+    slow_error : SlowError
+        Of positions, that the innovations show.
     considers_scale : bool
         Factors on the IMU's noise are those of ``without_scale``.
     """
@@ -73,8 +77,8 @@ class FilterNoise:
         self.factors = factors
         self.without_scale = None if factors is None else NoiseMultipleModelBank()
         self.considers_scale = self._explained = False
-        self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_std=math.inf)
-        self.jumps = PositionJumps()
+        self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_stds=(math.inf, math.inf))
+        self.slow_error, self.jumps = SlowError(), PositionJumps()
         self._suspected: tuple[Correction, Array] | None = None
         self._restarted = False
         self._note_levels()
@@ -115,12 +119,11 @@ class FilterNoise:
             for bank in self._banks():
                 bank.forget_heights(fix.t_ns)
         found = self.found
+        shown = found.slow_std, found.slow_height_std
+        lasts = scatter.in_force and found.slow_probability > PROBABLE
+        self.slow_error = self.slow_error.updated(shown, lasts, fix.t_ns)
         self.split = scatter.split(
-            fix.claimed,
-            fix.t_ns,
-            (found.slow_std, found.slow_height_std),
-            found.fixes,
-            found.heights,
+            fix.claimed, fix.t_ns, self.slow_error.stds, found.fixes, found.heights
         )
         return self.split
 
@@ -132,15 +135,18 @@ class FilterNoise:
         return (1.0, found.heights) if isinstance(measurement, PositionFix) else (1.0, 1.0)
 
     @property
-    def drifts_beyond_claim(self) -> bool:
+    def drifts_beyond_claim(self) -> Shares:
         """
-        Whether it is, and clearly more than positions claim: the receiver is wrong.
+        Slow errors [m] of clearly more than positions claim, and of heights alone.
 
         The published covariance contains any. But the slow error of an honest metre may change
         faster than is assumed, which one of the hypotheses may explain for a while.
         """
-        clear = clear_slow_std(self.split.claimed_std)
-        return self.found.slow_probability > 0.5 and max(self.split.unclaimed_stds) > clear
+        across, upward = (
+            std if std > clear_slow_std(claim) else 0.0
+            for std, claim in zip(self.slow_error.drifts, self.split.claimed_stds, strict=True)
+        )
+        return across, upward
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""

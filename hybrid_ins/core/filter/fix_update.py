@@ -29,9 +29,10 @@ from hybrid_ins.core.noise.heading_information import (
     follow_heading,
     heading_information,
 )
-from hybrid_ins.core.noise.position_scatter import Split, change_slow_error
+from hybrid_ins.core.noise.position_scatter import Split
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.scatter_evidence import scatter_evidence
+from hybrid_ins.core.noise.slow_error import change_slow_error
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.sensor_errors.clock_offset import age_mean_square, observe, share_of_motion
 from hybrid_ins.core.sensor_errors.clock_sensitivity import (
@@ -246,7 +247,7 @@ def correction_of(
         fix_factor=noise.found.fixes,
         stamp_std=noise.stamp_std_of(fix),
         slow_growth=split.claimed_growth,
-        claimed_std=split.claimed_std,
+        claimed_stds=split.claimed_stds,
         kind=fix.kind,
         factors_by_axis=noise.factors_by_axis(fix),
     )

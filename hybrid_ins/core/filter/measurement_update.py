@@ -312,7 +312,7 @@ class MeasurementUpdate:
             fix_factor=fix_factor,
             stamp_std=self.noise.stamp_std_of(measurement),
             slow_growth=parts.claimed_growth,
-            claimed_std=parts.claimed_std,
+            claimed_stds=parts.claimed_stds,
             kind=measurement.kind,
             factors_by_axis=self.noise.factors_by_axis(measurement),
         )

@@ -68,7 +68,7 @@ def check(running: InsFilter, bank: MultipleModelBank) -> HeadingCheck:
     bank : MultipleModelBank
         The filters beside it, which may be behind.
     """
-    if not bank.shows_heading:
+    if not bank.motion.shows_heading:
         return HeadingCheck(0.0)
     best = heading_from_quat(state_at_imu(bank.best, bank.best.nav)[QUAT])
     own = heading_from_quat(running.nav[QUAT])

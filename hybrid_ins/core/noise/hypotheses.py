@@ -11,16 +11,10 @@ for seconds by more than they claim; and of a claim that is one constant for hei
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from hybrid_ins.core.noise.position_scatter import (
-    CORRECTED_STD,
-    SLOW_AXES,
-    SLOW_TIME,
-    UNCORRECTED_STD,
-    uncorrected,
-)
+from hybrid_ins.core.noise.position_scatter import uncorrected
+from hybrid_ins.core.noise.slow_error import SLOW_AXES, SLOW_TIME
 
 Array = NDArray[np.float64]
 
@@ -32,14 +26,14 @@ BESIDE_POOREST = np.array([0.0, 1.0, 2.0])  # decades of the accelerometer's fac
 FACTOR_COST = 2.0  # nats of evidence that a factor above 1 needs
 DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
 REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
-SLOW_STDS = np.array([0.3, 1.0, 3.0])  # m, of a slow error of the fixes
+SLOW_STDS = np.array([0.3, 1.0, 3.0, 10.0])  # m, of a slow error of the fixes
 SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
 SLOW_ALONE = np.stack((SLOW_AXES, SLOW_AXES * [0.0, 0.0, 1.0]))  # of all directions, of the height
 SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small as well
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
-SLOW_RATIO = 2.0  # smallest, to the σ that a receiver with corrections claims
-UNCORRECTED_RATIO = 20.0  # to that of one without: it contains the slow error already
-CLEAR_UNCORRECTED_RATIO = 3.5  # to that, from which it is to blame: none of ``SLOW_STDS`` is
+SLOW_RATIO = 2.0  # smallest, to the σ that is claimed; of heights, 1.5 times that
+SEARCHED_RATIO = 10.0  # times that of a receiver without corrections, in a search
+CLEAR_UNCORRECTED_RATIO = 3.5  # to that of a receiver without corrections, to blame it
 SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
 STAMP_STDS = np.array([0.01, 0.03, 0.1])  # s, of the stamps of fixes
@@ -70,6 +64,15 @@ def _beside(decades: Array, values: dict[int, Array]) -> Array:
     return columns
 
 
+def _slow(row: int) -> list[Array]:
+    """Return columns of slow errors: beside the larger ones less is to be seen of the IMU."""
+    return [
+        _beside(SLOW_DECADES, {row: SLOW_STDS[:2]}),
+        _beside(SLOW_DECADES[1:], {row: SLOW_STDS[2:3]}),
+        _beside(SLOW_DECADES[1:2], {row: SLOW_STDS[3:]}),
+    ]
+
+
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
@@ -85,8 +88,8 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
         ),
         _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
-        _beside(SLOW_DECADES, {_SLOW_HEIGHT: SLOW_STDS}),
-        _beside(SLOW_DECADES, {_SLOW: SLOW_STDS}),
+        *_slow(_SLOW_HEIGHT),
+        *_slow(_SLOW),
         _beside(
             np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
         ),
@@ -138,12 +141,14 @@ _LEVEL = np.unique(ON_R, axis=1, return_inverse=True)[1].ravel()
 R_LEVELS = [np.flatnonzero(level == _LEVEL) for level in range(_LEVEL.max() + 1)]
 
 
-@register_jitable
-def smallest_slow_std(claimed_std):  # type: ignore[no-untyped-def]
-    """Return the smallest slow error [m] to be found besides the claimed σ [m], horizontally."""
-    share = np.log(claimed_std / CORRECTED_STD) / np.log(UNCORRECTED_STD / CORRECTED_STD)
-    share = min(max(share, 0.0), 1.0)
-    return claimed_std * SLOW_RATIO * (UNCORRECTED_RATIO / SLOW_RATIO) ** share
+def claims_in_search(horizontal: float, height: float) -> tuple[float, float]:
+    """
+    Return what counts as claimed [m] while heading or clock are searched for.
+
+    A wrong one looks like a slow error of metres, which is what a receiver without corrections has.
+    """
+    ratio = SEARCHED_RATIO ** uncorrected(horizontal)
+    return horizontal * ratio, height * ratio
 
 
 def clear_slow_std(claimed_std: float) -> float:

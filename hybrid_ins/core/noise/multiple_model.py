@@ -55,10 +55,11 @@ from hybrid_ins.core.noise.hypotheses import (
     WIDE_HYPOTHESES,
     WIDTH,
     WITHOUT_SLOW_HEIGHTS,
+    claims_in_search,
 )
 from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
-from hybrid_ins.core.noise.position_scatter import NO_GROWTH
 from hybrid_ins.core.noise.process_noise import Correction
+from hybrid_ins.core.noise.slow_error import NO_GROWTH
 from hybrid_ins.core.noise.weights import (
     AT_START,
     FAMILIES,
@@ -95,16 +96,16 @@ _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 # What is known besides the hypotheses' estimates, as one flat vector.
 FACTORS = slice(0, 12)  # in force, see `weights.average`
 LOWEST = slice(12, 20)  # of those that move the state, since it was last corrected
-CLAIMED_STD = 20  # m, of the last position, horizontally
-LAST_VELOCITY, LAST_C = slice(21, 24), slice(24, 33)  # n, and C_nb, after the last correction
-PENDING_G = slice(33, 33 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
+CLAIMED_STDS = slice(20, 22)  # m, of the last position, horizontally and of the height
+LAST_VELOCITY, LAST_C = slice(22, 25), slice(25, 34)  # n, and C_nb, after the last correction
+PENDING_G = slice(34, 34 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
 LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
 OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
 WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS] = NoiseFactors()
 _START[OF_FAMILY][1:] = AT_START
-_START[LOWEST], _START[CLAIMED_STD] = 1.0, math.inf
+_START[LOWEST], _START[CLAIMED_STDS] = 1.0, math.inf
 _IDENTITY = np.eye(N_ERROR)
 _EXACT = [np.zeros((m, m)) for m in range(4)]  # contiguous: kernels are compiled for such alone
 _START[PENDING_G] = _IDENTITY.ravel()
@@ -194,8 +195,9 @@ class NoiseMultipleModelBank(ShallowCopy):
         values = self._values = self._values.copy()
         lowest = values[LOWEST].copy()
         of_family = values[OF_FAMILY]
-        add_likelihood(one, values[CLAIMED_STD], values[LOG_LIKELIHOOD], of_family)
-        weigh(values[LOG_LIKELIHOOD], of_family, values[CLAIMED_STD], values[WEIGHTS])
+        claimed = float(values[CLAIMED_STDS][0]), float(values[CLAIMED_STDS][1])
+        add_likelihood(one, claimed, values[LOG_LIKELIHOOD], of_family)
+        weigh(values[LOG_LIKELIHOOD], of_family, claimed, values[WEIGHTS])
         average(values[WEIGHTS], values[FACTORS], values[LOWEST])
         values[LOWEST] = lowest  # the state is corrected with the next fix
         self._read_factors()
@@ -240,6 +242,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
         before, T, m = self.estimates, self._time_to(correction), len(correction.z)
+        is_search, claims = correction.of_stamp is None, correction.claimed_stds
         stamp_stds, roots, in_force = STAMP_STD, _ROOTS_OF_OTHERS, np.ones(m)
         if correction.kind == PositionFix.kind:
             roots, in_force = _ROOTS_OF_POSITION, roots_by_axis(*correction.factors_by_axis)[:m]
@@ -269,7 +272,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             roots[:m],
             in_force,
             NO_GROWTH if correction.slow_growth is None else correction.slow_growth,
-            correction.claimed_std,
+            claims_in_search(*claims) if is_search else claims,
             correction.dx,
             *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
             weigh,
@@ -313,7 +316,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     roots,
     roots_in_force,
     slow_growth,
-    claimed_std,
+    claimed_stds,
     dx,
     z_x,
     H_x,
@@ -334,7 +337,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         What is known besides; overwritten.
     T : float
         Time since the last correction [s].
-    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_std, dx
+    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_stds, dx
         See `NoiseMultipleModelBank.update`.
     stamp_stds, roots, roots_in_force : ndarray, shape (WIDTH,), (m, WIDTH), (m,)
         Standard deviations of the fix's stamp [s]; roots of the factors on rows and columns of R.
@@ -356,8 +359,8 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
         for b in range(m):
             R[a, b] -= stamp_variance * of_stamp[a, b]
             R[a, b] /= fix_factor * roots_in_force[a] * roots_in_force[b]
-    if claimed_std > 0.0:
-        values[CLAIMED_STD] = claimed_std
+    if claimed_stds[0] > 0.0:
+        values[CLAIMED_STDS] = claimed_stds
     log_likelihood = np.zeros(before.shape[1])
     factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
     advance(
@@ -390,7 +393,7 @@ def update_hypotheses(  # type: ignore[no-untyped-def]
     fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
     if not teaches:
         return False
-    claimed_std = values[CLAIMED_STD]
-    add_likelihood(log_likelihood, claimed_std, values[LOG_LIKELIHOOD], values[OF_FAMILY])
-    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], claimed_std, values[WEIGHTS])
+    claimed = values[CLAIMED_STDS][0], values[CLAIMED_STDS][1]
+    add_likelihood(log_likelihood, claimed, values[LOG_LIKELIHOOD], values[OF_FAMILY])
+    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], claimed, values[WEIGHTS])
     return average(values[WEIGHTS], values[FACTORS], values[LOWEST])

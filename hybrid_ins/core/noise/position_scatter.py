@@ -5,7 +5,7 @@ Many receivers claim metres, which is how far off they are, and scatter by decim
 fix: most of their error is slow, [1]_. A filter that takes all of it as white follows the fixes
 less than they deserve, and its covariance, which averages white errors away, holds the absolute
 error less than it claims to. So the claimed variance is split: R is the white part, a share r of
-it, and the rest is the variance B of a slow error, a first-order Gauss-Markov process.
+it, and the rest is the variance B of a `slow_error`, a first-order Gauss-Markov process.
 
 The share r is learned from the innovations by its likelihood, in steps of the method of scoring,
 [2]_, one horizontally and one vertically: drivers that claim a constant claim as much of heights,
@@ -22,28 +22,12 @@ Positions that scatter as much as is claimed do not show that nothing else is wr
 errors of a receiver without corrections, from orbits, atmosphere and reflections, last for minutes,
 [1]_. Of claims of a metre and more at least a share of the variance is therefore slow.
 
-The slow error is *considered*, [3]_: the state is that of a vehicle displaced by it, so B is added
-to the covariance of the position that is reported, not to that of the filter. From fix to fix it
-changes, as a random walk of position, of which there is as much as successive innovations show,
-[4]_. Where the claimed variance falls or rises by more than a factor, the receiver has found
-another solution: the old slow error is left in the state, or a new one begins. Of a claim that is
-larger than the smallest of this receiver the rest is slow: what is lost are ambiguities, or
-satellites.
-
-A receiver may also claim centimetres and err slowly by a metre. No claim bounds that error, but the
-IMU does: between fixes the positions change by more than the vehicle moved. Its variance is then
-the one that the innovations show (`multiple_model`).
-
 References
 ----------
 .. [1] P. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*,
        2nd ed., section 9.3 (correlated errors of GNSS).
 .. [2] R. H. Shumway, D. S. Stoffer, *Time Series Analysis and Its Applications*, 4th ed., section
        6.3 (maximum likelihood estimation of state-space models).
-.. [3] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
-       Control Systems 3, 1966.
-.. [4] R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE
-       Transactions on Automatic Control 15, 1970.
 """
 
 from __future__ import annotations
@@ -52,12 +36,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.inertial.state import COVARIANCE, DIAGONAL, SLOW_VARIANCE
+from hybrid_ins.core.inertial.state import COVARIANCE
 from hybrid_ins.core.noise.scatter_evidence import Evidence, scatter_evidence
+from hybrid_ins.core.noise.slow_error import (
+    NO_GROWTH,
+    SLOW_TIME,
+    Shares,
+    change_slow_error,
+    in_metres,
+    slow_part,
+)
 from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update.measurements import LinearModel, scaled_by_axis
 
@@ -76,19 +66,11 @@ LARGEST_RESIDUAL = 4.0  # normalised square: more is an outlier
 EXCESS = 0.25  # of the claimed variance: more than claimed by less than that is chance
 LEAST_SLOW = 0.5  # of the variance of receivers that have no corrections
 CORRECTED_STD, UNCORRECTED_STD = 0.3, 1.0  # m: claims with corrections, and without
-SLOW_TIME = 100.0  # s, correlation time of the slow error
-SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
 WALK_GAIN = 0.3  # by which the logarithm of its walk follows the product of two innovations
 WALK_FALL = 0.2  # of that, where innovations are far smaller than a covariance that is the state's
 SMALLEST_WALK = 0.01
 LONGEST_INTERVAL = 3.0  # s, between two such
 SHORT_INTERVAL = 0.6  # s, between two whose change is the fixes', not the IMU's
-NO_GROWTH = np.zeros(3)  # m², of a slow error
-NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
-
-
-Shares = tuple[float, float]
-"""Horizontally and vertically."""
 
 
 class Split(NamedTuple):
@@ -98,10 +80,10 @@ class Split(NamedTuple):
     slow_variance: Array  # (m,) m², NED, the rest
     interval: float  # s, since the position before, in which the slow error has changed
     factors: Shares = (1.0, 1.0)  # all that are on the claimed covariance
-    claimed_std: float = 0.0  # m, horizontally; 0: no position
+    claimed_stds: Shares = (0.0, 0.0)  # m, infinite of a height that lacks; 0: no position
     claimed_slow: Array = np.empty(0)  # (m,) m², of a slow error as far as it is claimed
     claimed_growth: Array = NO_GROWTH  # m², by which the state's variance grows by that
-    unclaimed_stds: Shares = (0.0, 0.0)  # m, of a slow error, that are larger than is claimed
+    unclaimed_stds: Shares = (0.0, 0.0)  # m, of a slow error, where that is larger than claimed
     excess: Shares = (1.0, 1.0)  # by which positions scatter more than is claimed and given
 
 
@@ -240,19 +222,23 @@ class PositionScatter(ShallowCopy):
         upward = _without(common * height_factor, upward, largest)
         excess = max(across / largest, 1.0), max(upward / largest, 1.0)
         lost = 1.0 - min(self._usual, horizontal) / horizontal
-        claimed_std = math.sqrt(horizontal)
+        height_std = math.sqrt(claimed[2, 2]) if len(claimed) == 3 else math.inf
+        claimed_stds = claimed_std, _ = math.sqrt(horizontal), height_std
         least_slow = max(LEAST_SLOW * uncorrected(claimed_std), lost)
         slow, claimed_slow, growth = slow_part(
             claimed, across, upward, least_slow, *slow_stds, self._claimed_slow, interval
         )
-        unclaimed = [std if std > claimed_std else 0.0 for std in slow_stds]
+        unclaimed = [
+            shown if shown > claim else 0.0
+            for shown, claim in zip(in_metres(slow_stds), claimed_stds, strict=True)
+        ]
         on_R = across, upward * height_factor
         return Split(
             scaled_by_axis(claimed, *on_R),
             slow,
             interval,
             (on_R[0] * fix_factor, on_R[1] * fix_factor),
-            claimed_std,
+            claimed_stds,
             claimed_slow,
             growth,
             (unclaimed[0], unclaimed[1]),
@@ -341,60 +327,3 @@ def uncorrected(claimed_std: float) -> float:
     """Return how far a claimed σ [m] is that of a receiver without corrections, 0 to 1."""
     share = (claimed_std - CORRECTED_STD) / (UNCORRECTED_STD - CORRECTED_STD)
     return min(max(share, 0.0), 1.0)
-
-
-@register_jitable
-def slow_error_growth(before, after, interval):  # type: ignore[no-untyped-def]
-    """Return the variance [m²] that a slow error leaves in the state over an interval [s]."""
-    return before if before > NEW_SOLUTION * after else 2.0 * before * interval / SLOW_TIME
-
-
-@kernel()
-def slow_part(  # type: ignore[no-untyped-def]
-    claimed, across, upward, least, shown_across, shown_upward, before, interval
-):
-    """
-    Return the slow part of a claimed variance.
-
-    Parameters
-    ----------
-    claimed : ndarray, shape (m, m)
-        Covariance that a position claims [m²], NED.
-    across, upward, least : float
-        Shares that are white, horizontally and vertically, and the least that is slow.
-    shown_across, shown_upward : float
-        ``slow_stds`` of `PositionScatter.split`.
-    before : ndarray, shape (n,)
-        Slow part [m²] of the claim before; empty: there was none.
-    interval : float
-        Since that [s].
-
-    Returns
-    -------
-    slow, claimed_slow, growth : ndarray, shape (m,), (m,), (3,)
-        See `Split`.
-    """
-    m = len(claimed)
-    slow, claimed_slow, growth = np.empty(m), np.empty(m), np.zeros(3)
-    for i in range(m):
-        white, shown = (upward, shown_upward) if i == 2 else (across, shown_across)
-        after = claimed_slow[i] = claimed[i, i] * max(1.0 - white, least)
-        slow[i] = max(after, SLOW_AXES[i] * shown**2)
-        if i < len(before):
-            is_new = after > NEW_SOLUTION * before[i]
-            growth[i] = after if is_new else slow_error_growth(before[i], after, interval)
-    return slow, claimed_slow, growth
-
-
-@kernel()
-def change_slow_error(nav, variance, interval, claimed_growth):  # type: ignore[no-untyped-def]
-    """
-    Let the slow error of fixes change over an interval [s], to a new variance [m²], NED.
-
-    ``variance``, shape (m,), may lack the height. P grows by ``claimed_growth`` at the least, see
-    `Split`. Overwrites P and B of the flat state ``nav``.
-    """
-    for i in range(len(variance)):
-        grown = slow_error_growth(nav[SLOW_VARIANCE][i], variance[i], interval)
-        nav[COVARIANCE][DIAGONAL[i]] += max(grown, claimed_growth[i])
-        nav[SLOW_VARIANCE][i] = variance[i]

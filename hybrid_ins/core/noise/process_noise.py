@@ -79,8 +79,8 @@ class Correction:
         S, times ``of_stamp``.
     slow_growth : ndarray, shape (3,), optional
         Variance [m²], NED, by which a position's slow error has changed as claimed since the last.
-    claimed_std : float
-        Standard deviation [m] that a position claims horizontally; 0 of others.
+    claimed_stds : (float, float)
+        Standard deviations [m] that a position claims horizontally and of the height; 0 of others.
     kind : str
         Of the measurement.
     factors_by_axis : (float, float)
@@ -104,7 +104,7 @@ class Correction:
     fix_factor: float = 1.0
     stamp_std: float = 0.0
     slow_growth: Array | None = None
-    claimed_std: float = 0.0
+    claimed_stds: tuple[float, float] = (0.0, 0.0)
     kind: str = ""
     factors_by_axis: tuple[float, float] = (1.0, 1.0)
 

@@ -31,9 +31,9 @@ from hybrid_ins.core.noise.hypotheses import (
     ON_VELOCITY,
     R_LEVELS,
     SLOW_HEIGHT_STD,
+    SLOW_RATIO,
     SLOW_STD,
     STAMP_STD,
-    smallest_slow_std,
 )
 
 Array = NDArray[np.float64]
@@ -53,6 +53,7 @@ CORRECTION_RATIO = 3.0  # rise of a factor at which the running filter's state i
 _OF_FAMILY, FAMILY = np.unique(HYPOTHESES[[SLOW_STD, SLOW_HEIGHT_STD]], axis=1, return_inverse=True)
 FAMILY_STD, FAMILY = _OF_FAMILY.max(axis=0), FAMILY.ravel()  # m; of each hypothesis
 FAMILIES = len(FAMILY_STD)
+_OF_HEIGHTS = _OF_FAMILY[1] > 0.0
 _PRIOR_OF_FAMILY = np.array(
     [np.logaddexp.reduce(HYPOTHESES[LOG_PRIOR][f == FAMILY]) for f in range(FAMILIES)]
 )
@@ -87,12 +88,13 @@ def fade(T, log_likelihood, of_family):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore[no-untyped-def]
+def add_likelihood(one, claimed_stds, log_likelihood, of_family):  # type: ignore[no-untyped-def]
     """
     Add the log-likelihoods of an innovation, (COUNT,) or more.
 
-    A position whose claim, ``claimed_std`` horizontally [m], contains the slow error of a family is
-    no evidence on that. The largest of a family, and the largest of all families, are 0 afterwards.
+    A position whose claim, ``claimed_stds`` horizontally and of the height [m], contains the slow
+    error of a family is no evidence on that. The largest of a family, and the largest of all
+    families, are 0 afterwards.
     """
     largest, before = np.full(FAMILIES, -np.inf), np.zeros(FAMILIES)
     for h in range(COUNT):
@@ -104,10 +106,10 @@ def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore
         after[f] += np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h] + one[h] - largest[f])
         log_likelihood[h] += one[h]
         best[f] = max(best[f], log_likelihood[h])
-    most, smallest, shown = -np.inf, smallest_slow_std(claimed_std), np.empty(FAMILIES)
+    most, shown = -np.inf, np.empty(FAMILIES)
     for f in range(FAMILIES):  # the first has no slow error
         shown[f] = largest[f] + np.log(max(after[f] / before[f], 1e-300))
-        of_family[f] += shown[0] if FAMILY_STD[f] < smallest else shown[f]
+        of_family[f] += shown[0] if _is_claimed(f, claimed_stds) else shown[f]
         most = max(most, of_family[f])
     for f in range(FAMILIES):
         of_family[f] = max(of_family[f] - most, UNLIKELIEST_FAMILY)
@@ -116,16 +118,23 @@ def add_likelihood(one, claimed_std, log_likelihood, of_family):  # type: ignore
 
 
 @register_jitable
-def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-untyped-def]
-    """Write the weights of the hypotheses, given what positions claim horizontally [m]."""
+def _is_claimed(f, claimed_stds):  # type: ignore[no-untyped-def]
+    """Return whether the slow error of a family is within what a position claims, [m]."""
+    claimed_std = claimed_stds[1] if _OF_HEIGHTS[f] else claimed_stds[0]
+    return 0.0 < FAMILY_STD[f] < SLOW_RATIO * claimed_std
+
+
+@register_jitable
+def weigh(log_likelihood, of_family, claimed_stds, weights):  # type: ignore[no-untyped-def]
+    """Write the weights of the hypotheses, given what positions claim, see `add_likelihood`."""
     within, of_each = np.zeros(FAMILIES), np.empty(FAMILIES)
     for h in range(COUNT):
         weights[h] = np.exp(log_likelihood[h] + HYPOTHESES[LOG_PRIOR, h])
         within[FAMILY[h]] += weights[h]
-    largest, total, smallest = -np.inf, 0.0, smallest_slow_std(claimed_std)
+    largest, total = -np.inf, 0.0
     for f in range(FAMILIES):
         of_each[f] = of_family[f] + _PRIOR_OF_FAMILY[f]
-        if FAMILY_STD[f] > 0.0 and FAMILY_STD[f] < smallest:
+        if _is_claimed(f, claimed_stds):
             of_each[f] = -np.inf
         largest = max(largest, of_each[f])
     for f in range(FAMILIES):
@@ -138,7 +147,7 @@ def weigh(log_likelihood, of_family, claimed_std, weights):  # type: ignore[no-u
 def likelihood_of_r(log_likelihood: Array, of_family: Array) -> Array:
     """Return the log-likelihood of what the hypotheses assume of R alone, for each, (COUNT,)."""
     posterior, found = np.empty(COUNT), np.empty(COUNT)
-    weigh(log_likelihood, of_family, ANY_CLAIM, posterior)
+    weigh(log_likelihood, of_family, (ANY_CLAIM, ANY_CLAIM), posterior)
     for level, prior in zip(R_LEVELS, _PRIOR_OF_R, strict=True):
         found[level] = np.log(posterior[level].sum()) - prior
     return np.asarray(found - found.max())

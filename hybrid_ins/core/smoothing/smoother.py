@@ -41,7 +41,7 @@ from hybrid_ins.core.inertial.state import (
     NavState,
     pack,
 )
-from hybrid_ins.core.noise.position_scatter import NO_GROWTH, change_slow_error
+from hybrid_ins.core.noise.slow_error import NO_GROWTH, change_slow_error
 from hybrid_ins.core.smoothing.backward_propagation import run_backward
 from hybrid_ins.core.smoothing.constant_errors import (
     MOST_PASSES,

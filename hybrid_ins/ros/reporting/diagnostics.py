@@ -269,14 +269,16 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "contains such jumps until there was none for minutes; check the receiver and its "
             "corrections"
         )
-    if running.noise.drifts_beyond_claim:
-        split = running.noise.split
-        drift = max(split.unclaimed_stds)
-        what = "fixes" if split.unclaimed_stds[0] > 0.5 * drift else "the heights of fixes"
+    across, upward = running.noise.drifts_beyond_claim
+    if across or upward:
+        of_fixes, of_heights = running.noise.split.claimed_stds
+        what, drift, claimed = (
+            ("fixes", across, of_fixes) if across else ("the heights of fixes", upward, of_heights)
+        )
         found["fixes drift by more than they claim"] = (
-            f"{what} drift by about {drift:.1f} m although they claim "
-            f"{split.claimed_std:.2g} m: the published covariance contains it; check the "
-            "receiver, its corrections and gnss.antenna_position, or set gnss.position_std_min"
+            f"{what} drift by about {drift:.1f} m although they claim {claimed:.2g} m: the "
+            "published covariance contains it; check the receiver, its corrections and "
+            "gnss.antenna_position, or set gnss.position_std_min"
         )
     return found
 

@@ -121,7 +121,7 @@ def correction_of(
         fix_factor,
         stamp_std,
         rng.uniform(0.0, 0.01, 3) if is_position else None,
-        0.05 if is_position else 0.0,
+        (0.05, 0.07) if is_position else (0.0, 0.0),
         "position" if is_position else "velocity",
         factors,
     )

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hybrid_ins.core.filter.filter_noise import FilterNoise
+from hybrid_ins.core.filter.filter_noise import PROBABLE, FilterNoise
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, N_FLAT, W_G
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise.slow_error import SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.ros.reporting.diagnostics import noise_conditions, status
 
@@ -24,7 +25,7 @@ def navigator(factor: float, turning: float, extra_std: float) -> Any:
     noise = SimpleNamespace(
         imu_factors=(500.0, factor),
         factors=None,
-        drifts_beyond_claim=False,
+        drifts_beyond_claim=(0.0, 0.0),
         found=NoiseFactors(),
         psd=lambda: psd,
     )
@@ -60,6 +61,7 @@ def test_the_accelerometers_factor_alone_is_no_condition() -> None:
     [
         (1.2, 3.0, 1.0, False),  # a consumer receiver, whose claim is that of the slow error
         (0.95, 3.0, 1.0, False),
+        (1.2, 10.0, 1.0, True),  # which it is not
         (0.6, 1.0, 1.0, False),
         (0.6, 3.0, 1.0, True),
         (0.3, 1.0, 1.0, True),
@@ -75,16 +77,16 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     noise = FilterNoise(
         ConstantNoise(np.ones(6)), ProcessNoise(np.ones(6), 0.01), NoiseMultipleModelBank()
     )
-    noise.split = noise.split._replace(claimed_std=claimed, unclaimed_stds=(drift, drift))
+    noise.split = noise.split._replace(claimed_stds=(claimed, claimed))
     assert noise.factors is not None
-    noise.factors.found = NoiseFactors(slow_probability=probability)
+    noise.slow_error = SlowError().updated((drift, drift), probability > PROBABLE, 0)
 
     found = noise_conditions(
         SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
     )
 
     text = found.get("fixes drift by more than they claim", "")
-    assert bool(found) is is_blamed
+    assert bool(found) is is_blamed and text.startswith("fixes drift" if is_blamed else "")
     assert (f"{drift:.1f} m although they claim {claimed:.2g} m" in text) is is_blamed
 
 
