@@ -40,7 +40,7 @@ class MotionEvidence:
     shown : bool
         It was shown for a while: the vehicle has moved.
     may_rest : bool
-        Before that the vehicle may be at rest, as far as its IMU has shown.
+        The IMU does not show that the vehicle moves: before fixes do, all is chance.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class MotionEvidence:
         """
         Use a measurement and the likeliest filter.
 
-        Returns whether a motion begins here, before which all was chance.
+        Returns whether a motion begins here before which the vehicle may have been at rest.
         """
         if self.shown:
             return False

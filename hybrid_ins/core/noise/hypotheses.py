@@ -32,7 +32,7 @@ SLOW_ALONE = np.stack((SLOW_AXES, SLOW_AXES * [0.0, 0.0, 1.0]))  # of all direct
 SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small as well
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
 SLOW_RATIO = 2.0  # smallest, to the σ that is claimed; of heights, 1.5 times that
-SEARCHED_RATIO = 10.0  # times that of a receiver without corrections, in a search
+SEARCHED_RATIO = 10.0  # times that, of a receiver without corrections in a search
 CLEAR_UNCORRECTED_RATIO = 3.5  # to that of a receiver without corrections, to blame it
 SLOW_COST = 3.5  # nats of evidence that a slow error needs
 
@@ -145,7 +145,8 @@ def claims_in_search(horizontal: float, height: float) -> tuple[float, float]:
     """
     Return what counts as claimed [m] while heading or clock are searched for.
 
-    A wrong one looks like a slow error of metres, which is what a receiver without corrections has.
+    A wrong one looks like a slow error of metres, which a receiver without corrections has as well:
+    only larger ones are evidence.
     """
     ratio = SEARCHED_RATIO ** uncorrected(horizontal)
     return horizontal * ratio, height * ratio

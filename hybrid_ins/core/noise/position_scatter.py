@@ -222,8 +222,8 @@ class PositionScatter(ShallowCopy):
         upward = _without(common * height_factor, upward, largest)
         excess = max(across / largest, 1.0), max(upward / largest, 1.0)
         lost = 1.0 - min(self._usual, horizontal) / horizontal
-        height_std = math.sqrt(claimed[2, 2]) if len(claimed) == 3 else math.inf
-        claimed_stds = claimed_std, _ = math.sqrt(horizontal), height_std
+        claimed_std = math.sqrt(horizontal)
+        claimed_stds = claimed_std, math.sqrt(claimed[2, 2]) if len(claimed) == 3 else math.inf
         least_slow = max(LEAST_SLOW * uncorrected(claimed_std), lost)
         slow, claimed_slow, growth = slow_part(
             claimed, across, upward, least_slow, *slow_stds, self._claimed_slow, interval

@@ -39,7 +39,7 @@ Shares = tuple[float, float]
 
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
-LASTING = 30.0  # s: by more than `weights.MEMORY` no other explanation lasts
+LASTING = 30.0  # s; within `weights.MEMORY` other explanations come and go
 NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
 

@@ -64,6 +64,17 @@ def test_it_says_once_when_a_motion_begins() -> None:
     assert not evidence.shown
 
 
+def test_what_cannot_be_at_rest_shows_its_heading_before_the_fixes_show_a_motion() -> None:
+    evidence, still = MotionEvidence(), np.zeros(3)
+    assert not evidence.counts and not evidence.shows_heading
+
+    evidence.may_rest = False
+
+    assert evidence.counts and evidence.shows_heading
+    assert not any(evidence.observe(fix(t, still), best(t, 2.0, 0.5)) for t in range(2))
+    assert evidence.moves and not evidence.shown
+
+
 def test_a_slow_vehicle_is_shown_by_its_way() -> None:
     t = np.arange(60.0)
     found = first_shown(np.full(60, 0.5), 0.5 * t, 1.0)
