@@ -105,6 +105,8 @@ class Parameter:
         return "a whole number" if isinstance(self.default, int) else "a number"
 
     def _checked_text(self, value: object) -> str:
+        if value is None:  # what YAML reads where nothing is given, as behind "-p noise.model:="
+            value = ""
         if not isinstance(value, str):
             raise self._refusal(value, "a text")
         if self.choices and value not in self.choices:

@@ -51,6 +51,9 @@ class TestValues:
     def test_a_text_stays_one(self) -> None:
         assert PARAMETERS["map_frame"].check("1e-6") == "1e-6"
 
+    def test_nothing_is_an_empty_text(self) -> None:
+        assert PARAMETERS["vehicle.slip_model"].check(None) == ""
+
     @pytest.mark.parametrize(
         "value", [5e-324, 1e-300, 0.0099, -1.0, 1e5, float("nan"), float("inf"), "nan", True, None]
     )
