@@ -316,7 +316,7 @@ def test_another_filter_runs_where_the_search_excludes_the_offset_of_the_first()
     assert first is not None and isinstance(bank, ClockSearch)
     # WHEN the fixes show another one, half a second away
     bank._offsets_ns = [offset_ns + SECOND // 2 for offset_ns in bank._offsets_ns]
-    bank._log_prior = dict.fromkeys(bank._offsets_ns, 0.0)
+    bank._prior_of_offset = dict.fromkeys(bank._offsets_ns, 0.0)
     likeliest_ns = bank._offsets_ns[bank._best]
     estimator.navigator.continue_search()
     estimator._handle_notices()
@@ -369,9 +369,9 @@ def test_a_search_expects_the_given_offset_where_the_given_drift_has_taken_it() 
 
     assert {hypothesis.clock.drift for hypothesis in search.filters} == {0.01}
     expected = 0.1 + 0.01 * since - estimator.clock.offset
-    assert max(search._log_prior, key=search._log_prior.__getitem__) * 1e-9 == pytest.approx(
-        expected, abs=0.05
-    )
+    assert max(
+        search._prior_of_offset, key=search._prior_of_offset.__getitem__
+    ) * 1e-9 == pytest.approx(expected, abs=0.05)
 
 
 def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() -> None:

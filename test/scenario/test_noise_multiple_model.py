@@ -101,7 +101,7 @@ def test_a_slow_error_that_is_not_claimed_is_found_and_published() -> None:
     run = draw(replace(SCENE, duration=100.0), 2)
     slow = gauss_markov(2.0, np.exp(-0.2 / 100.0), len(run.fixes), np.random.default_rng(1))
     # WHEN the filter runs
-    ins, factors = fly(moved(run, slow))
+    ins, factors = fly(moved(run, slow), scatter=True)
     # THEN neither the IMU nor white noise is taken for it, and its size is published
     assert 0.7 < ins.noise.split.unclaimed_stds[0] < 4.0 and ins.noise.drifts_beyond_claim[0]
     assert np.median(factors[100:, :2]) < 3.0 and np.median(factors[100:, 2]) < 1.5
@@ -160,7 +160,7 @@ def test_a_slow_error_of_a_few_claims_is_found_and_none_where_there_is_none(
     run = moved(run, slow + white)
     run = replace(run, fixes=[replace(fix, covariance_n=claimed) for fix in run.fixes])
     # WHEN the filter runs
-    ins, _ = fly(run)
+    ins, _ = fly(run, scatter=True)
     # THEN it is known and published, or it is not
     assert (ins.noise.found.slow_probability > 0.5) == (slow_std > 0.0)
     assert any(ins.noise.drifts_beyond_claim) == (slow_std > 0.0)

@@ -208,9 +208,9 @@ class ClockCorrection:
         is_usable = sigma < USABLE or self.moved != 0.0
         if is_usable and abs(missing) > 0.3 * sigma and is_left:
             self._shift(running, missing)
-        if sigma < SETTLED and self._settled is None:
-            shown = self.offset + running.clock.residual
-            self._settled = ClockPrior(shown, running.clock.sigma, running.t_ns)
+        shown, known = running.clock, self._settled
+        if sigma < SETTLED and (known is None or shown.sigma < 0.5 * known.scale):
+            self._settled = ClockPrior(self.offset + shown.residual, shown.sigma, running.t_ns)
 
     def _shift(self, running: InsFilter, by: float) -> None:
         """Add some more [s] to the stamps of fixes."""
