@@ -39,6 +39,7 @@ Shares = tuple[float, float]
 
 SLOW_TIME = 100.0  # s, correlation time of the slow error
 SLOW_AXES = np.array([1.0, 1.0, 2.25])  # NED, of its variance where no claim gives them
+HEIGHT_RATIO = math.sqrt(SLOW_AXES[2])  # of the height's standard deviation
 LASTING = 30.0  # s; within `weights.MEMORY` other explanations come and go
 NO_GROWTH = np.zeros(3)  # m², of a slow error
 NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: another error
@@ -72,7 +73,7 @@ class SlowError(NamedTuple):
 
 def in_metres(slow_stds: Shares) -> Shares:
     """Return standard deviations of slow errors [m], see `PositionScatter.split`, by axis."""
-    return slow_stds[0], slow_stds[1] * math.sqrt(SLOW_AXES[2])
+    return slow_stds[0], slow_stds[1] * HEIGHT_RATIO
 
 
 @register_jitable

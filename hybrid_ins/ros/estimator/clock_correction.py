@@ -66,7 +66,7 @@ class ClockCorrection:
         self._given = values["gnss.time_offset.value"]
         self._estimate = values["gnss.time_offset.estimate"]
         self.moved = 0.0
-        self._settled: ClockPrior | None = None  # what showed once it was known well
+        self._settled: ClockPrior | None = None  # by the innovations, once they show it well
         self._axes_are_plausible = True
         self._std = values["gnss.time_offset.std"]
         self._given_drift = clock_drift(values)

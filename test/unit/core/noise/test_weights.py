@@ -13,8 +13,10 @@ from hybrid_ins.core.noise.hypotheses import (
     ON_HEIGHT,
     ON_VELOCITY,
     SLOW_HEIGHT_STD,
+    SLOW_RATIO,
     SLOW_STD,
     STAMP_STD,
+    claims_in_search,
 )
 from hybrid_ins.core.noise.weights import (
     DEAD_BAND,
@@ -156,3 +158,14 @@ def test_what_a_receiver_claims_contains_slow_errors_of_less_than_twice_that(
     assert np.all((weights > 0.0) == (of_all & of_heights))
     assert weights.sum() == pytest.approx(1.0)
     assert FAMILY_STD[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("claimed_std", "smallest"), [(0.01, 0.02), (0.1, 0.2), (0.3, 0.6), (1.0, 20.0), (2.0, 40.0)]
+)
+def test_in_a_search_uncorrected_receivers_contain_slow_errors_already(
+    claimed_std: float, smallest: float
+) -> None:
+    claims = np.array(claims_in_search(claimed_std, 1.5 * claimed_std))
+
+    assert SLOW_RATIO * claims == pytest.approx([smallest, 1.5 * smallest])
