@@ -44,6 +44,7 @@ MIN_SPEED = 2.0  # m/s, from which the velocity across the nose can prove anythi
 FREE_ANGLE = 0.1  # rad: of the velocity against the nose, where a vehicle moves freely
 SIDEWAYS = math.log(0.05)  # of a vehicle that moves freely: the probability of any direction
 SLIP_TIME = 0.3  # s, correlation time of slip and bumps
+SPRING_TIME = 3.0  # s, over which a body that pitches on its springs is averaged
 SQUAT_STD = 0.005  # rad per m/s², of the body's pitch by acceleration: cars have some 0.003
 STATE_TIME = 10.0  # s, of the errors of the filter's velocity and heading
 NOSE_TIME = 1.0  # s: an error of the nose is constant, but the state made it, and both cancel
@@ -125,6 +126,7 @@ class ConstraintObserver:
         self.slip, self.ratio = SlipEstimator(settings.std), SlipEstimator(np.ones(2))
         self.holds = settings.assumed
         self._to_turn = TURNED
+        self._pitched: float | None = None  # rad, nose above the path, averaged
 
     @property
     def sigma(self) -> Array:
@@ -161,6 +163,7 @@ class ConstraintObserver:
         """
         z, J, H, along = self._innovation(nav, rate_b)
         state = H @ covariance(nav) @ H.T
+        self._pitched = self._averaged(-z[1] / along, interval) if abs(along) > MIN_SPEED else None
         speed = math.sqrt(along**2 + float(z @ z))
         S, slip = state + J @ self._P @ J.T, self._slip
         held, _ = _log_density(z, S + np.diag(self._settings.std**2))
@@ -205,10 +208,11 @@ class ConstraintObserver:
         ``slip`` is the covariance (2, 2) of the velocity across the nose [(m/s)²]. Its errors and
         those of the nose last: they are made to count as white.
         """
-        _, J, _, _ = self._innovation(nav, rate_b)
+        z, J, _, along = self._innovation(nav, rate_b)
+        swing = 0.0 if self._pitched is None else -z[1] / along - self._pitched
         R = inflated(J @ self._P @ J.T, NOSE_TIME, interval)
         R = R + inflated(slip, SLIP_TIME, interval)
-        return NonHolonomic(t_ns, rate_b, self.nose, R, J @ self._by_scale)
+        return NonHolonomic(t_ns, rate_b, self.nose, R, swing, J @ self._by_scale)
 
     def _innovation(self, nav: Array, rate_b: Array) -> tuple[Array, Array, Array, float]:
         """Innovation (2,), its derivatives by the nose (2, 4) and the state (2, 15), the speed."""
@@ -222,6 +226,11 @@ class ConstraintObserver:
         J[1, 3] = -speed * self.nose.acceleration(nav)
         H = axes @ by_error
         return -axes @ velocity_b, J, H, speed
+
+    def _averaged(self, pitched: float, interval: float) -> float:
+        """Return the mean of an angle [rad] over the last seconds."""
+        before = pitched if self._pitched is None else self._pitched
+        return before + interval / SPRING_TIME * (pitched - before)
 
     def _learn(self, z: Array, J: Array, R: Array, by_scale: Array) -> None:
         """Correct the nose by an innovation, whose derivative by scale errors is ``by_scale``."""

@@ -86,6 +86,7 @@ class NonHolonomic:
     rate_b: Array  # (3,) rad/s, the gyroscopes' reading
     nose: Nose
     covariance: Array  # (2, 2) (m/s)², to the right and down
+    swing: float = 0.0  # rad, by which the body is pitched up on its springs, against its mean
     by_scale: Array = field(default_factory=lambda: np.zeros((2, N_SCALE)))
     # derivative of z by the scale errors that the nose contains, see `ScaleErrorObserver`
 
@@ -97,12 +98,14 @@ class NonHolonomic:
         """
         See `Measurement.linearise`; [1]_ eq. 15.14.
 
-        A body that squats has its velocity in its axis down, too, but the speed is not read off
-        it: the error of the squat, which lasts, would be one of the speed.
+        A body that squats, or swings on its springs, has its velocity in its axis down, too, but
+        the speed is not read off it. The error of the squat, which lasts, would be one of the
+        speed. And each swing would show, by the same angle in z and H, that there is no speed.
         """
         velocity_b, by_error = point_velocity(nav, self.rate_b, self.nose.point_b)
         squatting = self.nose.squatting(nav)
-        return -squatting.axes @ velocity_b, self.nose.axes @ by_error, self.covariance
+        still = replace(self.nose, pitch=self.nose.pitch - self.swing)
+        return -squatting.axes @ velocity_b, still.axes @ by_error, self.covariance
 
 
 def point_velocity(nav: Array, rate_b: Array, point_b: Array) -> tuple[Array, Array]:

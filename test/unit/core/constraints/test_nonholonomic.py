@@ -210,6 +210,28 @@ def test_the_speed_is_not_read_off_the_squat() -> None:
     np.testing.assert_allclose(H[:, DV] @ C_bn.T @ nose.forward, 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("lasting", [0.0, 0.01])
+def test_the_speed_is_not_read_off_the_swing_on_the_springs(lasting: float) -> None:
+    """
+    GIVEN a body that pitches by 0.5° at 1 Hz, at 16 m/s, about a nose that may be wrong
+    WHEN it is constrained for half a minute
+    THEN no swing tells the speed along the path: z is the same angle, and would tell zero.
+    A path that is off for long does not turn the axes.
+    """
+    observer, interval, along = new_observer(), 0.5, []
+    for k in range(60):
+        pitch = 0.009 * np.sin(2.0 * np.pi * 1.1 * interval * k)
+        path = 16.0 * np.array([1.0, 0.0, lasting])
+        nav = flat_state(path, np.array([0.0, pitch, 0.0]), np.zeros(3), std=0.01)
+        nav[ACCELERATION] = nav[BIAS_G] = 0.0
+        observer.observe(nav, np.zeros(3), interval, fused=True)
+        constraint = observer.measurement(0, nav, np.zeros(3), interval, np.eye(2))
+        H = constraint.linearise(nav)[1][1, DV]
+        along.append(H @ [1.0, 0.0, 0.0])
+
+    np.testing.assert_allclose(along[20:], 0.0, atol=2e-3)
+
+
 @pytest.mark.parametrize("answer", [0.02, 0.05, 0.15])
 def test_how_far_a_model_of_slip_is_off_is_found(answer: float) -> None:
     """GIVEN slip of 0.05 m/s and a model that answers otherwise."""
