@@ -124,6 +124,7 @@ def calibrate(
         max(values["imu.accelerometer_bias_walk"], 1e-6),
         max(values["imu.gyroscope_bias_walk"], 1e-8),
         *conversions.first_biases(values),
+        values["imu.scale_std"],
     )
     is_given = nominal.antenna_is_given
     read = [read_levels(recording, values, log) for recording in recordings]
@@ -294,7 +295,7 @@ def add_biases(
         else:
             verdict = "weak" if np.any(known) else "not identifiable"
             unknown = "/".join(axis for axis, k in zip(AXES, known, strict=True) if not k)
-            note = f"{unknown} not separable from tilt with this motion"
+            note = f"{unknown} not separable from tilt with this motion, or another at each start"
         text = ", ".join(f"{v:+.{places}f}" for v in mean)
         names = f"imu.{sensor}_bias", f"imu.{sensor}_bias_std"
         values = {name: found.values[name] for name in names}

@@ -48,6 +48,7 @@ class Nominal:
     bias_a_std: Array  # (3,) m/s²
     bias_g: Array  # (3,) rad/s, b
     bias_g_std: Array  # (3,) rad/s
+    scale_std: float = 0.0  # of the IMU's scale factors
 
     @property
     def antenna_is_given(self) -> bool:

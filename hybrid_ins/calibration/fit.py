@@ -32,6 +32,7 @@ from hybrid_ins.calibration.likelihood import (
     COARSE_PSD_G,
     COARSE_SLOW,
     LEVER,
+    SCALE,
     SLOW_SHARE,
     VELOCITY_AGE,
     VELOCITY_AGES,
@@ -165,11 +166,13 @@ def fit(
     if VELOCITY_AGE not in held:
         age = fine.likeliest(x, VELOCITY_AGE, VELOCITY_AGES)
         x[fine.names.index(VELOCITY_AGE)] = age
+    held |= set(SCALE) & set(fine.names)
     fine.frozen = held | {"walk_a", "walk_g"}
     x, _ = climb(fine, x)
     fine.choose_yaws(x, 0.1)
     fine.frozen = held
     x, converged = settle_offsets(fine, *climb(fine, x))
+    x = _beside_scale(fine, x)
     std = own = uncertainty(fine, x)
     known = _by_name(fine.names, identified_std)
     keep = np.array([name in held for name in fine.names])
@@ -187,12 +190,12 @@ def fit(
         std = np.where(weak & ~keep, np.hypot(std, x - nominal_x), std)
         keep |= weak
         fine.frozen = frozenset(np.array(fine.names)[keep].tolist())
-        x, converged = maximise(fine, np.where(keep, nominal_x, x))
+        x, converged = _ascend(fine, np.where(keep, nominal_x, x))
         own = np.where(keep, std, uncertainty(fine, x))
         std = _considered(fine, own, _errors_of_held(fine, x, own, "offset", "lever"))
     drift = Drift(0.0, math.inf)
     if all(std[i] <= known[i] for i in fine.offsets):
-        x, refitted, drift = remove_drift(fine, x, partial(maximise, fine))
+        x, refitted, drift = remove_drift(fine, x, partial(_ascend, fine))
     if drift.value:
         converged = refitted
         own = np.where(keep, std, uncertainty(fine, x))
@@ -214,6 +217,27 @@ def fit(
     )
 
 
+def _ascend(likelihood: Likelihood, x: Array) -> tuple[Array, bool]:
+    """Return what `maximise` does, and then `_beside_scale`."""
+    x, converged = maximise(likelihood, x)
+    return _beside_scale(likelihood, x), converged
+
+
+def _beside_scale(likelihood: Likelihood, x: Array) -> Array:
+    """
+    Return ``x`` with clocks and lever arm as they are beside errors of the IMU's scale factors.
+
+    In turns, and where the vehicle tilts, these do something similar. The noise is that of a filter
+    that ignores them, and so are the parameters that are returned: nobody would correct the IMU.
+    """
+    frozen, names = likelihood.frozen, likelihood.names
+    varied = {names[i] for i in likelihood.offsets} | {*LEVER, VELOCITY_AGE}
+    likelihood.frozen = (frozen | set(names) - varied) - set(SCALE)
+    beside, _ = maximise(likelihood, x)
+    likelihood.frozen = frozen
+    return np.array([0.0 if n in SCALE else v for n, v in zip(names, beside, strict=True)])
+
+
 def _by_name(names: Sequence[str], limits: Mapping[str, float]) -> Array:
     """Return a limit for each parameter; infinite where there is none."""
     return np.array(
@@ -228,12 +252,15 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     The outer products of the scores of single measurements are the information [2]_; those of
     sums over a few seconds, assumed to be independent, are the covariance of the scores [1]_.
     That of a clock offset is no smaller than what the motion shows of it, nor that of an antenna's
-    place than what it shows of the direction of its arm.
+    place than what it shows of the direction of its arm. Scale errors of the IMU are unknown.
     """
+    frozen = likelihood.frozen
+    likelihood.frozen = frozen - set(SCALE)
     free = likelihood.free()
     scatter = np.zeros((len(free), len(free)))
     blocks = 0
     _, slopes = likelihood.scores(x)
+    likelihood.frozen = frozen
     for k, recording in enumerate(likelihood.recordings):
         sums = sums_of_blocks(recording, slopes[k])
         sums = sums[:, free] - sums[:, free].mean(axis=0)

@@ -17,7 +17,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
 from typing import Any
@@ -37,6 +37,7 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.sensor_errors.clock_offset import VELOCITY_AGE_STD
 from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
+from hybrid_ins.core.sensor_errors.scale_errors import AXES
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,8 @@ SLOW_SHARE = "gnss_slow"  # logarithm of the slow error's share of the claimed v
 POSITION_SCALE, VELOCITY_SCALE = "position_scale", "velocity_scale"  # logarithms, of covariances
 VELOCITY_AGE = "velocity_age"  # s, how much younger velocities are than positions with their stamp
 VELOCITY_AGES = np.linspace(-0.4, 0.2, 13)
+SCALE = tuple(f"scale_{sensor}_{i}{j}" for sensor, i, j in product("ag", "xyz", "xyz"))
+"""Elements of M_a and M_g, see `scale_errors`."""
 FOLLOW = ("follow_a", "follow_g")  # powers of the loudness of the samples
 YAWS = 12  # headings that the coarse search starts with
 COARSE_YAW_STD = 0.3  # rad, of each
@@ -90,6 +93,12 @@ def model_by(value: Callable[[str], float]) -> Model:
         math.exp(value(SLOW_SHARE)),
         value(VELOCITY_AGE),
     )
+
+
+def _scale_stds(nominal: Nominal) -> Iterator[tuple[str, float]]:
+    """Yield the elements of scale errors with their standard deviations, where there are any."""
+    for name in SCALE if nominal.scale_std else ():
+        yield name, nominal.scale_std * (1.0 if name[-1] == name[-2] else AXES)
 
 
 def offset_name(recording: int, names: Sequence[str]) -> str:
@@ -141,10 +150,12 @@ class Likelihood:
             *(Prior(name, 0.0, 1.0, 0.05) for name in (POSITION_SCALE, VELOCITY_SCALE)),
             Prior(SLOW_SHARE, math.log(LITTLE_SLOW), 2.0 * LN10, 0.1),
             Prior(VELOCITY_AGE, 0.0, VELOCITY_AGE_STD, 0.001),
+            *(Prior(name, 0.0, std, 0.2 * std) for name, std in _scale_stds(nominal)),
         )
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
         self.offsets = range(len(offsets))
+        self._scale = [self._at[name] for name in SCALE if name in self._at]
         # Where the IMU is shaken the likelihood of an offset has the period of the samples. That of
         # an antenna may be many times narrower than its step, and information leads nowhere then.
         self._differences = [
@@ -186,7 +197,18 @@ class Likelihood:
         model = model_by(partial(self.value, x))
         first = self._first_state(k, self.value(x, offset_name(k, self.names)))
         noise = self._noise(k, *model.follow)
-        return run_filter(self.recordings[k], first, model, noise, yaw, YAW_STD, keep_states)
+        recording = self._with_scale(self.recordings[k], x)
+        return run_filter(recording, first, model, noise, yaw, YAW_STD, keep_states)
+
+    def _with_scale(self, recording: Recording, x: Array) -> Recording:
+        """Return a recording without the scale errors in ``x``."""
+        m = x[self._scale]
+        if not m.any():
+            return recording
+        samples = recording.samples.copy()
+        for sensor, M in zip((slice(0, 3), slice(3, 6)), m.reshape(2, 3, 3), strict=True):
+            samples[:, sensor] -= recording.samples[:, sensor] @ M.T
+        return replace(recording, samples=samples)
 
     def coarse(self, grid: Array) -> Array:
         """Return the log-likelihood (recordings, G) over clock offsets, averaged over headings."""
