@@ -23,7 +23,7 @@ from hybrid_ins.core.inertial.rotations import (
 
 Array = NDArray[np.float64]
 
-REPEATABILITY = 0.06, 3e-3  # m/s², rad/s: prior of the biases' change from start to start, of MEMS
+REPEATABILITY = 0.06, 2e-3  # m/s², rad/s: prior of the biases' change from start to start, of MEMS
 PRIOR_STARTS = 1.0  # number of recordings to which this prior is equivalent
 
 

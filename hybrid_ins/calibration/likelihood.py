@@ -101,6 +101,16 @@ def _scale_stds(nominal: Nominal) -> Iterator[tuple[str, float]]:
         yield name, nominal.scale_std * (1.0 if name[-1] == name[-2] else AXES)
 
 
+def _without_scale_errors(recording: Recording, m: Array) -> Recording:
+    """Return a recording whose samples lack scale errors, shape (18,) or (0,)."""
+    if not m.any():
+        return recording
+    samples = recording.samples.copy()
+    for sensor, M in zip((slice(0, 3), slice(3, 6)), m.reshape(2, 3, 3), strict=True):
+        samples[:, sensor] -= recording.samples[:, sensor] @ M.T
+    return replace(recording, samples=samples)
+
+
 def offset_name(recording: int, names: Sequence[str]) -> str:
     """Return the name of a recording's clock offset: its own, or the common one."""
     return f"offset_{recording}" if f"offset_{recording}" in names else "offset"
@@ -136,12 +146,12 @@ class Likelihood:
         self.nominal = nominal
         self.yaws = [0.0] * len(recordings)
         offsets = [f"offset_{k}" for k in range(len(recordings))] if own_offsets else ["offset"]
-        lever, std = nominal.lever_b, GIVEN_STD if nominal.antenna_is_given else PRIOR_STD
+        std = GIVEN_STD if nominal.antenna_is_given else PRIOR_STD
         self.period = max(recording.period for recording in recordings)
         step = self.period * math.ceil(OFFSET_STEP / self.period)
         self.prior = (
             *(Prior(name, nominal.time_offset, 1.0, step) for name in offsets),
-            *(Prior(n, x, std, 0.01) for n, x in zip(LEVER, lever.tolist(), strict=True)),
+            *(Prior(n, x, std, 0.01) for n, x in zip(LEVER, nominal.lever_b.tolist(), strict=True)),
             Prior("psd_a", math.log(nominal.psd_a), 2.0 * LN10, 0.1),
             Prior("psd_g", math.log(nominal.psd_g), 2.0 * LN10, 0.1),
             Prior("walk_a", math.log(nominal.walk_a), 0.7 * LN10, 0.2),
@@ -162,7 +172,7 @@ class Likelihood:
             CENTRAL if i in self.offsets or name in LEVER else FORWARD
             for i, name in enumerate(self.names)
         ]
-        self._is_forward = np.array([ends is FORWARD for ends in self._differences])
+        self._is_forward = np.array([e is FORWARD for e in self._differences])
         self.frozen: frozenset[str] = frozenset()
         self._by_yaw: list[Array] = []  # (G, YAWS) of the coarse search, by recording
         self.on_pass: Callable[[], None] = lambda: None
@@ -170,13 +180,10 @@ class Likelihood:
         # A search moves one parameter at a time: most passes begin as the last one did.
         kept = lru_cache(4 * len(recordings))
         self._first_state = kept(self._find_first_state)
-        self._noise = kept(self._find_noise)
+        self._noise = kept(lambda k, *follow: self.recordings[k].noise(*follow))
 
     def _find_first_state(self, k: int, offset: float) -> FirstState:
         return first_state(self.recordings[k], offset, self.nominal)
-
-    def _find_noise(self, k: int, follow_a: float, follow_g: float) -> Array:
-        return self.recordings[k].noise(follow_a, follow_g)
 
     def use(self, recordings: Sequence[Recording]) -> None:
         """Replace the recordings by others of the same motions."""
@@ -197,18 +204,8 @@ class Likelihood:
         model = model_by(partial(self.value, x))
         first = self._first_state(k, self.value(x, offset_name(k, self.names)))
         noise = self._noise(k, *model.follow)
-        recording = self._with_scale(self.recordings[k], x)
-        return run_filter(recording, first, model, noise, yaw, YAW_STD, keep_states)
-
-    def _with_scale(self, recording: Recording, x: Array) -> Recording:
-        """Return a recording without the scale errors in ``x``."""
-        m = x[self._scale]
-        if not m.any():
-            return recording
-        samples = recording.samples.copy()
-        for sensor, M in zip((slice(0, 3), slice(3, 6)), m.reshape(2, 3, 3), strict=True):
-            samples[:, sensor] -= recording.samples[:, sensor] @ M.T
-        return replace(recording, samples=samples)
+        right = _without_scale_errors(self.recordings[k], x[self._scale])
+        return run_filter(right, first, model, noise, yaw, YAW_STD, keep_states)
 
     def coarse(self, grid: Array) -> Array:
         """Return the log-likelihood (recordings, G) over clock offsets, averaged over headings."""

@@ -220,7 +220,7 @@ def test_a_nose_that_contains_scale_errors_is_fused_as_what_it_is() -> None:
     by_scale, rate_b = 0.02 * rng.standard_normal((2, N_SCALE)), samples["w"][100]
     x, y, z_ahead = matrix_from_quat(ins.nav[QUAT]).T @ ins.nav[VELOCITY]
     nose = Nose(np.arctan2(y, x) + 0.01, -np.arctan2(z_ahead, np.hypot(x, y)), np.zeros(3))
-    constraint = NonHolonomic(ins.t_ns, rate_b, nose, np.diag([0.04, 0.09]), by_scale)
+    constraint = NonHolonomic(ins.t_ns, rate_b, nose, np.diag([0.04, 0.09]), by_scale=by_scale)
     joint = np.eye(N_ERROR + N_SCALE)
     joint[:N_ERROR, :N_ERROR] = covariance(ins.nav)
     joint[:N_ERROR, N_ERROR:] = observer(ins).correlation
