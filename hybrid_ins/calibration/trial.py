@@ -190,7 +190,10 @@ class Comparison:
     def objection(self) -> str:
         """Return why the second set should not replace the first; empty where it may."""
         if self.is_blind and not self.covered[0] == 0.0 < self.covered[1]:
-            return f"not compared with the given parameters: {NOTHING_COMPARED}: record longer"
+            return (
+                f"not compared with the given parameters: {NOTHING_COMPARED}: record longer, with "
+                "turns and changes of speed"
+            )
         worse = self._worse()
         return f"worse than the given parameters: {worse}" if worse else ""
 
@@ -219,9 +222,12 @@ class Comparison:
             f"these are {self.rms[0]:.3f} -> {self.rms[1]:.3f} m off, NIS/dof "
             f"{self.nis[0]:.2f} -> {self.nis[1]:.2f} (1 expected)"
         )
+        aligned = "the filter is aligned for {} -> {} of the time".format(
+            *map(_percent, self.covered)
+        )
         return (
             "replayed with every fourth 2 s of fixes withheld: "
-            f"{NOTHING_COMPARED if self.is_blind else errors}; "
+            f"{f'{NOTHING_COMPARED}: {aligned}' if self.is_blind else errors}; "
             f"fixes used {_percent(self.used[0])} -> {_percent(self.used[1])}"
         )
 
