@@ -23,8 +23,8 @@ from hybrid_ins.core.inertial.rotations import (
 
 Array = NDArray[np.float64]
 
-REPEATABILITY = 0.06, 2e-3  # m/s², rad/s: prior of the biases' change from start to start, of MEMS
-PRIOR_STARTS = 1.0  # number of recordings to which this prior is equivalent
+REPEATABILITY = 0.03, 1e-3  # m/s², rad/s: prior of the biases' change from start to start
+PRIOR_STARTS = 2.0  # number of recordings to which this prior is equivalent
 
 
 def mean_rotation(quats_xyzw: Array) -> tuple[Array, float]:
