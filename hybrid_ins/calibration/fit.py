@@ -227,10 +227,12 @@ def _beside_scale(likelihood: Likelihood, x: Array) -> Array:
     """
     Return ``x`` with clocks and lever arm as they are beside errors of the IMU's scale factors.
 
-    In turns, and where the vehicle tilts, these do something similar. The noise is that of a filter
-    that ignores them, and so are the parameters that are returned: nobody would correct the IMU.
+    In turns, and where the vehicle tilts, these do something similar. The noise stays that of a
+    filter that ignores them, and they are zero in what is returned: nobody would correct the IMU.
     """
     frozen, names = likelihood.frozen, likelihood.names
+    if not set(SCALE) & set(names):
+        return x
     varied = {names[i] for i in likelihood.offsets} | {*LEVER, VELOCITY_AGE}
     likelihood.frozen = (frozen | set(names) - varied) - set(SCALE)
     beside, _ = maximise(likelihood, x)

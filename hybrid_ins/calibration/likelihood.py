@@ -37,7 +37,7 @@ from hybrid_ins.calibration.innovations import POSITION
 from hybrid_ins.calibration.recording import Recording
 from hybrid_ins.core.sensor_errors.clock_offset import VELOCITY_AGE_STD
 from hybrid_ins.core.sensor_errors.lever_arm import PRIOR_STD
-from hybrid_ins.core.sensor_errors.scale_errors import AXES
+from hybrid_ins.core.sensor_errors.scale_errors import SHARES
 
 Array = NDArray[np.float64]
 
@@ -95,12 +95,6 @@ def model_by(value: Callable[[str], float]) -> Model:
     )
 
 
-def _scale_stds(nominal: Nominal) -> Iterator[tuple[str, float]]:
-    """Yield the elements of scale errors with their standard deviations, where there are any."""
-    for name in SCALE if nominal.scale_std else ():
-        yield name, nominal.scale_std * (1.0 if name[-1] == name[-2] else AXES)
-
-
 def _without_scale_errors(recording: Recording, m: Array) -> Recording:
     """Return a recording whose samples lack scale errors, shape (18,) or (0,)."""
     if not m.any():
@@ -149,6 +143,7 @@ class Likelihood:
         std = GIVEN_STD if nominal.antenna_is_given else PRIOR_STD
         self.period = max(recording.period for recording in recordings)
         step = self.period * math.ceil(OFFSET_STEP / self.period)
+        scale_stds = (nominal.scale_std * SHARES).tolist()
         self.prior = (
             *(Prior(name, nominal.time_offset, 1.0, step) for name in offsets),
             *(Prior(n, x, std, 0.01) for n, x in zip(LEVER, nominal.lever_b.tolist(), strict=True)),
@@ -160,7 +155,7 @@ class Likelihood:
             *(Prior(name, 0.0, 1.0, 0.05) for name in (POSITION_SCALE, VELOCITY_SCALE)),
             Prior(SLOW_SHARE, math.log(LITTLE_SLOW), 2.0 * LN10, 0.1),
             Prior(VELOCITY_AGE, 0.0, VELOCITY_AGE_STD, 0.001),
-            *(Prior(name, 0.0, std, 0.2 * std) for name, std in _scale_stds(nominal)),
+            *(Prior(n, 0.0, s, 0.2 * s) for n, s in zip(SCALE, scale_stds, strict=True) if s),
         )
         self.names = tuple(p.name for p in self.prior)
         self._at = {name: k for k, name in enumerate(self.names)}
@@ -172,7 +167,7 @@ class Likelihood:
             CENTRAL if i in self.offsets or name in LEVER else FORWARD
             for i, name in enumerate(self.names)
         ]
-        self._is_forward = np.array([e is FORWARD for e in self._differences])
+        self._is_forward = np.array([ends is FORWARD for ends in self._differences])
         self.frozen: frozenset[str] = frozenset()
         self._by_yaw: list[Array] = []  # (G, YAWS) of the coarse search, by recording
         self.on_pass: Callable[[], None] = lambda: None

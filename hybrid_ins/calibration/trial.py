@@ -218,17 +218,18 @@ class Comparison:
 
     def text(self) -> str:
         """Return a line for the user."""
-        errors = (
+        outcome = (
             f"these are {self.rms[0]:.3f} -> {self.rms[1]:.3f} m off, NIS/dof "
             f"{self.nis[0]:.2f} -> {self.nis[1]:.2f} (1 expected)"
         )
-        aligned = "the filter is aligned for {} -> {} of the time".format(
-            *map(_percent, self.covered)
-        )
+        if self.is_blind:
+            before, after = map(_percent, self.covered)
+            outcome = (
+                f"{NOTHING_COMPARED}: the filter is aligned for {before} -> {after} of the time"
+            )
         return (
             "replayed with every fourth 2 s of fixes withheld: "
-            f"{f'{NOTHING_COMPARED}: {aligned}' if self.is_blind else errors}; "
-            f"fixes used {_percent(self.used[0])} -> {_percent(self.used[1])}"
+            f"{outcome}; fixes used {_percent(self.used[0])} -> {_percent(self.used[1])}"
         )
 
 
