@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.calibration.likelihood import Likelihood
+from hybrid_ins.calibration.likelihood import Likelihood, holding
 
 Array = NDArray[np.float64]
 
@@ -78,11 +78,8 @@ def settle_offsets(likelihood: Likelihood, x: Array, converged: bool) -> tuple[A
     smooth = _smooth_offsets(likelihood, x)
     if np.all(smooth == x):
         return x, converged
-    frozen = likelihood.frozen
-    likelihood.frozen = frozen | {likelihood.names[i] for i in likelihood.offsets}
-    x, converged = maximise(likelihood, smooth)
-    likelihood.frozen = frozen
-    return x, converged
+    with holding(likelihood, likelihood.frozen | {likelihood.names[i] for i in likelihood.offsets}):
+        return maximise(likelihood, smooth)
 
 
 def _smooth_offsets(likelihood: Likelihood, x: Array) -> Array:

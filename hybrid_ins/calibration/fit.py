@@ -40,6 +40,7 @@ from hybrid_ins.calibration.likelihood import (
     YAWS,
     Likelihood,
     Prior,
+    holding,
     model_by,
     offset_name,
     sums_of_blocks,
@@ -230,13 +231,12 @@ def _beside_scale(likelihood: Likelihood, x: Array) -> Array:
     In turns, and where the vehicle tilts, these do something similar. The noise stays that of a
     filter that ignores them, and they are zero in what is returned: nobody would correct the IMU.
     """
-    frozen, names = likelihood.frozen, likelihood.names
+    names = likelihood.names
     if not set(SCALE) & set(names):
         return x
     varied = {names[i] for i in likelihood.offsets} | {*LEVER, VELOCITY_AGE}
-    likelihood.frozen = (frozen | set(names) - varied) - set(SCALE)
-    beside, _ = maximise(likelihood, x)
-    likelihood.frozen = frozen
+    with holding(likelihood, (likelihood.frozen | set(names) - varied) - set(SCALE)):
+        beside, _ = maximise(likelihood, x)
     return np.array([0.0 if n in SCALE else v for n, v in zip(names, beside, strict=True)])
 
 
@@ -256,13 +256,11 @@ def uncertainty(likelihood: Likelihood, x: Array) -> Array:
     That of a clock offset is no smaller than what the motion shows of it, nor that of an antenna's
     place than what it shows of the direction of its arm. Scale errors of the IMU are unknown.
     """
-    frozen = likelihood.frozen
-    likelihood.frozen = frozen - set(SCALE)
-    free = likelihood.free()
+    with holding(likelihood, likelihood.frozen - set(SCALE)):
+        free = likelihood.free()
+        _, slopes = likelihood.scores(x)
     scatter = np.zeros((len(free), len(free)))
     blocks = 0
-    _, slopes = likelihood.scores(x)
-    likelihood.frozen = frozen
     for k, recording in enumerate(likelihood.recordings):
         sums = sums_of_blocks(recording, slopes[k])
         sums = sums[:, free] - sums[:, free].mean(axis=0)
@@ -297,9 +295,8 @@ def _errors_of_held(likelihood: Likelihood, x: Array, std: Array, *held: str) ->
     wrong = [k for k, n in enumerate(likelihood.names) if n in frozen and n.startswith(held)]
     errors = np.zeros((len(wrong), len(x)))
     if wrong:
-        likelihood.frozen = frozen - {likelihood.names[k] for k in wrong}
-        rows = np.vstack(likelihood.scores(x)[1])
-        likelihood.frozen = frozen
+        with holding(likelihood, frozen - {likelihood.names[k] for k in wrong}):
+            rows = np.vstack(likelihood.scores(x)[1])
         precision = np.array([p.std for p in likelihood.prior]) ** -2.0
         information = rows.T @ rows + np.diag(precision)
         moved = np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, wrong)])

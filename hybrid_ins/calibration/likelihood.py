@@ -17,6 +17,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -359,3 +360,13 @@ class Likelihood:
         middle = 0.5 * np.array([p.step for p in self.prior]) * self._is_forward
         total = np.sum(rows, axis=0) + middle * np.sum(rows**2, axis=0)
         return np.asarray(total - self._from_prior(x) / [p.std for p in self.prior])
+
+
+@contextmanager
+def holding(likelihood: Likelihood, names: Iterable[str]) -> Iterator[None]:
+    """Vary all parameters but those of these names, until the block ends."""
+    before, likelihood.frozen = likelihood.frozen, frozenset(names)
+    try:
+        yield
+    finally:
+        likelihood.frozen = before

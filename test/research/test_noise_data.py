@@ -1,12 +1,14 @@
 """The paper's data set and the randomised windows: labels that mean what they say."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from tools.regressor import noise_data, noise_randomised, noise_trials
 from tools.regressor.noise_randomised import Mix
 
-CALM = Mix(0, 0, 0, 0, 0, 0, 0, 0, 0)
+CALM = Mix(*([0.0] * len(fields(Mix))))
 
 
 @pytest.mark.parametrize("name", noise_data.PAPER_TRAJECTORIES)
@@ -111,12 +113,21 @@ def test_calm_windows_are_white_with_their_label():
 
 
 def test_switching_windows_are_labelled_with_the_level_at_their_end():
-    mix = CALM.__class__(0, 0, 0, 0, 1.0, 0, 0, 0, 0)
+    mix = replace(CALM, switching=1.0)
     data = noise_randomised.randomised_set(seed=1, count=20000, mix=mix)
     ratio = np.mean(data.readings[:, -3:].astype(float) ** 2, axis=1) / data.variance
     start = np.mean(data.readings[:, :3].astype(float) ** 2, axis=1) / data.variance
     assert np.median(ratio) == pytest.approx(0.79, abs=0.1)  # median of chi-square(3) / 3
     assert np.quantile(start, 0.9) > 10.0
+
+
+def test_rough_ground_falls_to_the_floor_of_the_noise():
+    data = noise_randomised.randomised_set(seed=1, count=4000, mix=replace(CALM, shaken=1.0))
+    readings = data.readings / np.sqrt(data.variance)[:, None]
+    spectrum = np.abs(np.fft.rfft(readings * np.hanning(200), axis=1)) ** 2
+    spectrum /= np.sum(np.hanning(200) ** 2)
+    assert np.median(spectrum[:, :10].max(axis=1)) > 300.0
+    assert 0.8 < np.median(spectrum[:, 90:].mean(axis=1)) < 2.0
 
 
 def test_repeated_samples():
@@ -128,7 +139,7 @@ def test_repeated_samples():
 
 
 def test_everything_at_once_is_finite_and_covers_bad_windows():
-    data = noise_randomised.randomised_set(seed=5, count=3000, mix=Mix(*([0.9] * 9)))
+    data = noise_randomised.randomised_set(seed=5, count=3000, mix=Mix(*([0.9] * len(fields(Mix)))))
     assert np.isfinite(data.readings).all()
     assert (data.variance > 0).all()
 

@@ -21,14 +21,16 @@ class Mix:
     coloured : share of windows whose noise is not white (low-passed, vibration, blue, AR). Most
         are white: a network takes steady white noise for another as often as its training does.
     moving : share with random motion; manoeuvring : share with steps, bumps, ramps or shocks.
+    shaken : share with the motion of a body on rough ground, which falls to the floor of the noise.
     toned : share with one to four vibration tones.
     switching : share whose variance changes inside the window.
     outliers, duplicates, clipped, quantised : shares of these sensor faults.
     """
 
-    coloured: float = 0.12
+    coloured: float = 0.2
     moving: float = 0.6
     manoeuvring: float = 0.25
+    shaken: float = 0.12
     toned: float = 0.25
     switching: float = 0.06
     outliers: float = 0.05
@@ -106,7 +108,8 @@ def _noise_spectrum(rng: np.random.Generator, frequency: Array, size: int) -> Ar
         rng.uniform(1.0, 4.0, size),
     )
     pole = rng.uniform(0.3, 0.8, size) * rng.choice((-1.0, 1.0), size)
-    autoregression = ar_spectrum(frequency, pole)
+    stages = rng.integers(1, 3, size)[:, None]
+    autoregression = ar_spectrum(frequency, pole) ** stages
     # Propellers under a sensor's own low-pass: a floor, a band of vibration, a falling end.
     spectra = np.choose(
         kind[:, None], (low_pass, vibration, blue, autoregression, vibration * low_pass)
@@ -135,6 +138,25 @@ def _motion_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Arra
     swing = log_uniform(rng, 0.1, 2.0, size)[:, None]
     seen = np.sin(swing * sines + 2.0 * np.pi * rng.random((size, 1))) / swing
     return np.asarray(np.choose(rng.integers(0, 3, size)[:, None], (motion, sines, seen)))
+
+
+def _shaken_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Array) -> Array:
+    """
+    Return the motion (B, N) of bodies on rough ground, beside noise of unit variance.
+
+    Random below 0.5 to 12 Hz, all of it or a band, with a power-law fall above. It falls by 25 to
+    70 dB and meets the noise below 0.4 cycles/sample: a floor is left. What falls by less may be
+    the noise of a sensor that smooths its readings.
+    """
+    frequency = shaping_grid(window)
+    corner = np.minimum(log_uniform(rng, 0.5, 12.0, size) / rate_hz, 0.1)
+    gain = log_uniform(rng, 300.0, 1e7, size)
+    shallowest = 0.5 * np.log(gain) / np.log(0.4 / corner)
+    order = np.maximum(shallowest, 0.8) * log_uniform(rng, 1.0, 3.0, size)
+    rise = rng.choice((0.0, 2.0), size)[:, None]
+    band = (frequency / np.hypot(frequency, corner[:, None])) ** rise
+    spectrum = band * low_pass_spectrum(frequency, corner, order)
+    return shaped_noise(rng, gain[:, None] * spectrum, window)
 
 
 def _manoeuvre_rows(rng: np.random.Generator, size: int, window: int) -> Array:
@@ -247,6 +269,8 @@ def randomised_set(
     rows = chosen(mix.manoeuvring)
     size = (log_uniform(rng, 1.0, 1e4, rows.size) * rng.choice((-1, 1), rows.size))[:, None]
     signal[rows] += size * _manoeuvre_rows(rng, rows.size, window)
+    rows = chosen(mix.shaken)
+    signal[rows] += _shaken_rows(rng, rows.size, window, rate_hz[rows])
     rows = chosen(mix.toned)
     size = log_uniform(rng, 0.3, 300.0, rows.size)[:, None]
     signal[rows] += size * _tone_rows(rng, rows.size, window, rate_hz[rows])

@@ -74,14 +74,16 @@ one sample in that unit squared. Subtract its mean in double precision before: f
 small noise on it.
 
 Trained on synthetic windows only (`tools.regressor.noise_randomised.randomised_set`), never on the
-paper's set: 100-1000 Hz, motion, manoeuvres, tones, coloured noise, switching levels, outliers,
-repeated samples, clipping, quantisation.
+paper's set: 100-1000 Hz, motion, rough ground, manoeuvres, tones, coloured noise, switching levels,
+outliers, repeated samples, clipping, quantisation.
 
 **Limits.** Noise cannot be separated where motion and vibration leave no gap in the spectrum:
 pulse trains (an engine's strokes), jumps every few samples and strong random resonances are taken
-for noise, which makes the filter cautious (tables below). Repeated samples are removed: the
-estimate is that of the readings before repetition. A window that ends less than about 20 samples
-after a change of level shows the old level. The result must not be below LSB²/12."""
+for noise, which makes the filter cautious (tables below). Noise that falls by more than about 20 dB
+from its plateau to a floor, as of a driver that smooths twice, is taken for motion. Repeated
+samples are removed: the estimate is that of the readings before repetition. A window that ends less
+than about 20 samples after a change of level shows the old level. The result must not be below
+LSB²/12."""
 
 
 TEXTS = {"plateau": PLATEAU_TEXT, "paper": PAPER_TEXT, "spectral": SPECTRAL_TEXT}

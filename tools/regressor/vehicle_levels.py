@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import bilinear, lfilter
 
 from hybrid_ins.cli import options, program
 from hybrid_ins.noise_regressor.models import NoiseRegressor
@@ -64,9 +65,24 @@ def agile_flight(duration: float, seed: int) -> Motion:
     return motion_through(t, velocity_n, attitude, START_LLA)
 
 
+def rough_drive(duration: float, seed: int) -> Motion:
+    """Drive a small robot over rough ground: on its tyres it rolls and pitches by 1°, at 2 Hz."""
+    t = time_grid(duration)
+    rng = np.random.default_rng(seed)
+    turning = rng.normal(0.0, 0.3, t.size // 100 + 1)[np.arange(t.size) // 100]
+    course = integral(smoothed(turning, 1.0))
+    resonance, damping = 2.0 * np.pi * 2.0, 0.3
+    tyres = bilinear([resonance**2], [1.0, 2.0 * damping * resonance, resonance**2], 1.0 / t[1])
+    tilt = lfilter(*tyres, rng.standard_normal((t.size, 2)), axis=0)
+    tilt *= np.radians(1.0) / np.std(tilt)
+    velocity_n = 1.2 * np.stack((np.cos(course), np.sin(course), 0.0 * course), axis=1)
+    return motion_through(t, velocity_n, np.column_stack((tilt, course)), START_LLA)
+
+
 MOTIONS: dict[str, Callable[[float, int], Motion]] = {
     "standing": lambda duration, seed: static(duration, heading=float(seed)),
     "car": lambda duration, seed: city_car(duration, seed, rest=0.0),
+    "robot on rough ground": rough_drive,
     "quadrotor": lambda duration, seed: quadrotor_flight(duration, seed, rest=0.0),
     "agile quadrotor": agile_flight,
 }

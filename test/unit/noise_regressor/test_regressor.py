@@ -243,12 +243,12 @@ def moving(regressor, motion, rate, level):
 
 @pytest.mark.parametrize("level", [1e-2, 1e-5])
 @pytest.mark.parametrize("rate", [100.0, 200.0])
-@pytest.mark.parametrize("motion", ["car", "agile quadrotor"])
+@pytest.mark.parametrize("motion", ["car", "robot on rough ground", "agile quadrotor"])
 def test_motion_is_not_taken_for_noise(plateau, motion, rate, level):
     accelerometer, gyroscope = moving(plateau, motion, rate, level)
     assert accelerometer[0] < 1.1 and accelerometer[1] < 1.4
     assert gyroscope[0] < 1.5
-    if (motion, rate, level) != ("agile quadrotor", 100.0, 1e-5):  # turns fill the whole band
+    if motion == "car" or (rate, level) != (100.0, 1e-5):  # turns fill the whole band
         assert gyroscope[1] < 1.6
 
 
