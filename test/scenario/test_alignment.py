@@ -8,7 +8,7 @@ from support.scenes import heading_std, make_navigator, play, scene, stamp
 
 from hybrid_ins.core.alignment.alignment import Biases
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, N_HEADINGS
-from hybrid_ins.core.inertial.earth import curvature_scale
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY, curvature_scale
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.core.inertial.state import (
     BIAS_A,
@@ -77,6 +77,21 @@ def test_standing_still_decides_nothing_and_learns_the_gyroscope_bias() -> None:
     assert run.errors(navigator, 30.0)[0] < 0.1
     assert navigator.phase.best is not None
     assert navigator.phase.best.nav[BIAS_G] == pytest.approx([0.002, -0.003, 0.001], abs=5e-4)
+
+
+def test_standing_still_tells_no_tilt_from_bias() -> None:
+    """Half a minute made tilt and bias twice as certain, though nothing had shown either."""
+    run = scene(static(30.0, heading=1.0))
+    navigator = make_navigator()
+
+    play(run, navigator, stop=3.0)
+    assert navigator.phase.best is not None
+    before = np.sqrt(navigator.phase.best.nav[COVARIANCE][DIAGONAL])
+    play(run, navigator, 3.0)
+
+    after = np.sqrt(navigator.phase.best.nav[COVARIANCE][DIAGONAL])
+    assert after[9:11] == pytest.approx(before[9:11], rel=0.05)
+    assert after[6:8] == pytest.approx(before[9] / STANDARD_GRAVITY, rel=0.1)
 
 
 def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.first_motion import FirstMotion, first_motion
 from hybrid_ins.core.alignment.given_heading import GivenHeading
-from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch
+from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch, tilt_by_bias
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
@@ -48,8 +48,8 @@ from hybrid_ins.core.update.measurements import (
 
 Array = NDArray[np.float64]
 
-TILT_STD_STANDING = 0.02  # rad
-TILT_STD_MOVING = 0.2  # rad
+TILT_STD_STANDING = 0.003  # rad, beside what the bias of the accelerometers does
+TILT_STD_MOVING = 0.2  # rad, by accelerations
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
 FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
 LONGEST_SPAN = 60.0  # s, between the two fixes of a slow receiver that do
@@ -298,8 +298,12 @@ class Alignment:
             C_nb = matrix_from_quat(quat)
             P = np.zeros((N_ERROR, N_ERROR))
             P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
-            P[EPS, EPS] = np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
             P[9:, 9:] = bias_P
+            by_bias = tilt_by_bias(C_nb)
+            P[EPS, 9:] = by_bias @ bias_P[:3]
+            P[9:, EPS] = P[EPS, 9:].T
+            P[EPS, EPS] = by_bias @ bias_P[:3, :3] @ by_bias.T
+            P[EPS, EPS] += np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
             if np.all(bias_g_std**2 < np.diag(P[B_G, B_G])):
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec
 
 Array = NDArray[np.float64]
@@ -35,6 +36,16 @@ def down_direction(samples: NDArray[np.void]) -> Array:
     """
     total = np.einsum("kij,kj->i", relative_attitudes(samples), samples["f"])
     return np.asarray(-total / np.linalg.norm(total))
+
+
+def tilt_by_bias(C_nb: Array) -> Array:
+    """
+    Return the error ε (3, 3) of a levelled attitude by that of the accelerometers' bias [rad s²/m].
+
+    The attitude is such that no horizontal force is felt, so that this error is one with the bias
+    until the vehicle turns: neither shows at a standstill, and both do in a turn.
+    """
+    return np.asarray(np.array([-C_nb[1], C_nb[0], np.zeros(3)]) / STANDARD_GRAVITY)
 
 
 def relative_attitudes(samples: NDArray[np.void]) -> Array:
