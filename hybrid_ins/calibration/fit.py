@@ -168,10 +168,10 @@ def fit(
         age = fine.likeliest(x, VELOCITY_AGE, VELOCITY_AGES)
         x[fine.names.index(VELOCITY_AGE)] = age
     held |= set(SCALE) & set(fine.names)
-    fine.frozen = held | {"walk_a", "walk_g"}
-    x, _ = climb(fine, x)
-    fine.choose_yaws(x, 0.1)
     fine.frozen = held
+    with holding(fine, held | {"walk_a", "walk_g"}):
+        x, _ = climb(fine, x)
+    fine.choose_yaws(x, 0.1)
     x, converged = settle_offsets(fine, *climb(fine, x))
     x = _beside_scale(fine, x)
     std = own = uncertainty(fine, x)

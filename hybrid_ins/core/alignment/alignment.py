@@ -36,7 +36,7 @@ from hybrid_ins.core.inertial.rotations import (
     matrix_from_quat,
     quat_from_rpy,
 )
-from hybrid_ins.core.inertial.state import B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
+from hybrid_ins.core.inertial.state import B_A, B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
 from hybrid_ins.core.update.inflation import about_antenna
 from hybrid_ins.core.update.measurements import (
     Measurement,
@@ -302,8 +302,7 @@ class Alignment:
             by_bias = tilt_by_bias(C_nb)
             P[EPS, 9:] = by_bias @ bias_P[:3]
             P[9:, EPS] = P[EPS, 9:].T
-            P[EPS, EPS] = by_bias @ bias_P[:3, :3] @ by_bias.T
-            P[EPS, EPS] += np.diag([tilt_std**2, tilt_std**2, yaw_std**2])
+            P[EPS, EPS] = P[EPS, B_A] @ by_bias.T + np.diag([tilt_std, tilt_std, yaw_std]) ** 2
             if np.all(bias_g_std**2 < np.diag(P[B_G, B_G])):
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0
