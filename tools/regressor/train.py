@@ -79,7 +79,7 @@ outliers, repeated samples, clipping, quantisation.
 
 **Limits.** Noise cannot be separated where motion and vibration leave no gap in the spectrum:
 pulse trains (an engine's strokes), jumps every few samples and strong random resonances are taken
-for noise, which makes the filter cautious (tables below). Noise that falls by more than about 20 dB
+for noise, which makes the filter cautious (tables below). Noise that falls by more than about 25 dB
 from its plateau to a floor, as of a driver that smooths twice, is taken for motion. Repeated
 samples are removed: the estimate is that of the readings before repetition. A window that ends less
 than about 20 samples after a change of level shows the old level. The result must not be below
