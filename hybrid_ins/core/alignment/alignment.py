@@ -29,7 +29,7 @@ from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch, tilt
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.imu.standstill import is_standing, may_be_zero, rate_std_of_stand
+from hybrid_ins.core.imu.standstill import is_standing, may_be_zero, sway
 from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.inertial.rotations import (
     UNKNOWN_ANGLE_STD,
@@ -50,6 +50,7 @@ Array = NDArray[np.float64]
 
 TILT_STD_STANDING = 0.003  # rad, beside what the bias of the accelerometers does
 TILT_STD_MOVING = 0.2  # rad, by accelerations
+RATE_STD_STANDING = 0.002  # rad/s, mean of the gyroscopes about their bias
 CRAB_STD = 0.15  # rad, between the nose and the course of a vehicle that moves where it points
 FIXES_KEPT = 3.0  # s, of fixes that may give the first velocity
 LONGEST_SPAN = 60.0  # s, between the two fixes of a slow receiver that do
@@ -291,7 +292,7 @@ class Alignment:
         standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
-        bias_g_std = rate_std_of_stand(samples) if standing else np.full(3, np.inf)
+        bias_g_std = np.hypot(RATE_STD_STANDING, sway(samples)) if standing else np.full(3, np.inf)
         states = []
         for yaw, yaw_std in yaws:
             quat = quat_from_rpy(*roll_pitch(down_b), yaw)

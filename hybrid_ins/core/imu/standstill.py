@@ -54,16 +54,21 @@ def is_standing(samples: NDArray[np.void]) -> bool:
     return bool(np.all(np.abs(mean[3:]) < LARGEST_MEAN_RATE))
 
 
-def rate_std_of_stand(samples: NDArray[np.void]) -> NDArray[np.float64]:
+def sway(samples: NDArray[np.void]) -> NDArray[np.float64]:
     """
     Return the standard deviation (3,) [rad/s] of the mean rate of a stand about the bias.
 
-    A hull or a vehicle on soft ground sways slowly: within a second the rate changes little, and
-    its mean is not the bias. What the samples' noise does not explain of the change shows it.
+    A hull or a vehicle on soft ground sways slowly, and one that comes to rest still turns: within
+    a second the rate changes little, and its mean is not the bias. What the samples' noise does not
+    explain of the change shows it.
     """
-    _, slow, explained = _spreads(samples)
-    sway = np.sqrt(np.maximum(slow**2 - explained**2, 0.0))[3:]
-    return np.asarray(np.hypot(0.1 * STANDING_RATE_STD, SWAY * sway))
+    noise, slow, explained = _spreads(samples)
+    beyond = np.square(slow) - np.square(explained)
+    count = len(samples)
+    at = np.arange(count) - 0.5 * (count - 1)
+    ramp = at @ samples["w"] / (np.linalg.norm(at) * np.sqrt(count))  # its standard deviation
+    steady = np.square(ramp) - np.square(2.0 * noise[3:]) / count
+    return np.asarray(SWAY * np.sqrt(np.maximum(np.maximum(beyond[3:], steady), 0.0)))
 
 
 def _spreads(samples: NDArray[np.void]) -> tuple[NDArray[np.float64], ...]:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hybrid_ins.core.compilation import kernel
 from hybrid_ins.core.imu.samples import as_numbers
-from hybrid_ins.core.imu.standstill import mean_and_std
+from hybrid_ins.core.imu.standstill import mean_and_std, sway
 from hybrid_ins.core.inertial.earth import earth_rate_n, radii, wrapped
 from hybrid_ins.core.inertial.state import B_G, BIAS_G, DV, LAST_W, LLA, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.inertial.strapdown import rotation
@@ -220,7 +220,8 @@ class Standstill:
     def of(cls, samples: NDArray[np.void]) -> Standstill:
         """Return the one that ``samples`` (``SAMPLE_DTYPE``) of a standing IMU make."""
         mean, std = mean_and_std(as_numbers(samples))
-        std = np.hypot(std[3:] / np.sqrt(len(samples)), STANDING_RATE_STD)
+        noise = std[3:] / np.sqrt(len(samples))
+        std = np.sqrt(noise**2 + STANDING_RATE_STD**2 + sway(samples) ** 2)
         return cls(int(samples["t_ns"][-1]), mean[3:], std)
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:

@@ -10,15 +10,15 @@ from hybrid_ins.core.imu.standstill import (
     is_standing,
     may_be_zero,
     mean_and_std,
-    rate_std_of_stand,
     significant_speed,
+    sway,
 )
 
 RATE = 200.0
 
 
-def samples(force_std=0.02, rate_std=0.002, seconds=1.0, force=None, rate=None):
-    rng = np.random.default_rng(0)
+def samples(force_std=0.02, rate_std=0.002, seconds=1.0, force=None, rate=None, seed=0):
+    rng = np.random.default_rng(seed)
     n = int(seconds * RATE)
     table = np.zeros(n, SAMPLE_DTYPE)
     t = np.arange(n) / RATE
@@ -69,18 +69,29 @@ def test_a_slow_sway_is_not_taken_for_the_bias(period: float) -> None:
     off = []
     for phase in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
 
-        def sway(t, phase=phase):
+        def rate(t, phase=phase):
             return 0.004 * period * np.sin(2.0 * np.pi * t / period + phase)
 
-        table = samples(rate_std=1e-3, rate=sway)
+        table = samples(rate_std=1e-3, rate=rate)
         if is_standing(table):
-            off.append(table["w"].mean(axis=0) / rate_std_of_stand(table))
+            off.append(table["w"].mean(axis=0) / np.hypot(0.002, sway(table)))
     assert len(off) > 4 and np.sqrt(np.mean(np.square(off))) < 4.0
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.015])
-def test_noise_is_no_sway(noise: float) -> None:
-    assert np.all(rate_std_of_stand(samples(rate_std=noise)) < 0.0021)
+def test_noise_is_hardly_any_sway(noise: float) -> None:
+    """GIVEN noise alone WHEN its sway is read THEN it is of the size of the mean's own error."""
+    found = [sway(samples(rate_std=noise, seed=seed)) for seed in range(50)]
+    of_mean = noise / np.sqrt(len(samples()))
+    assert np.sqrt(np.mean(np.square(found))) < 2.0 * of_mean
+
+
+def test_a_turn_that_ends_is_sway() -> None:
+    """GIVEN a vehicle that has just been put down WHEN it seems to stand THEN it may still turn."""
+    table = samples(rate_std=3e-3, rate=lambda t: 0.008 * np.exp(-2.0 * t))
+    assert is_standing(table)
+    mean = np.abs(table["w"].mean(axis=0))
+    assert np.all(mean > 0.002) and np.all(sway(table) > 0.5 * mean)
 
 
 def test_too_few_samples_tell_nothing() -> None:
