@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.filter.ins_filter import NEVER_NS
 from hybrid_ins.core.navigator.navigator import Navigator
+from hybrid_ins.noise_regressor.models import NoiseRegressor
 from hybrid_ins.noise_regressor.reader import NoiseReader
+from hybrid_ins.noise_regressor.window import WindowFault, sampling_rate
 from hybrid_ins.ros.reporting.input_log import Log
 
 Array = NDArray[np.float64]
@@ -42,6 +44,7 @@ class NoiseInput:
         self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None
         self.reader: NoiseReader | None = None
         self.next_ns = NEVER_NS
+        self._informed = False  # of a rate that the regressor does not know
 
     def configure(self, values: Mapping[str, Any], mount: Array) -> None:
         """Use checked parameters, and the matrix (3, 3) from the IMU's axes to b."""
@@ -74,3 +77,15 @@ class NoiseInput:
         if self.reader is not None and t_ns >= self.next_ns:
             self.next_ns = t_ns + self._period_ns
             self._navigator.phases.submit(self.reader.read(self._navigator.ring, t_ns))
+            if self.reader.fault == WindowFault.RATE.value and not self._informed:
+                self._informed = True
+                self._log("info", self._rate_unknown(self.reader.regressor))
+
+    def _rate_unknown(self, regressor: NoiseRegressor) -> str:
+        """Return what it means that the regressor does not know the IMU's rate."""
+        rate = sampling_rate(self._navigator.ring.latest(regressor.window)["t_ns"])
+        low, high = regressor.rate_range
+        return (
+            f"imu/data: {rate:.4g} Hz: the noise model {regressor.name} reads {low:g} to {high:g} "
+            "Hz; the constants noise.q_* are used, times factors by the innovations of fixes"
+        )
