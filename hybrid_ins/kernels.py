@@ -27,10 +27,10 @@ from hybrid_ins.core.inertial.state import COVARIANCE, N_ERROR, N_NAV, NavState
 from hybrid_ins.core.noise import (
     heading_information,
     hypotheses,
+    multiple_model_update,
     scatter_evidence,
     slow_error,
 )
-from hybrid_ins.core.noise import multiple_model as noise_multiple_model
 from hybrid_ins.core.noise import multiple_model_step as noise_multiple_model_step
 from hybrid_ins.core.sensor_errors import (
     clock_offset,
@@ -198,9 +198,9 @@ def _compile_output() -> None:
     output.fix_values(nav, zero, np.zeros(output.N_FIX))
     output.bias_values(nav, np.zeros(output.N_BIAS))
     z, H = measurements.velocity_model(nav, zero, zero)
-    values = np.ones(noise_multiple_model.WEIGHTS.stop)
+    values = np.ones(multiple_model_update.WEIGHTS.stop)
     estimates = np.zeros((noise_multiple_model_step.N_ROWS, hypotheses.WIDTH))
-    noise_multiple_model.update_hypotheses(
+    multiple_model_update.update_hypotheses(
         hypotheses.WIDE_HYPOTHESES,
         estimates,
         estimates.copy(),

@@ -68,7 +68,8 @@ LINEAR_X = slice(LINEAR_H.stop, LINEAR_H.stop + N_ERROR)
 LINEAR_G = slice(LINEAR_X.stop, LINEAR_X.stop + N_ERROR * N_ERROR)
 OF_STAMP = slice(LINEAR_G.stop, LINEAR_G.stop + 9)
 NORMALISED = slice(OF_STAMP.stop, OF_STAMP.stop + 3)
-N_RESULT = NORMALISED.stop
+TURN = NORMALISED.stop
+N_RESULT = TURN + 1
 
 
 @kernel()
@@ -190,7 +191,7 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         before[i] = nav[i]
     information, of_noise = heading_information(packed, H, S, R)
     heading_variance = packed[DIAGONAL[HEADING]]
-    dx, K, z_x, H_x, x, G, _ = update_and_linearise(nav, z, H, R / weight)
+    dx, K, z_x, H_x, x, G, result[TURN] = update_and_linearise(nav, z, H, R / weight)
     after = packed[DIAGONAL[HEADING]]
     follow_heading(heading, heading_interval, information, of_noise, heading_variance, after)
     correct_sensitivities(nav, H, K, h, dx, is_position)
@@ -243,6 +244,7 @@ def correction_of(
             result[LINEAR_X],
             result[LINEAR_G].reshape(N_ERROR, N_ERROR),
         ),
+        turn=float(result[TURN]),
         of_stamp=result[OF_STAMP][: m * m].reshape(m, m) if scatter_in_force else None,
         fix_factor=noise.found.fixes,
         stamp_std=noise.stamp_std_of(fix),

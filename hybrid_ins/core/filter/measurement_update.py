@@ -281,7 +281,7 @@ class MeasurementUpdate:
         interval = (measurement.t_ns - self.corrected_ns) * 1e-9
         verdict = self.gate.judge(measurement, z, R + of_clock, S, nis, age, interval, claimed)
         before, is_position = nav.copy(), split is not None
-        dx, K, linear = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None
+        dx, K, linear, turn = np.zeros(N_ERROR), np.zeros((N_ERROR, len(z))), None, 0.0
         if verdict.accepted:
             is_told = self.noise.uses_corrections or self.scale_errors.in_outage
             if is_told and not measurement.in_body:
@@ -291,7 +291,7 @@ class MeasurementUpdate:
             shown, variance = IN_FULL, nav.item(HEADING_VARIANCE)
             if measurement.sensor == GNSS:
                 shown = heading_information(nav[COVARIANCE], H, S - of_clock, R)
-            dx, K, linear = _correct(nav, measurement, (z, H, R / verdict.weight), linear)
+            dx, K, linear, turn = _correct(nav, measurement, (z, H, R / verdict.weight), linear)
             self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
         correct_sensitivities(nav, H, K, h, dx, is_position)
         S = S - of_clock
@@ -308,6 +308,7 @@ class MeasurementUpdate:
             verdict.accepted,
             weight=verdict.weight,
             linear=linear,
+            turn=turn,
             of_stamp=of_stamp if self.scatter.in_force else None,
             fix_factor=fix_factor,
             stamp_std=self.noise.stamp_std_of(measurement),
@@ -359,13 +360,13 @@ def _move(nav: Array, moved: StateCorrection) -> None:
 
 def _correct(
     nav: Array, measurement: Measurement, model: LinearModel, linear: Linearisation | None
-) -> tuple[Array, Array, Linearisation | None]:
-    """Fuse a measurement; return correction, gain, and what it comes down to, see `Correction`."""
+) -> tuple[Array, Array, Linearisation | None, float]:
+    """Fuse a measurement; return correction, gain, what it comes down to, turn: `Correction`."""
     if measurement.in_body:
         dx, K, T = update_in_body(nav, *model)
-        return dx, T @ K, (*model[:2], dx, T)
-    dx, K, _ = iterated_update.update(nav, *model)
-    return dx, K, linear
+        return dx, T @ K, (*model[:2], dx, T), 0.0
+    dx, K, turn = iterated_update.update(nav, *model)
+    return dx, K, linear, turn
 
 
 def _linearised(

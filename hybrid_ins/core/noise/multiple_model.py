@@ -27,8 +27,6 @@ References
 ----------
 .. [1] Y. Bar-Shalom, X. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
        Navigation*, 2001, sections 5.4 (innovations) and 11.6 (multiple models).
-.. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
-       distribution", Journal of the American Statistical Association 84, 1989.
 """
 
 from __future__ import annotations
@@ -39,39 +37,53 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.compilation import kernel
-from hybrid_ins.core.inertial.state import COVARIANCE, DV, N_ERROR, PLACES, QUAT, VELOCITY
-from hybrid_ins.core.inertial.strapdown import rotation
+from hybrid_ins.core.inertial.state import (
+    COVARIANCE,
+    DV,
+    EPS,
+    N_ERROR,
+    PLACES,
+)
+from hybrid_ins.core.noise.heading_information import HEADING
 from hybrid_ins.core.noise.hypotheses import (
     AGE_STD,
     COUNT,
     ON_HEIGHT,
-    ON_NOISE,
     ON_R,
     ON_VELOCITY,
     R_LEVELS,
-    SLOW_WALK,
     STAMP_STD,
     WIDE_HYPOTHESES,
     WIDTH,
     WITHOUT_SLOW_HEIGHTS,
     claims_in_search,
 )
-from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS, advance, mean_system
+from hybrid_ins.core.noise.multiple_model_step import N_ROWS, OFFSETS
+from hybrid_ins.core.noise.multiple_model_update import (
+    CLAIMED_STDS,
+    FACTORS,
+    LAST_C,
+    LAST_VELOCITY,
+    LOG_LIKELIHOOD,
+    LOWEST,
+    OF_FAMILY,
+    PENDING_G,
+    TAIL_DOF,
+    WEIGHTS,
+    update_hypotheses,
+)
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.slow_error import NO_GROWTH
 from hybrid_ins.core.noise.weights import (
     AT_START,
-    FAMILIES,
     NoiseFactors,
     add_likelihood,
     average,
-    fade,
     likelihood_of_r,
     weigh,
 )
 from hybrid_ins.core.shallow_copy import ShallowCopy
-from hybrid_ins.core.update.kalman import covariances_at_full_weight
+from hybrid_ins.core.update.kalman import heading_turn
 from hybrid_ins.core.update.linalg import log_determinant
 from hybrid_ins.core.update.measurements import (
     PositionFix,
@@ -83,7 +95,6 @@ from hybrid_ins.core.update.measurements import (
 Array = NDArray[np.float64]
 
 OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
-TAIL_DOF = 6.0  # degrees of freedom of an innovation's t distribution, [2]_
 NEW_HEIGHTS_NS = 60_000_000_000  # in which the filter settles on heights that there were not before
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
 
@@ -93,15 +104,6 @@ _ROOTS_OF_VELOCITY = roots_by_axis(*10.0 ** WIDE_HYPOTHESES[ON_VELOCITY])
 _ROOTS_OF_POSITION = roots_by_axis(np.ones(WIDTH), 10.0 ** WIDE_HYPOTHESES[ON_HEIGHT])
 _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
-# What is known besides the hypotheses' estimates, as one flat vector.
-FACTORS = slice(0, 12)  # in force, see `weights.average`
-LOWEST = slice(12, 20)  # of those that move the state, since it was last corrected
-CLAIMED_STDS = slice(20, 22)  # m, of the last position, horizontally and of the height
-LAST_VELOCITY, LAST_C = slice(22, 25), slice(25, 34)  # n, and C_nb, after the last correction
-PENDING_G = slice(34, 34 + N_ERROR * N_ERROR)  # see `multiple_model_step.advance`
-LOG_LIKELIHOOD = slice(PENDING_G.stop, PENDING_G.stop + COUNT)  # of each, within its family
-OF_FAMILY = slice(LOG_LIKELIHOOD.stop, LOG_LIKELIHOOD.stop + FAMILIES)  # of each family
-WEIGHTS = slice(OF_FAMILY.stop, OF_FAMILY.stop + COUNT)
 _START = np.zeros(WEIGHTS.stop)
 _START[FACTORS] = NoiseFactors()
 _START[OF_FAMILY][1:] = AT_START
@@ -255,6 +257,9 @@ class NoiseMultipleModelBank(ShallowCopy):
             before[:OFFSETS] = correction.nav[COVARIANCE][:, None]
             self._values[PENDING_G] = _START[PENDING_G]
         self.estimates, self.t_ns = np.empty((N_ROWS, WIDTH)), correction.t_ns
+        *linear, G = correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)
+        if correction.turn:
+            G = heading_turn(correction.turn) @ G
         have_risen = update_hypotheses(
             hypotheses,
             before,
@@ -274,9 +279,11 @@ class NoiseMultipleModelBank(ShallowCopy):
             NO_GROWTH if correction.slow_growth is None else correction.slow_growth,
             claims_in_search(*claims) if is_search else claims,
             correction.dx,
-            *(correction.linear or (correction.z, correction.H, correction.dx, _IDENTITY)),
+            *linear,
+            G,
             weigh,
         )
+        self._values[LAST_C] = correction.C_nb.ravel()
         return bool(have_risen)
 
     def _read_factors(self) -> None:
@@ -293,107 +300,9 @@ class NoiseMultipleModelBank(ShallowCopy):
         spread = deviation[:, :COUNT]
         P = (covariances[:, :COUNT] @ weights)[PLACES] + (weights * spread) @ spread.T
         dx = G @ mean
-        self.estimates = np.vstack((covariances, deviation))
+        T = heading_turn(dx[HEADING])
+        G = T @ G
+        self.estimates, values[PENDING_G] = np.vstack((covariances, deviation)), G.ravel()
         values[LAST_VELOCITY] += dx[DV]
+        values[LAST_C] = (T[EPS, EPS] @ values[LAST_C].reshape(3, 3)).ravel()
         return StateCorrection(dx, G @ P @ G.T)
-
-
-@kernel(fastmath={"contract"})
-def update_hypotheses(  # type: ignore[no-untyped-def]
-    hypotheses,
-    before,
-    after,
-    values,
-    T,
-    nav,
-    psd,
-    H,
-    S,
-    fix_factor,
-    stamp_variance,
-    of_stamp,
-    stamp_stds,
-    roots,
-    roots_in_force,
-    slow_growth,
-    claimed_stds,
-    dx,
-    z_x,
-    H_x,
-    x,
-    G_x,
-    teaches,
-):
-    """
-    Propagate and correct the hypotheses, and weigh them.
-
-    Parameters
-    ----------
-    hypotheses : ndarray, shape (17, WIDTH)
-        `HYPOTHESES`, the last one repeated.
-    before, after : ndarray, shape (N_ROWS, WIDTH)
-        Their estimates, see `advance`; ``after`` is written.
-    values : ndarray, shape (WEIGHTS.stop,)
-        What is known besides; overwritten.
-    T : float
-        Time since the last correction [s].
-    nav, psd, H, S, fix_factor, stamp_variance, of_stamp, slow_growth, claimed_stds, dx
-        See `NoiseMultipleModelBank.update`.
-    stamp_stds, roots, roots_in_force : ndarray, shape (WIDTH,), (m, WIDTH), (m,)
-        Standard deviations of the fix's stamp [s]; roots of the factors on rows and columns of R.
-    z_x, H_x, x, G_x : ndarray
-        `iterated_update.linearisation` of the correction.
-    teaches : bool
-        Otherwise likelihoods are not changed.
-
-    Returns
-    -------
-    bool
-        A factor has risen by `CORRECTION_RATIO`.
-    """
-    m, G = len(S), values[PENDING_G].reshape(N_ERROR, N_ERROR)
-    last_C = values[LAST_C].reshape(3, 3)
-    F, C_mean = mean_system(nav, values[LAST_VELOCITY], last_C, T)
-    _, R = covariances_at_full_weight(nav[COVARIANCE], H, S, 1.0)
-    for a in range(m):
-        for b in range(m):
-            R[a, b] -= stamp_variance * of_stamp[a, b]
-            R[a, b] /= fix_factor * roots_in_force[a] * roots_in_force[b]
-    if claimed_stds[0] > 0.0:
-        values[CLAIMED_STDS] = claimed_stds
-    log_likelihood = np.zeros(before.shape[1])
-    factors, walk = hypotheses[ON_NOISE], hypotheses[SLOW_WALK]
-    advance(
-        before,
-        after,
-        G,
-        F,
-        T,
-        C_mean,
-        psd,
-        factors,
-        walk,
-        slow_growth,
-        stamp_stds,
-        z_x,
-        H_x,
-        R,
-        roots,
-        of_stamp,
-        x,
-        TAIL_DOF,
-        log_likelihood,
-    )
-    for i in range(N_ERROR):
-        for j in range(N_ERROR):
-            G[i, j] = G_x[i, j]
-    for i in range(3):
-        values[LAST_VELOCITY][i] = nav[VELOCITY][i] + dx[3 + i]
-    rotation(nav[QUAT], values[LAST_C])
-    fade(T, values[LOG_LIKELIHOOD], values[OF_FAMILY])
-    if not teaches:
-        return False
-    claimed = values[CLAIMED_STDS][0], values[CLAIMED_STDS][1]
-    add_likelihood(log_likelihood, claimed, values[LOG_LIKELIHOOD], values[OF_FAMILY])
-    weigh(values[LOG_LIKELIHOOD], values[OF_FAMILY], claimed, values[WEIGHTS])
-    return average(values[WEIGHTS], values[FACTORS], values[LOWEST])

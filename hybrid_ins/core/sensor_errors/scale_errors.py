@@ -67,7 +67,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
 from hybrid_ins.core.sensor_errors.lever_arm import AGE_STD, HEADING_STD, dependence_on_lever_arm
 from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE, follow_samples
 from hybrid_ins.core.shallow_copy import ShallowCopy
-from hybrid_ins.core.update.kalman import covariances_at_full_weight, inject
+from hybrid_ins.core.update.kalman import covariances_at_full_weight, heading_turn, inject
 from hybrid_ins.core.update.linalg import factorise, mean_square, regress
 from hybrid_ins.core.update.measurements import LinearModel
 
@@ -304,6 +304,8 @@ class ScaleErrorObserver(ShallowCopy):
                 self._learn(correction, direct)
         moved = self._U if G is None else G @ self._U
         self._U = moved - correction.K @ h
+        if correction.turn:
+            self._U = heading_turn(correction.turn) @ self._U
 
     def explain(self, correction: Correction) -> Correction | None:
         """

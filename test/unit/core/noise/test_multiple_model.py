@@ -30,16 +30,15 @@ from hybrid_ins.core.noise.hypotheses import (
     SLOW_WALK,
     STAMP_STD,
 )
-from hybrid_ins.core.noise.multiple_model import (
+from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCorrection
+from hybrid_ins.core.noise.multiple_model_step import OFFSETS, mean_system
+from hybrid_ins.core.noise.multiple_model_update import (
     LOG_LIKELIHOOD,
     OF_FAMILY,
     PENDING_G,
     TAIL_DOF,
     WEIGHTS,
-    NoiseMultipleModelBank,
-    StateCorrection,
 )
-from hybrid_ins.core.noise.multiple_model_step import OFFSETS, mean_system
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.noise.stamp_scatter import stamp_covariance
 from hybrid_ins.core.noise.weights import (
