@@ -68,8 +68,6 @@ class Correction:
         With which it was fused: its covariance was divided by that.
     linear : tuple of ndarray, optional
         Where the correction was found by iteration, `iterated_update.linearisation`.
-    turn : float
-        Angle [rad] by which the errors were turned with the heading then, see `kalman.turn_errors`.
     of_stamp : ndarray, shape (m, m), optional
         Covariance by an error of the stamp of 1 s: `stamp_scatter.stamp_covariance` of a position,
         that by the acceleration of a velocity; None where neither stamps nor velocities are to be
@@ -87,6 +85,8 @@ class Correction:
         Of the measurement.
     factors_by_axis : (float, float)
         Factors on its covariance that are in S besides ``fix_factor``, horizontally and vertically.
+    turn : float
+        Angle [rad] by which the errors were turned with the heading, see `kalman.turn_errors`.
     """
 
     t_ns: int
@@ -102,7 +102,6 @@ class Correction:
     restarted: bool = False
     weight: float = 1.0
     linear: Linearisation | None = None
-    turn: float = 0.0
     of_stamp: Array | None = None
     fix_factor: float = 1.0
     stamp_std: float = 0.0
@@ -110,6 +109,7 @@ class Correction:
     claimed_stds: tuple[float, float] = (0.0, 0.0)
     kind: str = ""
     factors_by_axis: tuple[float, float] = (1.0, 1.0)
+    turn: float = 0.0
 
 
 class NoiseModel(Protocol):

@@ -49,6 +49,7 @@ from hybrid_ins.core.noise.weights import (
     UNLIKELIEST_FAMILY,
 )
 from hybrid_ins.core.update.iterated_update import linearisation
+from hybrid_ins.core.update.kalman import heading_turn
 from hybrid_ins.core.update.measurements import position_model, velocity_model
 
 SECOND = 1_000_000_000
@@ -123,6 +124,7 @@ def correction_of(
         (0.05, 0.07) if is_position else (0.0, 0.0),
         "position" if is_position else "velocity",
         factors,
+        rng.uniform(-0.3, 0.3) if fused else 0.0,
     )
 
 
@@ -156,6 +158,7 @@ class Readable:
 
     def correct(self, correction: Correction, R: Array, linear: tuple[Array, ...]) -> float:
         (z, H, dx, G), weight = linear, 1.0
+        G = heading_turn(correction.turn) @ G
         own, m = z - H @ self.offset, len(z)
         if correction.kind == "position":
             R = self.factors[2] * R * scaling_of(self.on_position)
@@ -208,10 +211,11 @@ def test_the_compiled_step_is_one_filter_at_a_time(tilt_std: float) -> None:
         for f in range(FAMILIES):
             log_likelihood[f == FAMILY] -= log_likelihood[f == FAMILY].max()
         log_likelihood = np.maximum(log_likelihood, UNLIKELIEST)
-        velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], matrix_from_quat(nav[QUAT]), 0.2
+        velocity_n, C_nb, T = nav[VELOCITY] + correction.dx[DV], correction.C_nb, 0.2
         if moved is not None:
             moves += 1
             velocity_n = velocity_n + moved.dx[DV]
+            C_nb = heading_turn(moved.dx[8])[6:9, 6:9] @ C_nb
             correct_state(bank._values[WEIGHTS], readable, moved)
         compare(bank, readable)
         found = bank._values[LOG_LIKELIHOOD]
@@ -228,13 +232,15 @@ def correct_state(weights: Array, readable: list[Readable], moved: StateCorrecti
         w * (one.P + np.outer(one.offset - dx, one.offset - dx))
         for w, one in zip(weights, readable, strict=True)
     )
+    T = heading_turn(dx[8])
+    P = T @ P @ T.T
     scale = np.sqrt(P.diagonal())
     np.testing.assert_allclose(moved.dx / scale, dx / scale, atol=1e-11)
     np.testing.assert_allclose(
         moved.P / np.outer(scale, scale), P / np.outer(scale, scale), atol=1e-11
     )
     for one in readable:
-        one.offset = one.offset - dx
+        one.P, one.offset = T @ one.P @ T.T, T @ (one.offset - dx)
 
 
 def compare(bank: NoiseMultipleModelBank, readable: list[Readable]) -> None:
