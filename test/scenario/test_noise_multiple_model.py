@@ -8,11 +8,39 @@ import numpy as np
 import pytest
 from support.runs import Q, fly, moved
 
+from hybrid_ins.core.alignment.levelling import tilt_by_bias
 from hybrid_ins.core.inertial.earth import curvature_scale
-from hybrid_ins.core.inertial.rotations import quat_from_rotvec, quat_multiply
-from hybrid_ins.core.inertial.state import JUMP_VARIANCE, N_NAV, SLOW_VARIANCE, total_std
+from hybrid_ins.core.inertial.rotations import (
+    heading_from_quat,
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_multiply,
+)
+from hybrid_ins.core.inertial.state import (
+    B_A,
+    EPS,
+    JUMP_VARIANCE,
+    N_ERROR,
+    N_NAV,
+    PLACES,
+    QUAT,
+    SLOW_VARIANCE,
+    covariance,
+    total_std,
+)
+from hybrid_ins.core.noise.hypotheses import COUNT
+from hybrid_ins.core.noise.multiple_model_step import OFFSETS
+from hybrid_ins.core.noise.multiple_model_update import PENDING_G
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
-from hybrid_ins.simulation.motions import car_drive
+from hybrid_ins.simulation.motions import START_LLA as LLA0
+from hybrid_ins.simulation.motions import (
+    Motion,
+    car_drive,
+    motion_through,
+    smoothed,
+    time_grid,
+    velocity_of,
+)
 from hybrid_ins.simulation.sensors import gauss_markov
 from tools.paper.runs import Scenario, draw
 
@@ -297,3 +325,36 @@ def test_late_fixes_give_the_same_factors_and_the_same_state() -> None:
     assert late.noise.found.fixes == pytest.approx(in_time.noise.found.fixes, rel=1e-9)
     np.testing.assert_allclose(late.nav[:N_NAV], in_time.nav[:N_NAV], rtol=1e-9, atol=1e-9)
     assert np.max(factors) > 3.0
+
+
+def straight_drive(duration: float, seed: int) -> Motion:
+    """Return the motion of a car that stands for 2 s, speeds up to 12 m/s, and never turns."""
+    times = time_grid(duration)
+    speed = smoothed(np.clip(3.0 * (times - 2.0), 0.0, 12.0), 1.0)
+    still = np.zeros_like(times)
+    return motion_through(times, velocity_of(speed, still, still), np.zeros((len(times), 3)), LLA0)
+
+
+@pytest.mark.parametrize("error", [0.3, -0.2])
+def test_no_hypothesis_tells_roll_from_bias_on_a_straight_road(error: float) -> None:
+    """
+    GIVEN a levelled car with unknown accelerometer biases, and a heading that is off by ``error``
+    WHEN it drives straight on, and its fixes correct the heading
+    THEN every hypothesis on the noise knows its roll as poorly as the running filter does.
+    """
+    run = draw(Scenario("straight", straight_drive, rate=100.0, duration=20.0), 3)
+    quat = quat_multiply(quat_from_rotvec(np.array([0.0, 0.0, error])), run.start.quat_xyzw)
+    P, by_bias = run.start.P.copy(), tilt_by_bias(matrix_from_quat(quat))
+    P[9:, 9:] = np.diag(np.repeat([0.3, 0.003], 3) ** 2)
+    P[EPS, 9:] = by_bias @ P[9:12, 9:]
+    P[9:, EPS] = P[EPS, 9:].T
+    P[EPS, EPS] = P[EPS, B_A] @ by_bias.T + np.diag([0.003, 0.003, 0.26]) ** 2
+    ins, _ = fly(replace(run, start=replace(run.start, quat_xyzw=quat, P=P)))
+
+    bank = ins.noise.factors
+    assert bank is not None and bank.estimates is not None
+    assert abs(heading_from_quat(ins.nav[QUAT])) < 0.06
+    G = bank._values[PENDING_G].reshape(N_ERROR, N_ERROR)
+    rolls = [(G @ P[PLACES] @ G.T)[6, 6] for P in bank.estimates[:OFFSETS, :COUNT].T]
+    assert np.sqrt(covariance(ins.nav)[6, 6]) > 0.025
+    assert np.sqrt(min(rolls)) > 0.025
