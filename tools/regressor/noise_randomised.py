@@ -27,10 +27,10 @@ class Mix:
     outliers, duplicates, clipped, quantised : shares of these sensor faults.
     """
 
-    coloured: float = 0.2
+    coloured: float = 0.12
     moving: float = 0.6
     manoeuvring: float = 0.25
-    shaken: float = 0.12
+    shaken: float = 0.08
     toned: float = 0.25
     switching: float = 0.06
     outliers: float = 0.05
@@ -144,13 +144,13 @@ def _shaken_rows(rng: np.random.Generator, size: int, window: int, rate_hz: Arra
     """
     Return the motion (B, N) of bodies on rough ground, beside noise of unit variance.
 
-    Random below 0.5 to 12 Hz, all of it or a band, with a power-law fall above. It falls by 25 to
+    Random below 0.5 to 12 Hz, all of it or a band, with a power-law fall above. It falls by 20 to
     70 dB and meets the noise below 0.4 cycles/sample: a floor is left. What falls by less may be
     the noise of a sensor that smooths its readings.
     """
     frequency = shaping_grid(window)
     corner = np.minimum(log_uniform(rng, 0.5, 12.0, size) / rate_hz, 0.1)
-    gain = log_uniform(rng, 300.0, 1e7, size)
+    gain = log_uniform(rng, 100.0, 1e7, size)
     shallowest = 0.5 * np.log(gain) / np.log(0.4 / corner)
     order = np.maximum(shallowest, 0.8) * log_uniform(rng, 1.0, 3.0, size)
     rise = rng.choice((0.0, 2.0), size)[:, None]

@@ -79,7 +79,7 @@ outliers, repeated samples, clipping, quantisation.
 
 **Limits.** Noise cannot be separated where motion and vibration leave no gap in the spectrum:
 pulse trains (an engine's strokes), jumps every few samples and strong random resonances are taken
-for noise, which makes the filter cautious (tables below). Noise that falls by more than about 25 dB
+for noise, which makes the filter cautious (tables below). Noise that falls by more than about 20 dB
 from its plateau to a floor, as of a driver that smooths twice, is taken for motion. Repeated
 samples are removed: the estimate is that of the readings before repetition. A window that ends less
 than about 20 samples after a change of level shows the old level. The result must not be below
@@ -146,7 +146,7 @@ def plateau_recipe(args: argparse.Namespace, backgrounds: np.ndarray | None) -> 
         guide = nn.functional.huber_loss(coarse, target, delta=0.3)
         return torch.log(scale).mean() + miss + 0.1 * guide
 
-    epochs = args.epochs or (2 if args.quick else 10)
+    epochs = args.epochs or (2 if args.quick else 16)
 
     def rate(epoch: float) -> float:
         return float(3e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)) + 1e-5)
@@ -350,7 +350,7 @@ needs: tools/setup.sh train""",
     parser.add_argument(
         "--windows", type=options.count, help="windows to train on (plateau) [3000000]"
     )
-    parser.add_argument("--epochs", type=options.count, help="[10 plateau, 30 paper]")
+    parser.add_argument("--epochs", type=options.count, help="[16 plateau, 30 paper]")
     parser.add_argument("--threads", type=options.count, default=1, help="[1]")
     parser.add_argument(
         "--leave-one-out",
