@@ -40,6 +40,7 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.core.navigator.notices import RestartCause
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import FilterParts
+from hybrid_ins.core.navigator.slow_turn import SlowTurn
 from hybrid_ins.core.navigator.stand_turn import StandTurn
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Standstill
@@ -91,6 +92,7 @@ class ImuMonitor:
     def __init__(self, parts: FilterParts, zero_updates: bool, bias_g: Array) -> None:
         self._parts = parts
         self._turn = StandTurn(bias_g)
+        self._slow_turn = SlowTurn()
         self._glides = Glides()
         self._zero_updates = zero_updates
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
@@ -118,6 +120,7 @@ class ImuMonitor:
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._calm_std = math.inf  # m/s, of its speed when that began, or later if it was less
         self._standing_force = StandingForce()
+        self._slow_turn.reset()
         self._glides.reset()
         self._gliding_std = math.inf  # m/s, of a speed that was not zero while all was calm
         self._lift = LiftWatch()
@@ -192,9 +195,7 @@ class ImuMonitor:
         calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
         self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
-        taught_wrongly = self._turn.follow(samples, self.may_stand, fixes_move, PERIOD_NS)
-        if taught_wrongly is not None:
-            phases.submit(CovarianceInflation(t_ns, taught_wrongly, self._parts.settings.lever_b))
+        self._follow_turns(phases, samples, fixes_move)
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
         self.standing = (
@@ -205,8 +206,22 @@ class ImuMonitor:
         if self.standing:
             self._lift.note_stand(samples)
         if self.standing and self._zero_updates:
-            phases.measure(Standstill.of(samples))
+            phases.measure(Standstill.of(samples, self._slow_turn.turns))
         return True
+
+    def _follow_turns(
+        self, phases: PhaseMachine, samples: NDArray[np.void], fixes_move: bool
+    ) -> None:
+        """Correct what stands have taught of the gyroscopes' bias while the vehicle turned."""
+        t_ns, lever_b = int(samples["t_ns"][-1]), self._parts.settings.lever_b
+        noticed = self._slow_turn.follow(samples, self.may_stand)
+        if noticed is not None and self._zero_updates:
+            phases.submit(CovarianceInflation(t_ns, noticed.std, lever_b))
+            phases.measure(noticed.before)
+        if not self._slow_turn.turns:
+            taught = self._turn.follow(samples, self.may_stand, fixes_move, PERIOD_NS)
+            if taught is not None:
+                phases.submit(CovarianceInflation(t_ns, taught, lever_b))
 
     def _follow_calm(
         self, best: InsFilter, samples: NDArray[np.void], fixes_move: bool, calm: bool

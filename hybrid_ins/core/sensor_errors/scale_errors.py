@@ -293,9 +293,7 @@ class ScaleErrorObserver(ShallowCopy):
                 self._begin(correction.nav, correction.t_ns)
         if self._t_ns is None:
             return
-        H, G = correction.H, None
-        if correction.linear is not None:
-            _, H, _, G = correction.linear
+        _, H, _, G = correction.linear or (None, correction.H, None, None)
         h = H @ self._U + beside
         if is_fix:
             direct = dependence_on_lever_arm(correction.nav, correction.H)

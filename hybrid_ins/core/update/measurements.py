@@ -37,6 +37,7 @@ GNSS, IMU, ASSUMED = "gnss", "imu", "assumed"  # sensors; the last is none
 
 STANDING_SPEED_STD = 0.03  # m/s, of a vehicle that stands: it rocks
 STANDING_RATE_STD = 3e-4  # rad/s
+UNKNOWN_RATE = 1.0  # rad/s: far more than a stand may turn by
 
 
 @kernel()
@@ -217,12 +218,16 @@ class Standstill:
     in_body: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, samples: NDArray[np.void]) -> Standstill:
-        """Return the one that ``samples`` (``SAMPLE_DTYPE``) of a standing IMU make."""
+    def of(cls, samples: NDArray[np.void], turns: bool = False) -> Standstill:
+        """
+        Return the one that ``samples`` (``SAMPLE_DTYPE``) of a standing IMU make.
+
+        Of one that ``turns`` they show the velocity alone.
+        """
         mean, std = mean_and_std(as_numbers(samples))
         noise = std[3:] / np.sqrt(len(samples))
         std = np.sqrt(noise**2 + STANDING_RATE_STD**2 + sway(samples) ** 2)
-        return cls(int(samples["t_ns"][-1]), mean[3:], std)
+        return cls(int(samples["t_ns"][-1]), mean[3:], np.full(3, UNKNOWN_RATE) if turns else std)
 
     def linearise(self, nav: Array) -> tuple[Array, Array, Array]:
         """See `Measurement.linearise`; [1]_ section 15.3."""
