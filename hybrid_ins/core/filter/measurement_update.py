@@ -294,11 +294,10 @@ class MeasurementUpdate:
             dx, K, linear, turn = _correct(nav, measurement, (z, H, R / verdict.weight), linear)
             self.heading.update(interval, shown, variance, nav.item(HEADING_VARIANCE))
         correct_sensitivities(nav, H, K, h, dx, is_position)
-        S = S - of_clock
         correction = Correction(
             measurement.t_ns,
             z,
-            S,
+            S - of_clock,
             H,
             K,
             dx,
@@ -335,7 +334,7 @@ class MeasurementUpdate:
             nav[:] = unchanged
         if verdict.inflated or verdict.jump:
             return verdict, False, found
-        S = S + (1.0 / verdict.weight - 1.0) * R - of_age
+        S = S - of_clock + (1.0 / verdict.weight - 1.0) * R - of_age
         self.clock.update(correction, h, S, noise_information(nav, H, K, S, is_position))
         return verdict, self._learn_noise(nav, correction), found
 
