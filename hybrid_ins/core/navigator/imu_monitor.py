@@ -30,6 +30,7 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import (
     B_A,
     B_G,
+    BIAS_G,
     DV,
     EPS,
     N_ERROR,
@@ -195,7 +196,7 @@ class ImuMonitor:
         calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
         self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
-        self._follow_turns(phases, samples, fixes_move)
+        self._follow_turns(phases, best, samples, fixes_move)
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
         self.standing = (
@@ -210,15 +211,21 @@ class ImuMonitor:
         return True
 
     def _follow_turns(
-        self, phases: PhaseMachine, samples: NDArray[np.void], fixes_move: bool
+        self,
+        phases: PhaseMachine,
+        best: InsFilter,
+        samples: NDArray[np.void],
+        fixes_move: bool,
     ) -> None:
         """Correct what stands have taught of the gyroscopes' bias while the vehicle turned."""
         t_ns, lever_b = int(samples["t_ns"][-1]), self._parts.settings.lever_b
-        noticed = self._slow_turn.follow(samples, self.may_stand)
+        bias_std = np.sqrt(np.diag(covariance(best.nav))[B_G])
+        noticed = self._slow_turn.follow(samples, self.may_stand, best.nav[BIAS_G], bias_std)
         if noticed is not None and self._zero_updates:
             phases.submit(CovarianceInflation(t_ns, noticed.std, lever_b))
-            phases.measure(noticed.before)
-        if not self._slow_turn.turns:
+            if noticed.stand is not None:
+                phases.measure(noticed.stand)
+        if not (self.may_stand and self._slow_turn.turns):
             taught = self._turn.follow(samples, self.may_stand, fixes_move, PERIOD_NS)
             if taught is not None:
                 phases.submit(CovarianceInflation(t_ns, taught, lever_b))

@@ -29,6 +29,7 @@ PAUSE_NS = 5_000_000_000  # after which another stand begins: fixes that jump in
 DRIFT = 1e-4  # rad/s/√s, of a bias
 SIGNIFICANT = 4.0  # standard deviations of noise and drift
 ASIDE = 0.5  # of a change about the vertical, that there may be across it
+KNOWN = 2.0  # standard deviations of a bias before the stand, of a turn that leaves it as it was
 ENDED = 10  # checks in a row without a turn, after one
 
 
@@ -63,17 +64,18 @@ class _Rate(NamedTuple):
 
 
 class TurnNoticed(NamedTuple):
-    """A turn that began some seconds ago."""
+    """A turn that began some seconds ago, or that has ended."""
 
-    std: Array  # (15,) of what the stand has taught wrongly since
-    before: Standstill  # what it had taught until then
+    std: Array  # (15,) of what the stand has taught wrongly
+    stand: Standstill | None  # without a turn; None: too little is known of the bias
 
 
 class SlowTurn:
     """
     Compares the mean rate of a stand with that of ten to thirty seconds ago.
 
-    A stand that begins with a turn is not noticed: see `stand_turn`.
+    A turn that a stand begins with is noticed when it ends, since the rate then is nearer to the
+    bias that was known before the stand.
     """
 
     def __init__(self) -> None:
@@ -82,6 +84,7 @@ class SlowTurn:
     def reset(self) -> None:
         """Forget the stand."""
         self._rates: deque[_Rate] = deque()
+        self._known: tuple[Array, Array] | None = None  # bias and its σ, at the stand's begin
         self._before: _Rate | None = None
         self._without = 0  # checks in a row
 
@@ -90,13 +93,21 @@ class SlowTurn:
         """The vehicle turns while it stands: its mean rate is no bias."""
         return self._before is not None
 
-    def follow(self, samples: NDArray[np.void], stands: bool) -> TurnNoticed | None:
-        """Use the last second of samples; return a turn when it is noticed."""
+    def follow(
+        self, samples: NDArray[np.void], stands: bool, bias_g: Array, bias_std: Array
+    ) -> TurnNoticed | None:
+        """
+        Use the last second of samples; return a turn when it is noticed.
+
+        ``bias_g`` and ``bias_std`` are the gyroscopes' bias by the filter and its σ [rad/s], each
+        of shape (3,): at the begin of a stand they show whether the rate then was a turn already.
+        """
         t_ns = int(samples["t_ns"][-1])
         if self._rates and t_ns - self._rates[-1].t_ns > PAUSE_NS:
             self.reset()
         if not stands:
             return None
+        bias_g, bias_std = self._known = self._known or (bias_g.copy(), bias_std.copy())
         mean, std = mean_and_std(as_numbers(samples))
         rate = _Rate(t_ns, mean[3:], float(np.max(std[3:] ** 2)) / len(samples))
         down_b = -mean[:3] / np.linalg.norm(mean[:3])
@@ -114,10 +125,17 @@ class SlowTurn:
         turn = change.turn(down_b)
         if not turn > change.aside(down_b) / ASIDE:
             return None
-        self._before = earlier
-        std_b = np.full(3, math.hypot(STANDING_RATE_STD, change.sigma))
-        seconds = (t_ns - earlier.t_ns) * 1e-9
-        return TurnNoticed(_taught(turn, down_b, seconds), Standstill(t_ns, earlier.mean, std_b))
+        off, off_before = (abs((one.mean - bias_g) @ down_b) for one in (rate, earlier))
+        without = rate if off < off_before else earlier
+        if without is earlier:
+            self._before = earlier
+        else:
+            self._rates.clear()
+        stand = None
+        if turn > KNOWN * np.linalg.norm(bias_std * down_b):
+            std_b = np.full(3, math.hypot(STANDING_RATE_STD, change.sigma))
+            stand = Standstill(t_ns, without.mean, std_b)
+        return TurnNoticed(_taught(turn, down_b, (t_ns - earlier.t_ns) * 1e-9), stand)
 
     def _earlier(self, rate: _Rate) -> _Rate | None:
         """Keep a rate; return the mean of those at the begin of what is remembered."""

@@ -26,6 +26,7 @@ def followed(
     force_b: tuple[float, float, float] = UPRIGHT,
     stands: Callable[[float], bool] = lambda t: True,
     noise: float = 1e-3,
+    bias_std: float = 3e-4,
 ) -> tuple[SlowTurn, list[tuple[float, TurnNoticed]], list[tuple[float, bool]]]:
     """Return a stand [s], checked twice a second: turns noticed, whether it turns by time."""
     rng, turn, noticed, turns = np.random.default_rng(2), SlowTurn(), [], []
@@ -34,7 +35,7 @@ def followed(
         samples["t_ns"] = np.rint((t + np.arange(100) * 0.01) * 1e9)
         samples["f"] = force_b
         samples["w"] = BIAS + rate(t) + noise * rng.standard_normal((100, 3))
-        found = turn.follow(samples, stands(t))
+        found = turn.follow(samples, stands(t), BIAS, np.full(3, bias_std))
         noticed += [] if found is None else [(t, found)]
         turns.append((t, turn.turns))
     return turn, noticed, turns
@@ -51,8 +52,8 @@ def test_a_turn_that_begins_softly_is_noticed_and_the_bias_is_that_of_before(
 
     [(at, found)] = noticed
     assert 40.0 < at < 45.0 + 0.7 * seconds
-    assert np.all(np.abs(found.before.rate_b - BIAS) < 2.0 * found.before.rate_std)
-    assert np.max(found.before.rate_std) < 0.2 * RATE
+    assert np.all(np.abs(found.stand.rate_b - BIAS) < 2.0 * found.stand.rate_std)
+    assert np.max(found.stand.rate_std) < 0.2 * RATE
     assert found.std[12 + axis] > 0.2 * RATE and found.std[8] > 0.0
     assert np.count_nonzero(found.std) == 2
     assert all(is_turning for t, is_turning in turns if t > at)
@@ -94,3 +95,28 @@ def test_a_short_interruption_is_the_same_stand(pause: float, goes_on: bool) -> 
 
     assert len(noticed) == 1
     assert turn.turns == goes_on
+
+
+@pytest.mark.parametrize("seconds", [0.5, 10.0])
+def test_a_turn_that_a_stand_begins_with_is_noticed_when_it_ends(seconds: float) -> None:
+    turning = np.array([0.0, 0.0, RATE])
+
+    turn, noticed, _ = followed(lambda t: turning * (1.0 - ramp(t, 40.0, seconds)), 90.0)
+
+    at = noticed[0][0]
+    assert 40.0 < at < 45.0 + 0.7 * seconds
+    left = [abs(found.stand.rate_b[2] - BIAS[2]) / RATE for _, found in noticed]
+    assert left[0] < 0.7 and left[-1] < 0.15
+    assert not turn.turns
+
+
+@pytest.mark.parametrize(("begin", "end"), [(40.0, 999.0), (0.0, 40.0)])
+def test_a_turn_leaves_a_bias_that_is_not_known_uncertain(begin: float, end: float) -> None:
+    turn, noticed, _ = followed(
+        lambda t: np.array([0.0, 0.0, RATE * (begin <= t < end)]), 60.0, bias_std=0.01
+    )
+
+    [(_, found)] = noticed
+    assert found.stand is None
+    assert found.std[14] > 0.9 * RATE
+    assert turn.turns == (begin > 0.0)
