@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 AGO_NS = 10_000_000_000  # before now, at the least, when a turn that is noticed had not begun
 MEMORY_NS = 30_000_000_000  # of rates
-FEWEST = 4  # of them
+FEWEST = 4  # rates, that a mean is of
 PAUSE_NS = 5_000_000_000  # after which another stand begins: fixes that jump interrupt one
 DRIFT = 1e-4  # rad/s/√s, of a bias
 SIGNIFICANT = 4.0  # standard deviations of noise and drift
 ASIDE = 0.5  # of a change about the vertical, that there may be across it
-KNOWN = 2.0  # standard deviations of a bias before the stand, of a turn that leaves it as it was
+KNOWN = 2.0  # σ of the bias before the stand, by which a turn has to exceed it to be corrected
 ENDED = 10  # checks in a row without a turn, after one
 
 

@@ -37,13 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.inertial.state import (
-    COVARIANCE,
-    DV,
-    EPS,
-    N_ERROR,
-    PLACES,
-)
+from hybrid_ins.core.inertial.state import COVARIANCE, DV, EPS, N_ERROR, PLACES
 from hybrid_ins.core.noise.heading_information import HEADING
 from hybrid_ins.core.noise.hypotheses import (
     AGE_STD,

@@ -87,5 +87,5 @@ class NoiseInput:
         low, high = regressor.rate_range
         return (
             f"imu/data: {rate:.4g} Hz: the noise model {regressor.name} reads {low:g} to {high:g} "
-            "Hz; the constants noise.q_* are used, times factors by the innovations of fixes"
+            "Hz; the constants noise.q_* are used, and fixes correct them (noise.innovation_scale)"
         )
