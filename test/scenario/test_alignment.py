@@ -34,6 +34,7 @@ from hybrid_ins.simulation.motions import (
     motion_through,
     quadrotor_flight,
     random_motion,
+    smoothed,
     static,
     time_grid,
     velocity_of,
@@ -152,6 +153,26 @@ def test_a_slow_turn_at_anchor_is_no_gyroscope_bias_when_the_boat_sails(turn: fl
     # THEN the heading is as good as it says
     assert max(ratio for _, ratio in errors) < 4.0, errors
     assert errors[-1][0] < 6.0, errors
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5, -0.5])
+def test_a_slow_turn_that_begins_during_a_stand_is_no_gyroscope_bias(turn: float) -> None:
+    """The heading of masts, boats and turntables stayed behind by as much as they turned."""
+    # GIVEN a vehicle whose heading and biases motion has shown
+    t = time_grid(130.0)
+    speed = 4.0 * (np.clip((t - 5.0) / 4.0, 0.0, 1.0) - np.clip((t - 40.0) / 4.0, 0.0, 1.0))
+    # WHEN it stands, and after a while turns slowly, with a soft begin
+    course = 0.8 * np.sin(0.3 * np.clip(t - 10.0, 0.0, 10.0 * np.pi))
+    course += turn * smoothed(np.clip((t - 75.0) / 45.0, 0.0, 1.0), 10.0)
+    yaw = np.stack((0.0 * t, 0.0 * t, course), axis=-1)
+    run = scene(motion_through(t, velocity_of(speed, course, 0.0 * t), yaw, START_LLA))
+    navigator = make_navigator()
+    # THEN the heading turns with it
+    for start, stop in ((0.0, 70.0), (70.0, 100.0), (100.0, 128.0)):
+        play(run, navigator, start, stop)
+        error = run.errors(navigator, stop)[2]
+        assert error < 4.0 * heading_std(navigator)
+        assert np.degrees(error) < 4.0
 
 
 @pytest.mark.parametrize("known", [False, True])
