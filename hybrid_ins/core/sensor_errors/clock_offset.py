@@ -54,6 +54,7 @@ AGE_TIME = 5.0  # s, in which it changes: receivers filter velocities, it follow
 AGE_MEMORY = 20.0  # s, over which its mean square is averaged
 MOTION_TIME = 0.5  # s, in which a motion changes: what a shift by a time t leaves wrong is t²/that
 NIS_MEMORY = 40.0  # corrections over which the normalised NIS is averaged
+LARGEST_INFORMATION = 1e30  # 1/s², of a fix: beyond it rounding leaves nothing of the covariance
 MARGIN = 1.25  # factor on σ: innovations are not quite white. Without it, the largest error in a
 # quarter of an hour of smooth driving with metre fixes was 3.1 to 3.6 σ
 
@@ -304,7 +305,10 @@ def observe(clock, interval, z, h, S, of_noise, informs):  # type: ignore[no-unt
     P = clock[P_PARAMETERS].reshape(N_PARAMETERS, N_PARAMETERS)
     root, to_offset, to_age, rest = S.copy(), h[:, 0].copy(), h[:, 1].copy(), z.copy()
     factorise(root)
-    clock[INFORMATION] += whiten(root, to_offset)
+    information = whiten(root, to_offset)
+    if not information < LARGEST_INFORMATION:
+        return
+    clock[INFORMATION] += information
     clock[OF_NOISE] += of_noise
     whiten(root, to_age)
     whiten(root, rest)
