@@ -126,15 +126,15 @@ class SlowTurn:
         if not turn > change.aside(down_b) / ASIDE:
             return None
         off, off_before = (abs((one.mean - bias_g) @ down_b) for one in (rate, earlier))
-        without = rate if off < off_before else earlier
-        if without is earlier:
+        still = rate if off < off_before else earlier
+        if still is earlier:
             self._before = earlier
         else:
             self._rates.clear()
         stand = None
         if turn > KNOWN * np.linalg.norm(bias_std * down_b):
             std_b = np.full(3, math.hypot(STANDING_RATE_STD, change.sigma))
-            stand = Standstill(t_ns, without.mean, std_b)
+            stand = Standstill(t_ns, still.mean, std_b)
         return TurnNoticed(_taught(turn, down_b, (t_ns - earlier.t_ns) * 1e-9), stand)
 
     def _earlier(self, rate: _Rate) -> _Rate | None:

@@ -79,6 +79,11 @@ def test_a_slow_sway_is_not_taken_for_the_bias(period: float) -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.015])
+def test_noise_is_no_sway(noise: float) -> None:
+    assert np.all(np.hypot(0.002, sway(samples(rate_std=noise))) < 0.0021)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.015])
 def test_noise_is_hardly_any_sway(noise: float) -> None:
     """GIVEN noise alone WHEN its sway is read THEN it is of the size of the mean's own error."""
     found = [sway(samples(rate_std=noise, seed=seed)) for seed in range(50)]
