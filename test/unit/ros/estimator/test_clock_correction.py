@@ -12,7 +12,7 @@ from hybrid_ins import parameters
 from hybrid_ins.core.filter.events import ClockShift
 from hybrid_ins.core.inertial.state import N_FLAT
 from hybrid_ins.core.navigator.notices import ClockOffsetFound
-from hybrid_ins.core.sensor_errors.clock_offset import DRIFT, P_DRIFT, ClockOffsetObserver
+from hybrid_ins.core.sensor_errors.clock_offset import DRIFT, MARGIN, P_DRIFT, ClockOffsetObserver
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
 from hybrid_ins.ros.estimator.clock_correction import ClockCorrection
 from hybrid_ins.ros.reporting.input_log import InputLog
@@ -249,7 +249,7 @@ def test_the_drift_that_was_found_outlasts_a_restart() -> None:
     running = Running(0.0)
     clock, navigator = correction(running)
     navigator.phases.clock_open = False
-    for variance, std in ((5e-5**2, 6e-5), (1e-4**2, 1e-4)):  # no wider than of unknown clocks
+    for variance, std in ((5e-5**2, MARGIN * 5e-5), (1e-4**2, 1e-4)):  # no wider than of unknown clocks
         running.show(0.05, clock.offset, 0.01)
         running.clock.values[[DRIFT, P_DRIFT]] = 2e-4, variance
         clock.run_periodic()
