@@ -249,8 +249,8 @@ def test_the_drift_that_was_found_outlasts_a_restart() -> None:
     running = Running(0.0)
     clock, navigator = correction(running)
     navigator.phases.clock_open = False
-    no_wider = 1e-4  # than of unknown clocks
-    for variance, std in ((5e-5**2, MARGIN * 5e-5), (1e-4**2, no_wider)):
+    of_unknown_clocks = 1e-4  # what was found is no wider
+    for variance, std in ((5e-5**2, MARGIN * 5e-5), (1e-4**2, of_unknown_clocks)):
         running.show(0.05, clock.offset, 0.01)
         running.clock.values[[DRIFT, P_DRIFT]] = 2e-4, variance
         clock.run_periodic()
