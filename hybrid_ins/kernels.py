@@ -18,8 +18,8 @@ import numpy as np
 
 from hybrid_ins import kernel_cache
 from hybrid_ins.core.filter import fix_update
+from hybrid_ins.core.imu import fix_motion, standstill, straight_line
 from hybrid_ins.core.imu import health as imu_health
-from hybrid_ins.core.imu import standstill, straight_line
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.core.imu_axes import fit as imu_axes_fit
 from hybrid_ins.core.inertial import propagation
@@ -265,7 +265,7 @@ def _compile_output() -> None:
     samples = np.zeros(20, SAMPLE_DTYPE)
     imu_health.find_fault(samples)
     standstill.is_standing(samples)
-    standstill.significant_speed(np.arange(4), np.zeros((4, 3)))
+    fix_motion.significant_speed(np.arange(4), np.zeros((4, 3)))
     imu_axes_fit.integrate_force(
         np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 3)), np.zeros((3, 2, 3))
     )

@@ -10,7 +10,7 @@ import pytest
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
-from hybrid_ins.core.imu.standstill import FixMotion
+from hybrid_ins.core.imu.fix_motion import FixMotion
 from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.ros.messages.conversions import stamp_ns
 from hybrid_ins.simulation.sensors import Tone

@@ -120,7 +120,8 @@ class FilterNoise:
                 bank.forget_heights(fix.t_ns)
         found = self.found
         shown = found.slow_std, found.slow_height_std
-        lasts = scatter.in_force and found.slow_probability > PROBABLE
+        is_told = scatter.in_force or (self.factors is not None and self.factors.stands(fix.t_ns))
+        lasts = is_told and found.slow_probability > PROBABLE
         self.slow_error = self.slow_error.updated(shown, lasts, fix.t_ns)
         self.split = scatter.split(
             fix.claimed, fix.t_ns, self.slow_error.stds, found.fixes, found.heights

@@ -79,6 +79,7 @@ from hybrid_ins.core.update.measurements import (
     LinearModel,
     Measurement,
     PositionFix,
+    Standstill,
     VelocityFix,
 )
 
@@ -317,7 +318,8 @@ class MeasurementUpdate:
             factors_by_axis=self.noise.factors_by_axis(measurement),
         )
         if measurement.sensor != GNSS:
-            if verdict.accepted and measurement.sensor != IMU:
+            is_stand = measurement.kind == Standstill.kind
+            if verdict.accepted and (measurement.sensor != IMU or is_stand):
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
             self.scale_errors.update(correction, is_fix=False, beside=by_scale)

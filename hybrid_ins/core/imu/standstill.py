@@ -1,12 +1,13 @@
 """
-Detection of a standing vehicle from its IMU, and of a moving one from its fixes.
+Detection of a standing vehicle from its IMU.
 
 While a vehicle stands, the samples vary little, and their means over tenths of a second do not vary
 beyond what the samples' noise explains. Vibration fails the first test, a hovering drone's control
 the second. A smooth cruise passes both: the caller must also check that zero speed is plausible
-(`may_be_zero`), that the fixes of the last seconds show no motion, and that the vehicle has shown
-no cruise as calm at speeds that are plausible, too (`Glides`). A train that sets off gently
-passes them, too: its acceleration hardly changes in a second, but since the stand began it does.
+(`may_be_zero`), that the fixes of the last seconds show no motion (`fix_motion`), and that the
+vehicle has shown no cruise as calm at speeds that are plausible, too (`Glides`). A train that sets
+off gently passes them, too: its acceleration hardly changes in a second, but since the stand began
+it does.
 
 References
 ----------
@@ -19,12 +20,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
+from hybrid_ins.core.imu.fix_motion import MIN_SPEED
 from hybrid_ins.core.imu.samples import as_numbers, readings_of
-from hybrid_ins.core.inertial.earth import curvature_scale, wrapped
 
 STANDING_FORCE_STD = 0.3  # m/s², of the samples
 STANDING_RATE_STD = 0.02  # rad/s
@@ -33,11 +33,7 @@ SLOW_RATE_STD = 0.003  # rad/s
 LARGEST_MEAN_RATE = 0.06  # rad/s: bias, not a turn
 SWAY = 5.0  # of a rate over its spread within a window: that of one in nine of its lengths
 MEANS = 8  # per window
-FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
-MIN_FIXES, MAX_FIXES = 4, 64  # of those
-MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
 LONGEST_BRAKING_NS = 10_000_000_000  # of steady braking, which resembles standing until it ends
-SIGNIFICANT_SPEED = 4.0  # standard deviations of the speed
 SPEED_NIS_STANDING = 7.8  # chi-square, 3 degrees of freedom, 95 %
 _STD = np.repeat((STANDING_FORCE_STD, STANDING_RATE_STD), 3)
 SLOW_STD = np.repeat((SLOW_FORCE_STD, SLOW_RATE_STD), 3)
@@ -197,79 +193,3 @@ def mean_and_std(numbers):  # type: ignore[no-untyped-def]
         for c in range(6):
             std[c] += (numbers[k, 1 + c] - mean[c]) ** 2
     return mean, np.sqrt(std / count)
-
-
-class FixMotion:
-    """
-    Speed over ground by the last position fixes, from their own scatter, whatever they claim.
-
-    Attributes
-    ----------
-    speed : float
-        Horizontal [m/s]; 0 where it is not significant.
-    """
-
-    def __init__(self) -> None:
-        self.speed = 0.0
-        self._t_ns = np.empty(0, np.int64)
-        self._lla = np.empty((0, 3))
-
-    def observe(self, t_ns: int, lla: NDArray[np.float64]) -> None:
-        """Use a position fix: stamp [ns], latitude and longitude [rad] and height [m], (3,)."""
-        if len(self._t_ns) and t_ns <= self._t_ns[-1]:
-            return
-        first = max(self._t_ns.searchsorted(t_ns - FIX_SPAN_NS), len(self._t_ns) + 1 - MAX_FIXES)
-        self._t_ns = np.concatenate((self._t_ns[first:], (t_ns,)))
-        self._lla = np.concatenate((self._lla[first:], (lla,)))
-        self.speed = significant_speed(self._t_ns, self._lla)
-
-    def moves(self, t_ns: int) -> bool:
-        """Return whether fixes have shown motion until a stamp [ns], and not long before."""
-        return self.speed > 0.0 and t_ns - int(self._t_ns[-1]) < FIX_SPAN_NS
-
-
-@kernel()
-def significant_speed(t_ns, lla):  # type: ignore[no-untyped-def]
-    """
-    Return the horizontal speed [m/s] of positions by a straight line; 0 where it is none.
-
-    Stamps (N,) [ns]; latitude, longitude [rad] and height [m], (N, 3). It has to be significant
-    without the largest step between two positions, too: receivers step at rest.
-    """
-    count = len(t_ns)
-    if count < MIN_FIXES:
-        return 0.0
-    t, places, last = np.empty(count), np.empty((count, 2)), lla[count - 1]
-    north, east, _ = curvature_scale(last)
-    for k in range(count):
-        t[k] = (t_ns[k] - t_ns[count - 1]) * 1e-9
-        places[k, 0] = (lla[k, 0] - last[0]) * north
-        places[k, 1] = wrapped(lla[k, 1] - last[1]) * east
-    t -= t.mean()
-    speed = _slope(t, places)
-    if speed == 0.0:
-        return 0.0
-    at, largest = 1, 0.0
-    for k in range(1, count):
-        step = np.hypot(places[k, 0] - places[k - 1, 0], places[k, 1] - places[k - 1, 1])
-        if step > largest:
-            at, largest = k, step
-    for axis in range(2):
-        step = places[at, axis] - places[at - 1, axis]
-        others = (places[count - 1, axis] - places[0, axis] - step) / (count - 2)
-        for k in range(at, count):
-            places[k, axis] += others - step
-    return speed if _slope(t, places) > 0.0 else 0.0
-
-
-@register_jitable
-def _slope(t, places):  # type: ignore[no-untyped-def]
-    """Return the speed of places (N, 2) [m] by a straight line, t (N,) about 0; 0: it is none."""
-    count, square, residual, speed = len(t), np.sum(t * t), 0.0, 0.0
-    for axis in range(2):
-        place = places[:, axis] - places[:, axis].mean()
-        slope = np.sum(t * place) / square
-        residual += np.sum((place - t * slope) ** 2)
-        speed = np.hypot(speed, slope)
-    variance = residual / (2 * count - 4) / square
-    return speed if speed > max(MIN_SPEED, SIGNIFICANT_SPEED * np.sqrt(variance)) else 0.0

@@ -16,6 +16,7 @@ from hybrid_ins.core.alignment.alignment import Biases
 from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.filter.ins_filter import InsFilter
+from hybrid_ins.core.imu.fix_motion import FixMotion
 from hybrid_ins.core.imu.health import FaultKind, ImuFault, find_fault
 from hybrid_ins.core.imu.lift_watch import LiftWatch
 from hybrid_ins.core.imu.samples import ImuRing
@@ -97,6 +98,7 @@ class ImuMonitor:
         self._glides = Glides()
         self._zero_updates = zero_updates
         self._biases: deque[Biases] = deque(maxlen=BIASES_KEPT)
+        self._still_ns: int | None = None  # since when the IMU shows no change of the velocity
         self.reset()
 
     @property
@@ -109,6 +111,8 @@ class ImuMonitor:
         """Why the state has to be given up, by the last check; None: it goes on."""
         if self.fault is not None and self.fault.unusable:
             return RestartCause.IMU_UNUSABLE
+        if self._was_misled:
+            return RestartCause.FIXES_WANDERED
         if self.fault is not None and self.fault.lost_turn > HEADING_KEPT_STD:
             return RestartCause.TURN_UNMEASURED
         return None
@@ -118,6 +122,8 @@ class ImuMonitor:
         self.fault: ImuFault | None = None
         self.standing = False
         self.calm = 0, 0
+        self._force_changed = False  # since the stand began
+        self._was_misled = False  # a search took the wander of fixes at a stand for motion
         self._calm_ns: int | None = None  # since when the vehicle may stand
         self._calm_std = math.inf  # m/s, of its speed when that began, or later if it was less
         self._standing_force = StandingForce()
@@ -154,7 +160,7 @@ class ImuMonitor:
                 self._agreed = self._agreed + 1 if plainly else None
             self._lift.reset()
 
-    def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, fixes_move: bool) -> bool:
+    def check(self, phases: PhaseMachine, ring: ImuRing, t_ns: int, motion: FixMotion) -> bool:
         """
         Check where that is due, and apply the result to the filters.
 
@@ -166,8 +172,8 @@ class ImuMonitor:
             Recent IMU samples.
         t_ns : int
             Stamp of the last of them [ns].
-        fixes_move : bool
-            The position fixes show motion: the vehicle does not stand.
+        motion : FixMotion
+            By the position fixes: what moves does not stand.
 
         Returns
         -------
@@ -195,7 +201,11 @@ class ImuMonitor:
             self._biases.append(Biases.of(phases.filter.state, t_ns))
         calm = t_ns - samples["t_ns"][0] > SHORTEST_STAND and is_standing(samples)
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
-        self._follow_calm(best, samples, fixes_move, calm and not self._lift.moves)
+        calm = calm and not self._lift.moves
+        self._follow_still(samples, calm)
+        wander = calm and motion.wanders(self._still_ns or 0)
+        fixes_move = motion.moves(t_ns) and not wander
+        self._follow_calm(best, samples, fixes_move, calm, wander)
         self._follow_turns(phases, best, samples, fixes_move)
         if self._calm_ns is not None:
             self.calm = self._calm_ns, t_ns
@@ -206,6 +216,9 @@ class ImuMonitor:
         )
         if self.standing:
             self._lift.note_stand(samples)
+            bank = phases.phase.bank
+            if phases.filter is None and bank is not None and bank.clock_open:
+                self._was_misled = self._still_ns is not None and self._still_ns < bank.begun_ns
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples, self._slow_turn.turns))
         return True
@@ -230,18 +243,35 @@ class ImuMonitor:
             if taught is not None:
                 phases.submit(CovarianceInflation(t_ns, taught, lever_b))
 
+    def _follow_still(self, samples: NDArray[np.void], calm: bool) -> None:
+        """Note since when the IMU shows no change of the velocity, by ``samples`` until now."""
+        begin_ns = int(samples["t_ns"][0])
+        self._force_changed = calm and self._standing_force.changes(samples)
+        if not calm or self._force_changed:
+            self._still_ns = None
+        elif self._still_ns is None or self._still_ns > begin_ns:
+            self._still_ns = begin_ns
+
     def _follow_calm(
-        self, best: InsFilter, samples: NDArray[np.void], fixes_move: bool, calm: bool
+        self,
+        best: InsFilter,
+        samples: NDArray[np.void],
+        fixes_move: bool,
+        calm: bool,
+        fixes_wander: bool,
     ) -> None:
-        """Note since when the vehicle may stand, by ``samples`` until now."""
+        """
+        Note since when the vehicle may stand, by ``samples`` until now.
+
+        The speed of a filter that follows fixes which wander is no evidence.
+        """
         if not calm:
             self._calm_ns, self._gliding_std = None, math.inf
             self._standing_force.reset()
             self._glides.reset()
             return
         begin_ns, t_ns = int(samples["t_ns"][0]), int(samples["t_ns"][-1])
-        speed_std = _speed_std(best)
-        changed = self._standing_force.changes(samples)
+        speed_std, changed = _speed_std(best), self._force_changed
         if fixes_move:
             speed = float(np.linalg.norm(best.nav[VELOCITY]))
             self._glides.observe(begin_ns, t_ns, speed, speed_std)
@@ -249,7 +279,7 @@ class ImuMonitor:
             self._glides.reset()
         if changed:
             self._gliding_std = math.inf
-        if fixes_move or not _zero_speed_is_plausible(best):
+        if fixes_move or not (fixes_wander or _zero_speed_is_plausible(best)):
             self._calm_ns, self._gliding_std = None, min(speed_std, self._gliding_std)
         elif speed_std > STILL_KNOWN * self._gliding_std:
             self._calm_ns = None

@@ -262,8 +262,8 @@ class Navigator:
 
     def check_imu(self) -> None:
         """Check the health of the IMU and whether the vehicle stands, where that is due."""
-        before, moving = self.monitor.fault, self._measurements.motion.moves(self.last_ns)
-        if not self.monitor.check(self.phases, self.ring, self.last_ns, moving):
+        before, motion = self.monitor.fault, self._measurements.motion
+        if not self.monitor.check(self.phases, self.ring, self.last_ns, motion):
             return
         if (fault := self.monitor.fault) is not None and fault != before:
             self._notices.append(FaultFound(fault))

@@ -29,6 +29,7 @@ class RestartCause(Enum):
     REPEATED_RESETS = "the state did not fit the fixes"
     FIXES_JUMPED = "the fixes jumped before the heading was known"
     FIXES_REPEATED = "the driver repeats fixes"
+    FIXES_WANDERED = "the fixes wandered while the vehicle stood"
     VELOCITIES_WRONG = "the velocities contradict the positions"
 
 

@@ -153,15 +153,21 @@ def search_heading_and_clock(
     Parameters
     ----------
     filters : sequence of InsFilter
-        One for each heading, all of one time. What they have learned of the noise is not kept:
-        under a wrong heading or clock it is wrong.
+        One for each heading, all of one time. Of what they have learned of the noise only the
+        slow error of fixes is kept, which a stand has shown: under a wrong heading or clock the
+        rest is wrong.
     headings : ndarray
         Probabilities of the headings.
     calm : tuple of int
         `ImuMonitor.calm` [ns].
     """
     first = filters[0]
-    noise = partial(parts.noise, first.noise.process.period)
+
+    def noise() -> FilterNoise:
+        fresh = parts.noise(first.noise.process.period)
+        fresh.slow_error = first.noise.slow_error
+        return fresh
+
     begin = _factory(parts, ring, first.t_ns, first.sample, noise)
     offsets = probabilities(parts.settings.clock_prior_at(first.t_ns))
     states = [known.state for known in filters]

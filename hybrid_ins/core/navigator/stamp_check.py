@@ -14,7 +14,7 @@ from hybrid_ins.core.filter.gap import LONG_GAP
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, left_behind
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction, VelocityCheck
-from hybrid_ins.core.imu.standstill import FixMotion
+from hybrid_ins.core.imu.fix_motion import FixMotion
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 

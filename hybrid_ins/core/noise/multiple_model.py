@@ -81,6 +81,7 @@ from hybrid_ins.core.update.kalman import heading_turn
 from hybrid_ins.core.update.linalg import log_determinant
 from hybrid_ins.core.update.measurements import (
     PositionFix,
+    Standstill,
     VelocityFix,
     roots_by_axis,
     scaled_by_axis,
@@ -91,6 +92,7 @@ Array = NDArray[np.float64]
 OUTLIERS = 0.05  # prior probability that a jump of the fixes is an error of its own
 NEW_HEIGHTS_NS = 60_000_000_000  # in which the filter settles on heights that there were not before
 MAX_INTERVAL = 3.0  # s without a fix: beyond it the mean motion does not represent the IMU
+STAND_NS = 1_500_000_000  # after a standstill update, in which the vehicle still stands
 
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2] = 1.0
@@ -103,7 +105,7 @@ _START[FACTORS] = NoiseFactors()
 _START[OF_FAMILY][1:] = AT_START
 _START[LOWEST], _START[CLAIMED_STDS] = 1.0, math.inf
 _IDENTITY = np.eye(N_ERROR)
-_EXACT = [np.zeros((m, m)) for m in range(4)]  # contiguous: kernels are compiled for such alone
+_EXACT = [np.zeros((m, m)) for m in range(7)]  # contiguous: kernels are compiled for such alone
 _START[PENDING_G] = _IDENTITY.ravel()
 
 
@@ -134,7 +136,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         self.found = NoiseFactors()
         self._values = _START
         self.estimates: Array | None = None
-        self.t_ns, self._heightless_ns = 0, -NEW_HEIGHTS_NS
+        self.t_ns, self._heightless_ns, self._stood_ns = 0, -NEW_HEIGHTS_NS, -STAND_NS
 
     def restart(self, *, keep_weights: bool) -> None:
         """
@@ -218,7 +220,7 @@ class NoiseMultipleModelBank(ShallowCopy):
         covariance, and their likelihoods stay as they were.
         """
         are_new = correction.t_ns - self._heightless_ns < NEW_HEIGHTS_NS
-        without = are_new or correction.of_stamp is None
+        without = are_new or self._is_search(correction)
         hypotheses = WITHOUT_SLOW_HEIGHTS if without else WIDE_HYPOTHESES
         have_risen = self._update(correction, psd, hypotheses, True)
         self._read_factors()
@@ -226,10 +228,20 @@ class NoiseMultipleModelBank(ShallowCopy):
 
     def follow(self, correction: Correction, psd: Array) -> None:
         """Correct the hypotheses by a measurement that is no fix, and do not weigh them."""
+        if correction.kind == Standstill.kind:
+            self._stood_ns = correction.t_ns
         if self.estimates is not None and 0.0 <= self._time_to(correction) <= MAX_INTERVAL:
             self._update(correction, psd, _HYPOTHESES_OF_IMU, False)
         else:
             self.estimates = None
+
+    def stands(self, t_ns: int) -> bool:
+        """Return whether the vehicle stands at a stamp [ns]."""
+        return t_ns - self._stood_ns < STAND_NS
+
+    def _is_search(self, correction: Correction) -> bool:
+        """Return whether a wrong heading or clock may look like errors of a fix."""
+        return correction.of_stamp is None and not self.stands(correction.t_ns)
 
     def _time_to(self, correction: Correction) -> float:
         """Return the time since the last correction [s]."""
@@ -238,7 +250,7 @@ class NoiseMultipleModelBank(ShallowCopy):
     def _update(self, correction: Correction, psd: Array, hypotheses: Array, weigh: bool) -> bool:
         """See `update_hypotheses`."""
         before, T, m = self.estimates, self._time_to(correction), len(correction.z)
-        is_search, claims = correction.of_stamp is None, correction.claimed_stds
+        is_search, claims = self._is_search(correction), correction.claimed_stds
         stamp_stds, roots, in_force = STAMP_STD, _ROOTS_OF_OTHERS, np.ones(m)
         if correction.kind == PositionFix.kind:
             roots, in_force = _ROOTS_OF_POSITION, roots_by_axis(*correction.factors_by_axis)[:m]

@@ -126,6 +126,8 @@ def describe_restart(restarted: Restarted) -> str:
         return "the fixes jumped before the heading was known, and fit none"
     if cause is RestartCause.FIXES_REPEATED:
         return "repeated fixes were taken for new ones before the heading was known"
+    if cause is RestartCause.FIXES_WANDERED:
+        return "the wander of the fixes was taken for motion while the vehicle stood"
     if cause is RestartCause.VELOCITIES_WRONG:
         return "the state rests on velocities that contradict the positions"
     return "repeated covariance resets: the heading is probably wrong"

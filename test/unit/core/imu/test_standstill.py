@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hybrid_ins.core.imu.fix_motion import significant_speed
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, as_numbers, readings_of
 from hybrid_ins.core.imu.standstill import (
     Glides,
@@ -10,7 +11,6 @@ from hybrid_ins.core.imu.standstill import (
     is_standing,
     may_be_zero,
     mean_and_std,
-    significant_speed,
     sway,
 )
 
