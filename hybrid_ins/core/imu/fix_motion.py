@@ -21,7 +21,6 @@ FIX_SPAN_NS = 5_000_000_000  # of fixes that may show motion
 MIN_FIXES, MAX_FIXES = 4, 64  # of those
 MIN_SPEED = 0.25  # m/s: the slow errors of receivers are as fast
 SIGNIFICANT_SPEED = 4.0  # standard deviations of the speed
-WANDER_SPEED = 3.0  # m/s: no wander is as fast for `FIX_SPAN_NS`
 SHORTEST_WANDER_NS, WANDER_SPAN_NS = 8_000_000_000, 20_000_000_000  # of fixes that show wander
 SPACING_NS = 240_000_000  # between two of those, at the least
 STRAIGHT = 13.0  # times what a parabola leaves of them: a random walk moves 5 times as far
@@ -61,19 +60,19 @@ class FixMotion:
         """Return whether fixes have shown motion until a stamp [ns], and not long before."""
         return self.speed > 0.0 and t_ns - int(self._t_ns[-1]) < FIX_SPAN_NS
 
-    def wanders(self, since_ns: int) -> bool:
+    def wanders(self, since_ns: int, t_ns: int) -> bool:
         """
-        Return whether what they show is their wander.
+        Return whether what they have shown until a stamp [ns] is their wander.
 
         Parameters
         ----------
-        since_ns : int
-            Stamp [ns] from which on the IMU has shown no change of the velocity.
+        since_ns, t_ns : int
+            Stamps [ns] between which the IMU has shown no change of the velocity.
         """
-        if self.speed > WANDER_SPEED:
-            return False
         spaced = [one for one in self._spaced if one[0] >= since_ns]
         if not spaced or spaced[-1][0] - spaced[0][0] < SHORTEST_WANDER_NS:
+            return False
+        if t_ns - spaced[-1][0] > FIX_SPAN_NS:
             return False
         t = np.array([(t_ns - spaced[0][0]) * 1e-9 for t_ns, _ in spaced])
         places = displacement(spaced[0][1], np.stack([lla for _, lla in spaced]))[:, :2]

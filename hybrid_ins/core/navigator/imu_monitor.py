@@ -203,7 +203,7 @@ class ImuMonitor:
         self._lift.observe(samples[samples["t_ns"] > t_ns - PERIOD_NS], PERIOD_NS * 1e-9, calm)
         calm = calm and not self._lift.moves
         self._follow_still(samples, calm)
-        wander = calm and motion.wanders(self._still_ns or 0)
+        wander = self._still_ns is not None and motion.wanders(self._still_ns, t_ns)
         fixes_move = motion.moves(t_ns) and not wander
         self._follow_calm(best, samples, fixes_move, calm, wander)
         self._follow_turns(phases, best, samples, fixes_move)
@@ -263,7 +263,7 @@ class ImuMonitor:
         """
         Note since when the vehicle may stand, by ``samples`` until now.
 
-        The speed of a filter that follows fixes which wander is no evidence.
+        The speed of a filter that follows fixes which wander is no evidence, and braking is steady.
         """
         if not calm:
             self._calm_ns, self._gliding_std = None, math.inf
@@ -286,7 +286,8 @@ class ImuMonitor:
         elif changed:
             self._calm_ns, self._calm_std = t_ns + STEADY_NS, speed_std
         elif self._calm_ns is None:
-            self._calm_ns, self._calm_std = begin_ns, speed_std
+            self._calm_std = speed_std
+            self._calm_ns = self._still_ns if fixes_wander else begin_ns
         self._calm_std = min(self._calm_std, speed_std)
 
     def _is_manoeuvre(self, t_ns: int, running: bool) -> bool:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hybrid_ins.core.imu.fix_motion import significant_speed
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, as_numbers, readings_of
 from hybrid_ins.core.imu.standstill import (
     Glides,
@@ -128,34 +127,6 @@ def test_noise_is_no_change_of_the_mean() -> None:
 @pytest.mark.parametrize(("speed", "plausible"), [(1.0, True), (5.0, False)])
 def test_zero_is_plausible_within_the_covariance(speed: float, plausible: bool) -> None:
     assert may_be_zero(np.array([speed, 0.0, 0.0]), np.eye(3)) == plausible
-
-
-def test_a_speed_across_the_date_line_is_no_other() -> None:
-    t_ns = np.arange(20) * 100_000_000
-    lla = np.zeros((20, 3))
-    lla[:, 1] = np.linspace(0.0, 2e-7, 20)
-    beyond = lla.copy()
-    beyond[:, 1] = (lla[:, 1] + np.pi - 1e-7 + np.pi) % (2.0 * np.pi) - np.pi
-
-    assert beyond[0, 1] > 0.0 > beyond[-1, 1]
-    assert significant_speed(t_ns, beyond) == pytest.approx(significant_speed(t_ns, lla), rel=1e-6)
-    assert significant_speed(t_ns, lla) > 0.5
-
-
-@pytest.mark.parametrize("rate", [1.0, 5.0])
-@pytest.mark.parametrize("at", [0.3, 0.5, 0.8])
-def test_a_step_of_the_fixes_is_no_speed_and_a_steady_one_is(rate: float, at: float) -> None:
-    t = np.arange(0.0, 5.0, 1.0 / rate)
-    noise = np.random.default_rng(5).normal(0.0, 0.01, (len(t), 2)) / 6.4e6
-
-    def speed(north: np.ndarray) -> float:
-        lla = np.zeros((len(t), 3))
-        lla[:, :2] = noise
-        lla[:, 0] += north / 6.335e6
-        return float(significant_speed(np.round(t * 1e9).astype(np.int64), lla))
-
-    assert speed(np.where(t > 5.0 * at, 1.0, 0.0)) == 0.0
-    assert speed(0.5 * t) == pytest.approx(0.5, rel=0.1)
 
 
 @pytest.mark.parametrize(
