@@ -68,7 +68,7 @@ def _slow(row: int) -> list[Array]:
     """Return columns of slow errors: beside the larger ones less is to be seen of the IMU."""
     return [
         _beside(SLOW_DECADES, {row: SLOW_STDS[:2]}),
-        _beside(SLOW_DECADES[1:], {row: SLOW_STDS[2:3]}),
+        _beside(SLOW_DECADES[1:3], {row: SLOW_STDS[2:3]}),
         _beside(SLOW_DECADES[1:2], {row: SLOW_STDS[3:]}),
     ]
 
