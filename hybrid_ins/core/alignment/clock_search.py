@@ -127,6 +127,8 @@ class ClockSearch(MultipleModelBank):
 
     Attributes
     ----------
+    begun_ns : int
+        Stamp of the states [ns].
     in_force_ns : int
         What has been added to the stamps of fixes since the search began [ns].
     """
@@ -159,7 +161,8 @@ class ClockSearch(MultipleModelBank):
         self.in_force_ns = 0
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._prior_of_offset = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
-        self._first_ns = self.best.t_ns + MAX_OFFSET_NS
+        self.begun_ns = self.best.t_ns
+        self._first_ns = self.begun_ns + MAX_OFFSET_NS
         self._block_ns = BLOCK_NS
         self._measured_ns: dict[str, int] = {}  # stamp of the last fix of each kind
         self._spacing_ns = MIN_SPACING_NS

@@ -160,8 +160,6 @@ class MultipleModelBank:
         Each state has another heading.
     clock_open : bool
         The hypotheses also differ in the clock offset of fixes.
-    begun_ns : int
-        Stamp of the states [ns].
     motion : MotionEvidence
         Whether the vehicle moves: before, nothing is evidence on the heading.
     """
@@ -180,7 +178,6 @@ class MultipleModelBank:
         self.log_weights = np.log(np.full(len(states), 1.0) if prior is None else prior)
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
         self._log_prior = self.log_weights.copy()
-        self.begun_ns = self.filters[0].t_ns
         self.heading_open = len(states) > 1
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that

@@ -318,8 +318,7 @@ class MeasurementUpdate:
             factors_by_axis=self.noise.factors_by_axis(measurement),
         )
         if measurement.sensor != GNSS:
-            is_stand = measurement.kind == Standstill.kind
-            if verdict.accepted and (measurement.sensor != IMU or is_stand):
+            if verdict.accepted and _concerns_noise(measurement):
                 self.noise.follow(correction)
             self.lever_arm.update(correction, nav, is_fix=False)
             self.scale_errors.update(correction, is_fix=False, beside=by_scale)
@@ -350,6 +349,11 @@ class MeasurementUpdate:
         if moved is not None:
             _move(nav, moved)
         return moved is not None
+
+
+def _concerns_noise(measurement: Measurement) -> bool:
+    """Return whether a measurement that is no fix corrects the hypotheses on the noise, too."""
+    return measurement.sensor != IMU or measurement.kind == Standstill.kind
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

@@ -8,6 +8,7 @@ parabola. Wander does not.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -24,6 +25,8 @@ SIGNIFICANT_SPEED = 4.0  # standard deviations of the speed
 SHORTEST_WANDER_NS, WANDER_SPAN_NS = 8_000_000_000, 20_000_000_000  # of fixes that show wander
 SPACING_NS = 240_000_000  # between two of those, at the least
 STRAIGHT = 13.0  # times what a parabola leaves of them: a random walk moves 5 times as far
+ALIKE = 0.4  # correlation of what is left of neighbours: noise has none
+BEYOND_CLAIM = 0.3  # of what is left to what is claimed: the slow errors of an open sky leave 0.2
 
 
 class FixMotion:
@@ -40,10 +43,15 @@ class FixMotion:
         self.speed = 0.0
         self._t_ns = np.empty(0, np.int64)
         self._lla = np.empty((0, 3))
-        self._spaced: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._spaced: deque[tuple[int, NDArray[np.float64], float]] = deque()
 
-    def observe(self, t_ns: int, lla: NDArray[np.float64]) -> None:
-        """Use a position fix: stamp [ns], latitude and longitude [rad] and height [m], (3,)."""
+    def observe(self, t_ns: int, lla: NDArray[np.float64], claimed_std: float) -> None:
+        """
+        Use a position fix.
+
+        Stamp [ns], latitude and longitude [rad] and height [m], (3,), and what it claims
+        horizontally [m].
+        """
         if len(self._t_ns) and t_ns <= self._t_ns[-1]:
             return
         first = max(self._t_ns.searchsorted(t_ns - FIX_SPAN_NS), len(self._t_ns) + 1 - MAX_FIXES)
@@ -52,7 +60,7 @@ class FixMotion:
         self.speed = significant_speed(self._t_ns, self._lla)
         spaced = self._spaced
         if not spaced or t_ns - spaced[-1][0] >= SPACING_NS:
-            spaced.append((t_ns, lla))
+            spaced.append((t_ns, lla, claimed_std))
         while t_ns - spaced[0][0] > WANDER_SPAN_NS:
             spaced.popleft()
 
@@ -74,12 +82,18 @@ class FixMotion:
             return False
         if t_ns - spaced[-1][0] > FIX_SPAN_NS:
             return False
-        t = np.array([(t_ns - spaced[0][0]) * 1e-9 for t_ns, _ in spaced])
-        places = displacement(spaced[0][1], np.stack([lla for _, lla in spaced]))[:, :2]
+        stamps, places_lla, claims = zip(*spaced, strict=True)
+        if len(stamps) < 2 * MIN_FIXES:
+            return False
+        t = (np.array(stamps) - stamps[0]) * 1e-9
+        places = displacement(places_lla[0], np.stack(places_lla))[:, :2]
         parabola = np.vander(t / t[-1], 3)
         fit = parabola @ np.linalg.lstsq(parabola, places, rcond=None)[0]
-        left = float(np.sqrt(np.sum((places - fit) ** 2) / len(t)))
-        return len(t) >= 2 * MIN_FIXES and float(np.linalg.norm(fit[-1] - fit[0])) < STRAIGHT * left
+        left, moved = places - fit, float(np.linalg.norm(fit[-1] - fit[0]))
+        square = float(np.mean(left**2))
+        alike = 1.0 - 0.5 * float(np.mean(np.diff(left, axis=0) ** 2)) / max(square, 1e-12)
+        least = max(moved / STRAIGHT, BEYOND_CLAIM * float(np.mean(claims)))
+        return alike > ALIKE and math.sqrt(2.0 * square) > least
 
 
 @kernel()

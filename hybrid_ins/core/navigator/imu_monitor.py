@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Biases
 from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
+from hybrid_ins.core.alignment.clock_search import ClockSearch
 from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.fix_motion import FixMotion
@@ -217,7 +218,7 @@ class ImuMonitor:
         if self.standing:
             self._lift.note_stand(samples)
             bank = phases.phase.bank
-            if phases.filter is None and bank is not None and bank.clock_open:
+            if phases.filter is None and isinstance(bank, ClockSearch):
                 self._was_misled = self._still_ns is not None and self._still_ns < bank.begun_ns
         if self.standing and self._zero_updates:
             phases.measure(Standstill.of(samples, self._slow_turn.turns))

@@ -7,6 +7,7 @@ other are a new time base, such as a bag that is played again or a clock that wa
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import Enum
 
@@ -15,6 +16,7 @@ from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, left_behind
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction, VelocityCheck
 from hybrid_ins.core.imu.fix_motion import FixMotion
+from hybrid_ins.core.noise.position_scatter import horizontal_variance
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
@@ -194,7 +196,8 @@ class MeasurementCheck:
         if isinstance(fix, PositionFix):
             if self._is_held(fix, again, speed):
                 return Verdict.rejected(fix, "same position while moving")
-            self.motion.observe(fix.t_ns, fix.lla)
+            claimed_std = math.sqrt(horizontal_variance(fix.claimed))
+            self.motion.observe(fix.t_ns, fix.lla, claimed_std)
         return None
 
     def _is_held(self, fix: PositionFix, again: bool, speed: float) -> bool:

@@ -50,25 +50,36 @@ def test_fixes_show_motion_by_their_scatter_not_their_claims(speed: float, moves
     for k in range(40):
         error = rng.normal(0.0, 0.1, 2) * PER_METRE
         place = np.array([0.0, 0.0]) + error + [speed * 0.2 * k * PER_METRE, 0.0]
-        motion.observe(200_000_000 * (k + 1), np.array([*place, 0.0]))
+        motion.observe(200_000_000 * (k + 1), np.array([*place, 0.0]), 0.1)
 
     assert (motion.speed > 0.0) == moves
     if moves:
         assert motion.speed == pytest.approx(speed, rel=0.15)
 
 
-def shows_wander(path: Callable[[Array], Array], std: float, seed: int, seconds: float) -> bool:
-    """Return what fixes at 4 Hz show: a path (N, 2) [m], 0.1 m of noise, and smooth wander."""
+def shows_wander(
+    path: Callable[[Array], Array],
+    std: float,
+    seed: int,
+    seconds: float = 20.0,
+    time: float = 15.0,
+    white: float = 0.1,
+) -> bool:
+    """
+    Return what fixes at 4 Hz show that claim 1.5 m: a path (N, 2) [m], noise, and smooth wander.
+
+    ``std`` [m] and correlation ``time`` [s] are those of the wander, ``white`` [m] of the noise.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.25)
-    decay, smooth = np.exp(-0.25 / 15.0), np.exp(-0.25 / 1.5)
+    decay, smooth = np.exp(-0.25 / time), np.exp(-0.25 / 1.5)
     wander = lfilter([1.0], [1.0, -decay], rng.normal(0.0, 1.0, (len(t), 2)), axis=0)
     wander = lfilter([1.0 - smooth], [1.0, -smooth], wander, axis=0)
     wander *= std * np.sqrt(1.0 - decay**2)
-    places = path(t) + wander + rng.normal(0.0, 0.1, (len(t), 2))
+    places = path(t) + wander + rng.normal(0.0, white, (len(t), 2))
     motion = FixMotion()
     for at, place in zip(t, places, strict=True):
-        motion.observe(round(at * SECOND) + SECOND, np.array([*(place * PER_METRE), 0.0]))
+        motion.observe(round(at * SECOND) + SECOND, np.array([*(place * PER_METRE), 0.0]), 1.5)
     return motion.wanders(SECOND, round(t[-1] * SECOND) + 2 * SECOND)
 
 
@@ -85,7 +96,7 @@ def circle(t: Array) -> Array:
 
 
 def test_fixes_that_wander_at_a_stand_are_told_from_motion() -> None:
-    shown = [shows_wander(stand, 8.0, seed, 20.0) for seed in range(60)]
+    shown = [shows_wander(stand, 8.0, seed) for seed in range(60)]
 
     assert np.mean(shown) > 0.85
 
@@ -104,7 +115,23 @@ def test_fixes_that_wander_at_a_stand_are_told_from_motion() -> None:
 def test_a_motion_that_no_accelerometer_shows_is_no_wander(
     path: Callable[[Array], Array], std: float
 ) -> None:
-    shown = [shows_wander(path, std, seed, 20.0) for seed in range(60)]
+    shown = [shows_wander(path, std, seed) for seed in range(60)]
+
+    assert np.mean(shown) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("path", "std", "time", "white"),
+    [
+        (stand, 0.0, 15.0, 1.5),  # that neighbours share nothing of
+        (stand, 1.5, 100.0, 0.1),  # as is claimed
+        (straight(0.2), 1.5, 100.0, 0.1),  # a boat that drifts
+    ],
+)
+def test_errors_as_they_are_claimed_are_no_wander(
+    path: Callable[[Array], Array], std: float, time: float, white: float
+) -> None:
+    shown = [shows_wander(path, std, seed, time=time, white=white) for seed in range(60)]
 
     assert np.mean(shown) < 0.05
 
