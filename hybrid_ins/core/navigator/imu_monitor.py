@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.alignment import Biases
-from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.alignment.clock_search import ClockSearch
+from hybrid_ins.core.alignment.given_heading import HEADING_KEPT_STD
 from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.fix_motion import FixMotion
