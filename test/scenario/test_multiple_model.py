@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support.clock_searches import (
     SCENE,
     SECOND,
@@ -17,7 +18,7 @@ from support.clock_searches import (
     told_and_waiting,
     until,
 )
-from support.runs import stamped_early, through_estimator
+from support.runs import moved, stamped_early, through_estimator
 
 from hybrid_ins import parameters
 from hybrid_ins.core.alignment import clock_search, multiple_model
@@ -33,7 +34,7 @@ from hybrid_ins.core.alignment.multiple_model import N_HEADINGS, MultipleModelBa
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.inertial.earth import LocalFrame, curvature_scale
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
-from hybrid_ins.core.inertial.state import DP, DV, EPS, NAVIGATION, NavState, covariance
+from hybrid_ins.core.inertial.state import DP, DV, EPS, NAVIGATION, VELOCITY, NavState, covariance
 from hybrid_ins.core.navigator.phases import Searching, search_clock
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
@@ -409,6 +410,25 @@ def standing(run: Run) -> Run:
         for f, dn in zip(run.fixes, noise, strict=True)
     )
     return replace(run, samples=samples, fixes=fixes)
+
+
+def test_fixes_that_wander_at_a_stand_show_their_slow_error_and_no_motion() -> None:
+    # GIVEN a vehicle that stands while its fixes, which claim decimetres, wander by metres
+    run = standing(draw(SCENE, 1))
+    rng = np.random.default_rng(7)
+    decay, smooth = np.exp(-0.2 / 15.0), np.exp(-0.2 / 1.5)
+    steps = 6.0 * np.sqrt(1.0 - decay**2) * rng.standard_normal((len(run.fixes), 3))
+    wander = lfilter([1.0], [1.0, -decay], steps, axis=0)
+    wander = lfilter([1.0 - smooth], [1.0, -smooth], wander, axis=0)
+    # WHEN nothing is known of heading and clock
+    estimator = estimating(until(moved(run, wander), 35.0), **AUTO)
+    # THEN neither is searched for, and what wanders is neither the vehicle nor its accelerometers
+    bank = estimator.navigator.phase.bank
+    assert bank is not None and not bank.clock_open
+    assert np.linalg.norm(bank.best.nav[VELOCITY]) < 0.1
+    noise = bank.best.noise
+    assert noise.slow_error.stds[0] > 1.0
+    assert noise.imu_factors[0] < 30.0
 
 
 def test_while_nothing_moves_nothing_is_said() -> None:

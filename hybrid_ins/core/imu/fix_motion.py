@@ -49,11 +49,12 @@ class FixMotion:
         """
         Use a position fix.
 
-        Stamp [ns], latitude and longitude [rad] and height [m], (3,), and what it claims
-        horizontally [m].
+        Stamp [ns], latitude and longitude [rad] and height [m], (3,), NaN where it has none; and
+        what it claims horizontally [m].
         """
         if len(self._t_ns) and t_ns <= self._t_ns[-1]:
             return
+        lla = np.nan_to_num(lla)  # the length of a degree hardly depends on the height
         first = max(self._t_ns.searchsorted(t_ns - FIX_SPAN_NS), len(self._t_ns) + 1 - MAX_FIXES)
         self._t_ns = np.concatenate((self._t_ns[first:], (t_ns,)))
         self._lla = np.concatenate((self._lla[first:], (lla,)))

@@ -221,6 +221,9 @@ class ImuMonitor:
             if phases.filter is None and isinstance(bank, ClockSearch):
                 self._was_misled = self._still_ns is not None and self._still_ns < bank.begun_ns
         if self.standing and self._zero_updates:
+            if wander and not _zero_speed_is_plausible(best):
+                std = _error_std_after_wander(best)
+                phases.submit(CovarianceInflation(t_ns, std, self._parts.settings.lever_b))
             phases.measure(Standstill.of(samples, self._slow_turn.turns))
         return True
 
@@ -332,6 +335,14 @@ def _error_std_after(fault: ImuFault, C_nb: Array) -> Array | None:
         std[B_G], std[EPS] = UNKNOWN_BIAS_STD_G, max(MISLED_TURN, fault.lost_turn)
     else:
         return None
+    return std
+
+
+def _error_std_after_wander(best: InsFilter) -> Array:
+    """Return what fixes that wandered at a stand have done to the state, as `_error_std_after`."""
+    std = np.zeros(N_ERROR)
+    std[DV] = np.linalg.norm(best.nav[VELOCITY])
+    std[EPS.start : EPS.stop - 1] = MISLED_TURN
     return std
 
 

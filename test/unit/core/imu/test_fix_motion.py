@@ -57,6 +57,15 @@ def test_fixes_show_motion_by_their_scatter_not_their_claims(speed: float, moves
         assert motion.speed == pytest.approx(speed, rel=0.15)
 
 
+def test_fixes_without_a_height_show_motion_too() -> None:
+    motion = FixMotion()
+    for k in range(20):
+        north = 0.8 * 0.2 * k * PER_METRE
+        motion.observe(200_000_000 * (k + 1), np.array([north, 0.0, np.nan]), 0.1)
+
+    assert motion.speed == pytest.approx(0.8, rel=0.15)
+
+
 def shows_wander(
     path: Callable[[Array], Array],
     std: float,
