@@ -26,8 +26,19 @@ BESIDE_POOREST = np.array([0.0, 1.0, 2.0])  # decades of the accelerometer's fac
 FACTOR_COST = 2.0  # nats of evidence that a factor above 1 needs
 DECADE_COST = (1.0, 1.0, 2.0)  # and for each of its decades
 REDUCTION_COST, REDUCTION_DECADE_COST = 1.5, 0.3  # the same of factors below 1
-SLOW_STDS = np.array([0.3, 1.0, 3.0, 10.0, 30.0])  # m, of a slow error of the fixes
-SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
+# Standard deviations [m] of a slow error of the fixes, and of one of the heights alone (1.5 times
+# that), with decades of the accelerometer's factor beside them: of larger ones it shows less.
+SLOW_DECADES = np.array([-1.5, 0.0, 1.0, 2.0])
+SLOW_STDS = (
+    (np.array([0.3, 1.0]), SLOW_DECADES),
+    (np.array([3.0]), SLOW_DECADES[1:3]),
+    (np.array([10.0, 30.0]), SLOW_DECADES[1:2]),
+)
+SLOW_HEIGHT_STDS = (
+    (np.array([0.3, 1.0]), SLOW_DECADES),
+    (np.array([3.0]), SLOW_DECADES[1:]),
+    (np.array([10.0]), SLOW_DECADES[1:2]),
+)
 SLOW_ALONE = np.stack((SLOW_AXES, SLOW_AXES * [0.0, 0.0, 1.0]))  # of all directions, of the height
 SLOW_WHITE_STDS = np.array([1.0, 3.0])  # m, of one beside R that is too small as well
 SLOW_WHITE_DECADES = np.array([1.5, 3.0, POOREST_DECADE])  # on R: fixed and single solutions
@@ -64,15 +75,6 @@ def _beside(decades: Array, values: dict[int, Array]) -> Array:
     return columns
 
 
-def _slow(row: int) -> list[Array]:
-    """Return columns of slow errors: beside the larger ones less is to be seen of the IMU."""
-    return [
-        _beside(SLOW_DECADES, {row: SLOW_STDS[:2]}),
-        _beside(SLOW_DECADES[1:3], {row: SLOW_STDS[2:3]}),
-        _beside(SLOW_DECADES[1:2], {row: SLOW_STDS[3:]}),
-    ]
-
-
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
@@ -88,8 +90,8 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
         ),
         _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
-        *_slow(_SLOW_HEIGHT),
-        *_slow(_SLOW),
+        *(_beside(decades, {_SLOW_HEIGHT: stds}) for stds, decades in SLOW_HEIGHT_STDS),
+        *(_beside(decades, {_SLOW: stds}) for stds, decades in SLOW_STDS),
         _beside(
             np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
         ),
