@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from support.clock_searches import (
     SCENE,
     SECOND,
@@ -42,6 +41,7 @@ from hybrid_ins.core.update.kalman import inject
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.filter_factory import FilterFactory
 from hybrid_ins.ros.messages.conversions import SWAP
+from test.support.wander import smooth_wander
 from tools.paper.runs import Run, draw
 
 AUTO = {"alignment.heading_source": "auto"}
@@ -415,11 +415,7 @@ def standing(run: Run) -> Run:
 def test_fixes_that_wander_at_a_stand_show_their_slow_error_and_no_motion() -> None:
     # GIVEN a vehicle that stands while its fixes, which claim decimetres, wander by metres
     run = standing(draw(SCENE, 1))
-    rng = np.random.default_rng(7)
-    decay, smooth = np.exp(-0.2 / 15.0), np.exp(-0.2 / 1.5)
-    steps = 6.0 * np.sqrt(1.0 - decay**2) * rng.standard_normal((len(run.fixes), 3))
-    wander = lfilter([1.0], [1.0, -decay], steps, axis=0)
-    wander = lfilter([1.0 - smooth], [1.0, -smooth], wander, axis=0)
+    wander = smooth_wander(np.random.default_rng(7), (len(run.fixes), 3), 0.2, 6.0, 15.0)
     # WHEN nothing is known of heading and clock
     estimator = estimating(until(moved(run, wander), 35.0), **AUTO)
     # THEN neither is searched for, and what wanders is neither the vehicle nor its accelerometers

@@ -19,9 +19,9 @@ from hybrid_ins.core.inertial.rotations import (
 from hybrid_ins.core.inertial.state import (
     B_A,
     EPS,
-    JUMP_VARIANCE,
     N_ERROR,
     N_NAV,
+    PAST_VARIANCE,
     PLACES,
     QUAT,
     SLOW_VARIANCE,
@@ -257,7 +257,7 @@ def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not
     assert np.all(total_std(ins.nav)[:2] > 2.0)
     # and after an outage, with which the state drifts off, it does not
     ins, _ = fly(draw(replace(SCENE, outages=((20.0, 20.0),)), 2))
-    assert ins.noise.jumps.size == 0.0 and np.all(ins.nav[JUMP_VARIANCE] == 0.0)
+    assert ins.noise.jumps.size == 0.0 and np.all(ins.nav[PAST_VARIANCE] == 0.0)
 
 
 @pytest.mark.parametrize(("size", "lasts"), [(0.8, 15), (0.8, 1), (0.0, 0)])

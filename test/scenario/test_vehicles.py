@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
@@ -16,6 +15,7 @@ from hybrid_ins.core.inertial.state import total_std
 from hybrid_ins.ros.messages.conversions import stamp_ns
 from hybrid_ins.simulation.sensors import Tone
 from hybrid_ins.simulation.vehicles import VEHICLES, Receiver, city_car, record
+from test.support.wander import smooth_wander
 from tools.vehicles import calibrated, campaign
 from tools.vehicles.drives import from_simulation
 from tools.vehicles.judge import Score, run, score
@@ -121,10 +121,7 @@ def test_a_stand_under_a_roof_shows_neither_heading_nor_clock() -> None:
     )
     made = record(vehicle, 1)
     rng = np.random.default_rng([1, 5])
-    decay, smooth = np.exp(-1.0 / (15.0 * rate)), np.exp(-1.0 / (1.5 * rate))
-    steps = rng.standard_normal((len(made.fix_t), 3)) * 8.0 * np.sqrt(1.0 - decay**2)
-    wander = lfilter([1.0], [1.0, -decay], steps, axis=0)
-    wander = lfilter([1.0 - smooth], [1.0, -smooth], wander, axis=0) * [1.0, 1.0, 1.5]
+    wander = smooth_wander(rng, (len(made.fix_t), 3), 1.0 / rate, 8.0, 15.0) * [1.0, 1.0, 1.5]
     wander *= np.clip((rest + 6.0 - made.fix_t) / 4.0, 0.0, 1.0)[:, None]
     lla = made.fix_lla + wander / curvature_scale(made.fix_lla[0])
 

@@ -18,7 +18,7 @@ from hybrid_ins.core.constraints.constraint_observer import STATE_TIME, inflated
 from hybrid_ins.core.inertial.state import (
     HEADING_CONSIDERED,
     HEADING_DOUBT,
-    JUMP_VARIANCE,
+    PAST_VARIANCE,
     SLOW_VARIANCE,
     covariance,
 )
@@ -179,7 +179,7 @@ class HeightSensor(AidingSensor):
 
     def considered(self, nav: Array) -> Array:
         """See `AidingSensor`; the offset follows slow errors of the fixes, but late."""
-        variance = nav[SLOW_VARIANCE][2] + nav[JUMP_VARIANCE][2]
+        variance = nav[SLOW_VARIANCE][2] + nav[PAST_VARIANCE][2]
         return np.array([[self.SIGMAS**2 * variance]])
 
     def prepare(self, reading: Measurement, nav: Array, checked: bool) -> bool:

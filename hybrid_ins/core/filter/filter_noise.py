@@ -149,6 +149,16 @@ class FilterNoise:
         )
         return across, upward
 
+    def past_variance(self, slow_variance: Array, t_ns: int) -> Array:
+        """
+        Return the variance of errors that positions have shown before a stamp [ns], (3,) m², NED.
+
+        Of jumps, and of slow errors as far as they are not in ``slow_variance``, (3,) [m²], that of
+        the slow error in force.
+        """
+        slow = self.slow_error.past_variance - slow_variance
+        return np.asarray(np.maximum(self.jumps.variance(t_ns), slow))
+
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
         return self._levels

@@ -36,9 +36,9 @@ from hybrid_ins.core.inertial.state import (
     COVARIANCE,
     HEADING_CONSIDERED,
     HEADING_VARIANCE,
-    JUMP_VARIANCE,
     N_ERROR,
     N_NAV,
+    PAST_VARIANCE,
     PSD,
     QUAT,
     SENSITIVITY,
@@ -191,7 +191,7 @@ class MeasurementUpdate:
         nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
         nav[ATTITUDE_COVARIANCE] = self.scale_errors.considered + self.lever_arm.of_attitude
         nav[HEADING_CONSIDERED] += self.heading.considered(nav)
-        nav[JUMP_VARIANCE] = self.noise.jumps.variance(event.t_ns)
+        nav[PAST_VARIANCE] = self.noise.past_variance(nav[SLOW_VARIANCE], event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 
     def _fuse_ordinary(

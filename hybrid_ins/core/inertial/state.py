@@ -52,9 +52,10 @@ AGE_SENSITIVITY = slice(SENSITIVITY.stop, SENSITIVITY.stop + N_ERROR)
 ACCELERATION = slice(AGE_SENSITIVITY.stop, AGE_SENSITIVITY.stop + 3)  # m/s², n, the recent mean
 CLOCK_VARIANCE = ACCELERATION.stop  # V [s²], of what the clock offset of fixes lacks
 SLOW_VARIANCE = slice(CLOCK_VARIANCE + 1, CLOCK_VARIANCE + 4)  # B [m²], NED: `position_scatter`
-JUMP_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)  # m², NED: `position_jumps`
+# m², NED, of errors that positions have shown before: `position_jumps`, `slow_error`
+PAST_VARIANCE = slice(SLOW_VARIANCE.stop, SLOW_VARIANCE.stop + 3)
 # m², NED, of a position that refers to an antenna in another place: `sensor_errors.lever_arm`
-ANTENNA_VARIANCE = slice(JUMP_VARIANCE.stop, JUMP_VARIANCE.stop + 3)
+ANTENNA_VARIANCE = slice(PAST_VARIANCE.stop, PAST_VARIANCE.stop + 3)
 # rad², NED, upper triangle row by row, of an attitude: by an IMU's scale errors, that antenna, and
 # what fixes only seem to show of the heading, `heading_information`
 ATTITUDE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
@@ -113,7 +114,7 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
             for j in range(N_ERROR):
                 full[i, j] += variance * s[i] * s[j]
     for i in range(3):
-        full[i, i] += nav[SLOW_VARIANCE][i] + nav[JUMP_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
+        full[i, i] += nav[SLOW_VARIANCE][i] + nav[PAST_VARIANCE][i] + nav[ANTENNA_VARIANCE][i]
     k = ATTITUDE_COVARIANCE.start
     for i in range(6, 9):
         for j in range(i, 9):
@@ -184,7 +185,7 @@ def covariance(nav: Array) -> Array:
 def total_std(nav: Array) -> Array:
     """Return the standard deviations, shape (15,), of `unpack_total`."""
     variance: Array = nav[COVARIANCE][DIAGONAL] + nav[CLOCK_VARIANCE] * nav[SENSITIVITY] ** 2
-    variance[DP] += nav[SLOW_VARIANCE] + nav[JUMP_VARIANCE] + nav[ANTENNA_VARIANCE]
+    variance[DP] += nav[SLOW_VARIANCE] + nav[PAST_VARIANCE] + nav[ANTENNA_VARIANCE]
     variance[EPS] += nav[ATTITUDE_COVARIANCE][[0, 3, 5]]
     variance[8] += nav[HEADING_DOUBT]
     return np.sqrt(variance)

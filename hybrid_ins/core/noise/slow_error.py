@@ -47,28 +47,42 @@ NEW_SOLUTION = 4.0  # times the slow error's variance, or less than one part: an
 
 class SlowError(NamedTuple):
     """
-    A slow error that the innovations show, and what is left of one that was probable before.
+    A slow error that the innovations show, and what is left of those that were probable before.
 
     Noise of the accelerometers explains much of the same, and may be the likelier one for seconds.
+    And fixes that are off by the same for seconds look as if the error were gone: of ``past`` the
+    filter knows nothing, but the covariance that is reported contains it.
     """
 
     stds: Shares = (0.0, 0.0)  # m, as the argument of `PositionScatter.split`
     lasting: Shares = (0.0, 0.0)  # m, of the last one that was probable; they fade
+    past: Shares = (0.0, 0.0)  # m, of any that was
     t_ns: int = 0
 
     def updated(self, shown: Shares, is_probable: bool, t_ns: int) -> SlowError:
         """Return it with what they show at a stamp [ns]."""
-        if is_probable:
-            return SlowError(shown, shown, t_ns)
         left = math.exp(-max(t_ns - self.t_ns, 0) * 1e-9 / LASTING)
+        past = left * self.past[0], left * self.past[1]
+        if is_probable:
+            return SlowError(shown, shown, _larger(shown, past), t_ns)
         lasting = left * self.lasting[0], left * self.lasting[1]
-        return SlowError((max(shown[0], lasting[0]), max(shown[1], lasting[1])), lasting, t_ns)
+        return SlowError(_larger(shown, lasting), lasting, past, t_ns)
+
+    @property
+    def past_variance(self) -> Array:
+        """Variance of the largest one that was probable, as far as it lasts [m²], (3,), NED."""
+        across, upward = self.past
+        return np.asarray(SLOW_AXES * np.square((across, across, upward)))
 
     @property
     def drifts(self) -> Shares:
         """What was probable [m]: of positions, and of heights alone."""
         across, upward = self.lasting
         return in_metres((across, math.sqrt(max(upward**2 - across**2, 0.0))))
+
+
+def _larger(stds: Shares, others: Shares) -> Shares:
+    return max(stds[0], others[0]), max(stds[1], others[1])
 
 
 def in_metres(slow_stds: Shares) -> Shares:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hybrid_ins.core.alignment.alignment import Need
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
-from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, JUMP_VARIANCE, W_G, total_std
+from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, W_G, total_std
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.phases import Aligning
 from hybrid_ins.core.noise.innovation import InnovationNoise
@@ -261,8 +261,8 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "so much less along the motion: let the driver stamp them with the time of validity, "
             "not that of their arrival"
         )
-    if running.nav[JUMP_VARIANCE].any():
-        jumps = running.noise.jumps
+    jumps = running.noise.jumps
+    if jumps.variance(running.t_ns).any():
         claim = f"they claim {jumps.claimed_std:.2g} m"
         found["fixes jump by more than they claim"] = (
             f"fixes jumped by {jumps.size:.2g} m although {claim}: the published covariance "

@@ -18,9 +18,9 @@ from hybrid_ins.core.inertial.earth import displacement
 from hybrid_ins.core.inertial.rotations import heading_from_quat, quat_from_rpy
 from hybrid_ins.core.inertial.state import (
     HEADING_VARIANCE,
-    JUMP_VARIANCE,
     LLA,
     N_ERROR,
+    PAST_VARIANCE,
     PSD,
     QUAT,
     SENSITIVITY,
@@ -116,11 +116,11 @@ def test_jumps_of_fixes_are_known_to_the_next_filter_and_outlast_other_noise(
     other = FilterNoise(whole.noise.model, whole.noise.process)
 
     whole.apply(nav, ScatterInForce(SECOND, jumps), 0.0, False, ImuRing())
-    after = nav[JUMP_VARIANCE].copy()
+    after = nav[PAST_VARIANCE].copy()
     whole.apply(nav, NoiseChange(SECOND, other), 0.0, False, ImuRing())
 
     assert whole.scatter.in_force and after[0] == pytest.approx(50.0, rel=0.01)
-    np.testing.assert_array_equal(nav[JUMP_VARIANCE], after)
+    np.testing.assert_array_equal(nav[PAST_VARIANCE], after)
 
 
 @pytest.mark.parametrize("keeps_weights", [True, False])

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from hybrid_ins.core.imu.fix_motion import FixMotion, significant_speed
+from test.support.wander import smooth_wander
 
 Array = NDArray[np.float64]
 
@@ -81,10 +81,7 @@ def shows_wander(
     """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.25)
-    decay, smooth = np.exp(-0.25 / time), np.exp(-0.25 / 1.5)
-    wander = lfilter([1.0], [1.0, -decay], rng.normal(0.0, 1.0, (len(t), 2)), axis=0)
-    wander = lfilter([1.0 - smooth], [1.0, -smooth], wander, axis=0)
-    wander *= std * np.sqrt(1.0 - decay**2)
+    wander = smooth_wander(rng, (len(t), 2), 0.25, std, time)
     places = path(t) + wander + rng.normal(0.0, white, (len(t), 2))
     motion = FixMotion()
     for at, place in zip(t, places, strict=True):

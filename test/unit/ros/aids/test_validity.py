@@ -10,8 +10,8 @@ from hybrid_ins.core.inertial.state import (
     COVARIANCE,
     DIAGONAL,
     HEADING_DOUBT,
-    JUMP_VARIANCE,
     N_FLAT,
+    PAST_VARIANCE,
 )
 from hybrid_ins.core.navigator.fix_watch import FixWatch
 from hybrid_ins.ros.aids.validity import Validity, ValidityMonitor
@@ -87,9 +87,9 @@ def test_what_the_filter_only_considers_counts_as_in_the_odometry() -> None:
     watched = monitor(0.1, 0.1, 0.1, 99.0)
     nav = watched._navigator.phase.nav
     assert nav is not None
-    nav[JUMP_VARIANCE] = 11.0**2
+    nav[PAST_VARIANCE] = 11.0**2
     assert watched.judge(100 * SECOND)[0] == (LOST, GOOD, GOOD)
-    nav[JUMP_VARIANCE], nav[HEADING_DOUBT] = 0.0, 0.2**2
+    nav[PAST_VARIANCE], nav[HEADING_DOUBT] = 0.0, 0.2**2
 
     judged, sigma = watched.judge(100 * SECOND)
 
