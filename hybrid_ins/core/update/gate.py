@@ -37,6 +37,8 @@ TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outl
 ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
 MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
 ORDINARY_ACCELERATION_ERROR = 2.0  # m/s², of an INS that agreed with the fixes
+SETTLED_CHANGE = 0.2  # of an innovation, at most: an error of an INS grows
+SETTLED_SHARE = 1.0 / 3.0  # of a run; one that grows linearly is unsettled for its first 80 %
 CERTAIN = 50.0  # NIS that errors of such an INS hardly make
 SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
 UNREMARKABLE = 1.5  # a scale that is forgotten
@@ -74,10 +76,10 @@ class Verdict:
         It is rejected, in a run of rejections that began with a jump: no error of an INS grows
         that fast.
     receiver_jumped : bool
-        The receiver's positions have jumped: the state agreed with them until then, no error of an
-        INS grows that fast, and they stayed there. Either the covariance was inflated for that, or
-        it is the second large innovation, and no larger than the first: an error of an INS that
-        made that would have grown by now.
+        The receiver's positions have jumped, or glided within seconds: the state agreed with them
+        until then, no error of an INS grows that fast, and they stayed there. Either the covariance
+        was inflated for that, or it is the second large innovation, and no larger than the first:
+        an error of an INS that made that would have grown by now.
     surprises : bool
         It is a position with a NIS that no ordinary error makes of a state that is believed and
         agreed with the fixes until then: that state is wrong, or the receiver has jumped.
@@ -113,7 +115,10 @@ class _Rejections:
     """A run of measurements above the threshold, one after the other."""
 
     first_ns: int
+    first_interval: float  # s, between the first and the correction before it
     consistent_ns: int  # since when they are consistent with each other
+    settled_ns: int  # since when they hardly change
+    settled_z: Array  # innovation at that stamp
     z: Array  # innovation of the last
     count: int
     certain: bool  # none had a NIS below `CERTAIN`, and the innovations before were ordinary
@@ -264,7 +269,7 @@ class Gate(ShallowCopy):
         self._end_run(kind)
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
-        jumped = kind == "position" and last is not None and last.began_with_jump
+        jumped = kind == "position" and last is not None and _is_of_receiver(last, seen, t_ns)
         jumped = jumped and t_ns - consistent_ns >= patience_ns // 3
         jumped = jumped and self._was_believed(first_ns)
         return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
@@ -280,7 +285,9 @@ class Gate(ShallowCopy):
         jump = _is_jump(kind, z, expected, interval) or (last is not None and last.jump)
         run = _Rejections(
             last.first_ns if last else measurement.t_ns,
+            last.first_interval if last else interval,
             consistent_ns,
+            *_settled(last, z, measurement.t_ns),
             z,
             last.count + 1 if last else 1,
             plain.nis > CERTAIN and (last.certain if last else kind not in self._scales),
@@ -330,6 +337,31 @@ def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
     change = float(np.linalg.norm(second[:m] - first[:m]))
     grown = 0.5 * ORDINARY_ACCELERATION_ERROR * interval**2
     return size > grown + tolerance and change <= max(0.2 * size, tolerance)
+
+
+def _is_of_receiver(last: _Rejections, seen: _Innovation, t_ns: int) -> bool:
+    """
+    Return whether a run of innovations of positions, up to a stamp [ns], is the receiver's error.
+
+    It began with a jump; or it glided within seconds to what would have been one, and stayed there,
+    where an error of an INS would have grown.
+    """
+    if last.began_with_jump:
+        return True
+    expected = max(float(np.trace(seen.R)), float(np.trace(seen.claimed)))
+    settled_ns, _ = _settled(last, seen.z, t_ns)
+    has_settled = t_ns - settled_ns > SETTLED_SHARE * (t_ns - last.first_ns)
+    return has_settled and _is_jump("position", seen.z, expected, last.first_interval)
+
+
+def _settled(last: _Rejections | None, z: Array, t_ns: int) -> tuple[int, Array]:
+    """Return since when [ns] innovations hardly change, and the one at that stamp."""
+    if last is None:
+        return t_ns, z
+    m = min(len(last.settled_z), len(z))
+    change = float(np.linalg.norm(z[:m] - last.settled_z[:m]))
+    stays = change <= SETTLED_CHANGE * float(np.linalg.norm(z[:m]))
+    return (last.settled_ns, last.settled_z) if stays else (t_ns, z)
 
 
 def _is_jump(kind: str, z: Array, expected: float, interval: float) -> bool:
