@@ -238,7 +238,8 @@ class FilterNoise:
         Learn from the verdict on a fix whether its receiver jumped.
 
         Where the innovations that follow a surprise show a slow error of fixes, which an INS does
-        not make, it was the receiver.
+        not make, it was the receiver. Where nothing tells which of them was wrong, it may have
+        been.
 
         Parameters
         ----------
@@ -252,6 +253,8 @@ class FilterNoise:
         if isinstance(fix, PositionFix) and verdict.receiver_jumped:
             self._learn_jump(correction, fix.claimed)
             self._suspected = None
+        elif verdict.is_ambiguous and not self.jumps.may_be_of_state(correction.t_ns):
+            self.slow_error = self.slow_error.doubted(correction.z)
         elif isinstance(fix, PositionFix) and verdict.surprises:
             self._suspected = correction, fix.claimed
         if verdict.disagrees:

@@ -64,6 +64,10 @@ class PositionJumps:
         """Return these, the IMU being faulty at a stamp [ns]: for a while no jump is learned."""
         return replace(self, doubted_ns=t_ns + DOUBTED_NS)
 
+    def may_be_of_state(self, t_ns: int) -> bool:
+        """Return whether a jump at a stamp [ns] may be one of the state."""
+        return t_ns < self.doubted_ns
+
     def learned(self, z: Array, S: Array, claimed: Array, t_ns: int) -> PositionJumps:
         """
         Return these and a jump that neither errors of the state nor what is claimed explain.
@@ -77,7 +81,7 @@ class PositionJumps:
             Stamp [ns].
         """
         size = float(np.linalg.norm(z))
-        if t_ns < self.doubted_ns or size < UNCLAIMED * math.sqrt(np.trace(claimed)):
+        if self.may_be_of_state(t_ns) or size < UNCLAIMED * math.sqrt(np.trace(claimed)):
             return self
         square = np.zeros(3)
         square[: len(z)] = np.maximum(z**2 - S.diagonal(), 0.0)

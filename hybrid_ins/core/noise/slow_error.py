@@ -51,12 +51,13 @@ class SlowError(NamedTuple):
 
     Noise of the accelerometers explains much of the same, and may be the likelier one for seconds.
     And fixes that are off by the same for seconds look as if the error were gone: of ``past`` the
-    filter knows nothing, but the covariance that is reported contains it.
+    filter knows nothing, but the covariance that is reported contains it. So it does an error that
+    the receiver, or the state, must have had where they disagreed.
     """
 
     stds: Shares = (0.0, 0.0)  # m, as the argument of `PositionScatter.split`
     lasting: Shares = (0.0, 0.0)  # m, of the last one that was probable; they fade
-    past: Shares = (0.0, 0.0)  # m, of any that was
+    past: Shares = (0.0, 0.0)  # m, of any that was, or may have been
     t_ns: int = 0
 
     def updated(self, shown: Shares, is_probable: bool, t_ns: int) -> SlowError:
@@ -68,9 +69,19 @@ class SlowError(NamedTuple):
         lasting = left * self.lasting[0], left * self.lasting[1]
         return SlowError(_larger(shown, lasting), lasting, past, t_ns)
 
+    def doubted(self, z: Array) -> SlowError:
+        """
+        Return it where the receiver may be what is wrong, by an innovation of positions.
+
+        ``z``, shape (m,) [m], NED, may lack the height.
+        """
+        across = math.hypot(z[0], z[1]) / math.sqrt(2.0)
+        upward = abs(float(z[2])) / HEIGHT_RATIO if len(z) == 3 else across
+        return self._replace(past=_larger(self.past, (across, upward)))
+
     @property
     def past_variance(self) -> Array:
-        """Variance of the largest one that was probable, as far as it lasts [m²], (3,), NED."""
+        """Variance of the largest ``past`` one, as far as it lasts [m²], (3,), NED."""
         across, upward = self.past
         return np.asarray(SLOW_AXES * np.square((across, across, upward)))
 

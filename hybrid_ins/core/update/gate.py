@@ -80,6 +80,9 @@ class Verdict:
         until then, no error of an INS grows that fast, and they stayed there. Either the covariance
         was inflated for that, or it is the second large innovation, and no larger than the first:
         an error of an INS that made that would have grown by now.
+    is_ambiguous : bool
+        The covariance was inflated for a position, the state was believed and agreed with the
+        positions until then, and no jump shows that it was the receiver: either is wrong.
     surprises : bool
         It is a position with a NIS that no ordinary error makes of a state that is believed and
         agreed with the fixes until then: that state is wrong, or the receiver has jumped.
@@ -100,6 +103,7 @@ class Verdict:
     inflated: bool = False
     jump: bool = False
     receiver_jumped: bool = False
+    is_ambiguous: bool = False
     surprises: bool = False
     disagrees: bool = False
     weight: float = 1.0
@@ -269,10 +273,19 @@ class Gate(ShallowCopy):
         self._end_run(kind)
         seconds = (t_ns - first_ns) * 1e-9
         reason = f"disagreed for {seconds:.1f} s: covariance inflated, then accepted"
-        jumped = kind == "position" and last is not None and _is_of_receiver(last, seen, t_ns)
-        jumped = jumped and t_ns - consistent_ns >= patience_ns // 3
-        jumped = jumped and self._was_believed(first_ns)
-        return replace(plain, reason=reason, inflated=True, receiver_jumped=jumped, weight=1.0)
+        jumped = ambiguous = False
+        if kind == "position" and last is not None and self._was_believed(first_ns):
+            has_stayed = t_ns - consistent_ns >= patience_ns // 3
+            jumped = has_stayed and _is_of_receiver(last, seen, t_ns)
+            ambiguous = not jumped and last.first_interval * 1e9 <= self._patience_ns
+        return replace(
+            plain,
+            reason=reason,
+            inflated=True,
+            receiver_jumped=jumped,
+            is_ambiguous=ambiguous,
+            weight=1.0,
+        )
 
     def _continue_run(self, plain: Verdict, seen: _Innovation, consistent_ns: int) -> Verdict:
         """Note one more measurement above the threshold; return its weight or its rejection."""
