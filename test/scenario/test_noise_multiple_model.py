@@ -260,6 +260,22 @@ def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not
     assert ins.noise.jumps.size == 0.0 and np.all(ins.nav[PAST_VARIANCE] == 0.0)
 
 
+@pytest.mark.parametrize("claimed", [0.1, 0.8])
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 3.0, 5.0])
+def test_fixes_that_glide_off_are_followed_with_a_covariance_that_contains_them(
+    claimed: float, seconds: float
+) -> None:
+    # GIVEN fixes that are off by 15 m within seconds, more than they claim, and stay there
+    run = draw(replace(SCENE, duration=35.0), 3)
+    fixes = tuple(replace(f, covariance_n=f.covariance_n * (claimed / 0.1) ** 2) for f in run.fixes)
+    t = np.array([fix.t_ns - fixes[0].t_ns for fix in fixes]) * 1e-9
+    off = np.outer(np.clip((t - 20.0) / seconds, 0.0, 1.0), [-7.0, 11.0, 7.5])
+    # WHEN the filter runs for a quarter of a minute more
+    ins, _ = fly(moved(replace(run, fixes=fixes), off), scatter=True)
+    # THEN the error is within 3σ: what is smooth again seemed right, with σ as they claim
+    assert np.all(np.abs(off[-1]) < 3.0 * total_std(ins.nav)[:3])
+
+
 @pytest.mark.parametrize(("size", "lasts"), [(0.8, 15), (0.8, 1), (0.0, 0)])
 def test_a_jump_that_an_error_of_the_imu_could_make_is_told_by_what_follows(
     size: float, lasts: int

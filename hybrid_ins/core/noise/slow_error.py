@@ -63,9 +63,9 @@ class SlowError(NamedTuple):
     def updated(self, shown: Shares, is_probable: bool, t_ns: int) -> SlowError:
         """Return it with what they show at a stamp [ns]."""
         left = math.exp(-max(t_ns - self.t_ns, 0) * 1e-9 / LASTING)
-        past = left * self.past[0], left * self.past[1]
+        past = _larger(shown, (left * self.past[0], left * self.past[1]))
         if is_probable:
-            return SlowError(shown, shown, _larger(shown, past), t_ns)
+            return SlowError(shown, shown, past, t_ns)
         lasting = left * self.lasting[0], left * self.lasting[1]
         return SlowError(_larger(shown, lasting), lasting, past, t_ns)
 

@@ -12,6 +12,7 @@ from hybrid_ins.core.inertial.state import N_ERROR, N_FLAT, Array
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.noise.position_scatter import PositionScatter
 from hybrid_ins.core.noise.process_noise import ConstantNoise, Correction, ProcessNoise
+from hybrid_ins.core.noise.slow_error import SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import PositionFix
@@ -84,6 +85,34 @@ def test_a_state_that_was_changed_since_shows_no_jump(noise: FilterNoise, bank: 
     noise.learn_correction(correction(BEGIN_NS + SECOND))
 
     assert noise.jumps.count == 0.0
+
+
+@pytest.mark.parametrize("is_faulty", [False, True])
+def test_what_state_and_receiver_disagreed_by_is_published_unless_the_imu_was_faulty(
+    noise: FilterNoise, is_faulty: bool
+) -> None:
+    if is_faulty:
+        noise.on_imu_fault(BEGIN_NS - SECOND)
+    noise.split_of(position(BEGIN_NS), PositionScatter())
+    verdict = Verdict(
+        position(BEGIN_NS), True, "", 0.0, 100.0, 16.0, np.full(3, 0.01), is_ambiguous=True
+    )
+    noise.learn_verdict(verdict, correction(BEGIN_NS), 1e-4 * np.eye(3))
+
+    variance = noise.past_variance(np.zeros(3), BEGIN_NS)
+
+    assert variance[:2].sum() == pytest.approx(0.0 if is_faulty else 25.0)
+    assert noise.slow_error.stds == (0.0, 0.0)  # the filter follows the fixes as before
+
+
+def test_of_past_errors_what_exceeds_the_present_one_is_published(
+    noise: FilterNoise, bank: Told
+) -> None:
+    noise.slow_error = SlowError(past=(2.0, 2.0), t_ns=BEGIN_NS)
+
+    variance = noise.past_variance(np.array([1.0, 1.0, 25.0]), BEGIN_NS)
+
+    assert variance == pytest.approx([3.0, 3.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,32 @@ def test_a_reset_after_a_jump_of_fixes_that_agreed_before_is_the_receivers(gate:
 
 
 @pytest.mark.parametrize(
+    ("ramp", "gap", "jumped", "ambiguous"),
+    [
+        (1.5, 0.5, True, False),  # s
+        (4.0, 0.5, False, True),  # it still grows, as an error of the state would
+        (1.5, 3.0, False, True),  # as large as an error of the state may be by then
+        (1.5, 4.0, False, False),  # a pause: the state is not believed
+    ],
+)
+def test_fixes_that_glide_off_and_stay_there_have_jumped(
+    gate: Gate, ramp: float, gap: float, jumped: bool, ambiguous: bool
+) -> None:
+    judge(gate, 0.0, 0.1, interval=20.0)
+    for t in np.arange(0.5, 10.0, 0.5):
+        judge(gate, t, 0.1)
+
+    gone = np.arange(0.5, 10.0, 0.5)
+    first = 9.5 + gap
+    verdicts = [
+        judge(gate, first + t - 0.5, min(1.0, t / ramp) * 20.0, interval=max(gap, t)) for t in gone
+    ]
+
+    opened = next(v for v in verdicts if v.inflated)
+    assert (opened.receiver_jumped, opened.is_ambiguous) == (jumped, ambiguous)
+
+
+@pytest.mark.parametrize(
     ("before", "first", "second", "jumped"),
     [
         (0.01, 1.5, 1.55, True),
