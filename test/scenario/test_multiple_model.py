@@ -18,6 +18,7 @@ from support.clock_searches import (
     until,
 )
 from support.runs import moved, stamped_early, through_estimator
+from support.wander import smooth_wander
 
 from hybrid_ins import parameters
 from hybrid_ins.core.alignment import clock_search, multiple_model
@@ -41,7 +42,6 @@ from hybrid_ins.core.update.kalman import inject
 from hybrid_ins.ros.estimator.estimator import Estimator
 from hybrid_ins.ros.estimator.filter_factory import FilterFactory
 from hybrid_ins.ros.messages.conversions import SWAP
-from test.support.wander import smooth_wander
 from tools.paper.runs import Run, draw
 
 AUTO = {"alignment.heading_source": "auto"}

@@ -16,12 +16,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.noise.hypotheses import clear_slow_std
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCorrection
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
-from hybrid_ins.core.noise.slow_error import Shares, SlowError
+from hybrid_ins.core.noise.slow_error import SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
@@ -134,20 +133,6 @@ class FilterNoise:
         if isinstance(measurement, VelocityFix):
             return found.horizontal_velocity, found.vertical_velocity
         return (1.0, found.heights) if isinstance(measurement, PositionFix) else (1.0, 1.0)
-
-    @property
-    def drifts_beyond_claim(self) -> Shares:
-        """
-        Slow errors [m] of clearly more than positions claim, and of heights alone.
-
-        The published covariance contains any. But the slow error of an honest metre may change
-        faster than is assumed, which one of the hypotheses may explain for a while.
-        """
-        across, upward = (
-            std if std > clear_slow_std(claim) else 0.0
-            for std, claim in zip(self.slow_error.drifts, self.split.claimed_stds, strict=True)
-        )
-        return across, upward
 
     def past_variance(self, slow_variance: Array, t_ns: int) -> Array:
         """

@@ -17,6 +17,7 @@ from hybrid_ins.core.inertial.state import (
     CLOCK_VARIANCE,
     COVARIANCE,
     DIAGONAL,
+    HEADING_ARM,
     N_ERROR,
     N_NAV,
     QUAT,
@@ -186,6 +187,9 @@ def fuse_ordinary_fix(  # type: ignore[no-untyped-def]
         result[TOTALS], result[COUNTS] = totals, counts
         for a in range(m):
             result[NORMALISED][a] = normalised[a]
+    if is_position:
+        for i in range(2):
+            nav[HEADING_ARM][i] = -H[i, HEADING]
     weight = min(1.0, (TAIL_DOF + FULL_WEIGHT[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT
     for i in range(len(before)):
         before[i] = nav[i]

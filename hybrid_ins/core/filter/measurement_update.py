@@ -34,6 +34,7 @@ from hybrid_ins.core.inertial.state import (
     ATTITUDE_COVARIANCE,
     CLOCK_VARIANCE,
     COVARIANCE,
+    HEADING_ARM,
     HEADING_CONSIDERED,
     HEADING_VARIANCE,
     N_ERROR,
@@ -47,6 +48,7 @@ from hybrid_ins.core.inertial.state import (
     pack,
 )
 from hybrid_ins.core.noise.heading_information import (
+    HEADING,
     IN_FULL,
     HeadingInformation,
     heading_information,
@@ -258,10 +260,11 @@ class MeasurementUpdate:
         by_stamp: Array | float = 0.0
         fix_factor = self.noise.found.fixes if measurement.sensor == GNSS else 1.0
         if split is not None:
-            share, m = share_of_motion(self.clock.values), len(model[0])
-            of_stamp = stamp_covariance(nav[VELOCITY], share, m)
+            share = share_of_motion(self.clock.values)
+            of_stamp = stamp_covariance(nav[VELOCITY], share, len(model[0]))
             by_stamp = self.noise.found.stamp_std**2 * of_stamp
             model, found = self.scatter.split_model(nav, model, split, fix_factor, by_stamp)
+            nav[HEADING_ARM] = -model[1][:2, HEADING]
         if not np.isfinite(nav[:N_NAV]).all():
             return Verdict.rejected(measurement, "the state is lost"), False, found
         z, H, R = model
@@ -346,9 +349,7 @@ class MeasurementUpdate:
             self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction, without_scale)
-        if moved is not None:
-            _move(nav, moved)
-        return moved is not None
+        return moved is not None and _move(nav, moved)
 
 
 def _concerns_noise(measurement: Measurement) -> bool:
@@ -356,11 +357,12 @@ def _concerns_noise(measurement: Measurement) -> bool:
     return measurement.sensor != IMU or measurement.kind == Standstill.kind
 
 
-def _move(nav: Array, moved: StateCorrection) -> None:
-    """Move a state where it belongs."""
+def _move(nav: Array, moved: StateCorrection) -> bool:
+    """Move a state where it belongs; return that it was moved."""
     inject(nav, moved.dx)
     pack(moved.P, nav[COVARIANCE])
     nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
+    return True
 
 
 def _correct(

@@ -61,7 +61,9 @@ ANTENNA_VARIANCE = slice(PAST_VARIANCE.stop, PAST_VARIANCE.stop + 3)
 ATTITUDE_COVARIANCE = slice(ANTENNA_VARIANCE.stop, ANTENNA_VARIANCE.stop + 6)
 HEADING_CONSIDERED = ATTITUDE_COVARIANCE.stop - 1  # the heading's of these
 MEAN_RATE = slice(ATTITUDE_COVARIANCE.stop, ATTITUDE_COVARIANCE.stop + 3)  # rad/s, b, recent mean
-HEADING_DOUBT = MEAN_RATE.stop  # rad², of a heading that may be another: `heading_check`
+# m/rad, NE: an error of the heading turns the vehicle about its antenna, whose place is known
+HEADING_ARM = slice(MEAN_RATE.stop, MEAN_RATE.stop + 2)
+HEADING_DOUBT = HEADING_ARM.stop  # rad², of a heading that may be another: `heading_check`
 N_NAV = HEADING_DOUBT + 1
 SYSTEM = slice(N_NAV, N_NAV + N_ERROR * N_ERROR)
 SCRATCH = slice(SYSTEM.stop, SYSTEM.stop + 12)
@@ -105,7 +107,8 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
 
     P + V s s', the uncertain clock offset considered, the slow error and the jumps of fixes, what
     an antenna in another place does to the position and the attitude, and to the latter an IMU's
-    scale errors, what motion does not show of the heading, and the other headings that it may have.
+    scale errors, what motion does not show of the heading, and the other headings that it may have:
+    with another one the vehicle is elsewhere about its antenna.
     """
     unpack(nav[COVARIANCE], full)
     s, variance = nav[SENSITIVITY], nav[CLOCK_VARIANCE]
@@ -122,6 +125,12 @@ def unpack_total(nav, full):  # type: ignore[no-untyped-def]
             full[j, i] = full[i, j]
             k += 1
     full[8, 8] += nav[HEADING_DOUBT]
+    arm, variance = nav[HEADING_ARM], nav[HEADING_CONSIDERED] + nav[HEADING_DOUBT]
+    for i in range(2):
+        full[i, 8] += variance * arm[i]
+        full[8, i] = full[i, 8]
+        for j in range(2):
+            full[i, j] += variance * arm[i] * arm[j]
 
 
 def pack(full: Array, packed: Array) -> None:
@@ -188,4 +197,5 @@ def total_std(nav: Array) -> Array:
     variance[DP] += nav[SLOW_VARIANCE] + nav[PAST_VARIANCE] + nav[ANTENNA_VARIANCE]
     variance[EPS] += nav[ATTITUDE_COVARIANCE][[0, 3, 5]]
     variance[8] += nav[HEADING_DOUBT]
+    variance[:2] += (nav[HEADING_CONSIDERED] + nav[HEADING_DOUBT]) * nav[HEADING_ARM] ** 2
     return np.sqrt(variance)

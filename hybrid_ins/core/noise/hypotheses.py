@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.noise.position_scatter import uncorrected
-from hybrid_ins.core.noise.slow_error import SLOW_AXES, SLOW_TIME
+from hybrid_ins.core.noise.slow_error import SLOW_AXES, SLOW_TIME, Shares, SlowError
 
 Array = NDArray[np.float64]
 
@@ -154,7 +154,17 @@ def claims_in_search(horizontal: float, height: float) -> tuple[float, float]:
     return horizontal * ratio, height * ratio
 
 
-def clear_slow_std(claimed_std: float) -> float:
-    """Return the slow error [m] beyond the claimed σ [m] for which a receiver is to blame."""
+def drifts_beyond_claim(slow_error: SlowError, claimed_stds: Shares) -> Shares:
+    """
+    Return the slow errors [m] for which a receiver is to blame, of positions and of heights alone.
+
+    They are of clearly more than the σ claimed, ``claimed_stds`` [m]. The published covariance
+    contains any. But the slow error of an honest metre may change faster than is assumed, which one
+    of the hypotheses may explain for a while.
+    """
     rise = CLEAR_UNCORRECTED_RATIO - SLOW_RATIO
-    return claimed_std * (SLOW_RATIO + rise * uncorrected(claimed_std))
+    across, upward = (
+        std if std > claim * (SLOW_RATIO + rise * uncorrected(claim)) else 0.0
+        for std, claim in zip(slow_error.drifts, claimed_stds, strict=True)
+    )
+    return across, upward

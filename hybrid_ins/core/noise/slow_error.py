@@ -57,7 +57,7 @@ class SlowError(NamedTuple):
 
     stds: Shares = (0.0, 0.0)  # m, as the argument of `PositionScatter.split`
     lasting: Shares = (0.0, 0.0)  # m, of the last one that was probable; they fade
-    past: Shares = (0.0, 0.0)  # m, of any that was, or may have been
+    past: Shares = (0.0, 0.0)  # m, of the largest that was shown, or that may have been; they fade
     t_ns: int = 0
 
     def updated(self, shown: Shares, is_probable: bool, t_ns: int) -> SlowError:

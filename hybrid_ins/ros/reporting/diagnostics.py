@@ -16,6 +16,7 @@ from hybrid_ins.core.inertial.rotations import UNKNOWN_ANGLE_STD
 from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, W_G, total_std
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.phases import Aligning
+from hybrid_ins.core.noise.hypotheses import drifts_beyond_claim
 from hybrid_ins.core.noise.innovation import InnovationNoise
 from hybrid_ins.core.noise.process_noise import LearnedNoise
 from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrors
@@ -269,9 +270,9 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "contains such jumps until there was none for minutes; check the receiver and its "
             "corrections"
         )
-    across, upward = running.noise.drifts_beyond_claim
+    of_fixes, of_heights = running.noise.split.claimed_stds
+    across, upward = drifts_beyond_claim(running.noise.slow_error, (of_fixes, of_heights))
     if across or upward:
-        of_fixes, of_heights = running.noise.split.claimed_stds
         what, drift, claimed = (
             ("fixes", across, of_fixes) if across else ("the heights of fixes", upward, of_heights)
         )

@@ -15,8 +15,13 @@ from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.measurement_update import MeasurementUpdate
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.inertial.earth import displacement
-from hybrid_ins.core.inertial.rotations import heading_from_quat, quat_from_rpy
+from hybrid_ins.core.inertial.rotations import (
+    heading_from_quat,
+    matrix_from_quat,
+    quat_from_rpy,
+)
 from hybrid_ins.core.inertial.state import (
+    HEADING_DOUBT,
     HEADING_VARIANCE,
     LLA,
     N_ERROR,
@@ -29,6 +34,7 @@ from hybrid_ins.core.inertial.state import (
     NavState,
     covariance,
     total_std,
+    unpack_total,
 )
 from hybrid_ins.core.noise.heading_information import OF_FILTER, SUMS, VARIANCE
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
@@ -40,7 +46,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import initial_sensitivity
 from hybrid_ins.core.sensor_errors.lever_arm import PARAMETERS, LeverArmObserver
 from hybrid_ins.core.sensor_errors.scale_errors import CLOCK, ScaleErrorObserver
 from hybrid_ins.core.update.gate import Gate
-from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.core.update.measurements import PositionFix, position_model
 
 SECOND = 1_000_000_000
 BY_MOTION = 0.3  # rad: σ of a heading of which the filter is surer
@@ -121,6 +127,26 @@ def test_jumps_of_fixes_are_known_to_the_next_filter_and_outlast_other_noise(
 
     assert whole.scatter.in_force and after[0] == pytest.approx(50.0, rel=0.01)
     np.testing.assert_array_equal(nav[PAST_VARIANCE], after)
+
+
+def test_another_heading_leaves_the_antenna_where_fixes_have_shown_it(
+    nav: Array, whole: MeasurementUpdate
+) -> None:
+    lever_b = np.array([-0.5, 0.2, -0.3])
+    for t_ns in SECOND, 2 * SECOND:  # a plain fix, and one that is judged by more than its NIS
+        whole.apply(nav, PositionFix(t_ns, nav[LLA], np.eye(3), lever_b), 0.0, False, ImuRing())
+    before, after = np.empty((N_ERROR, N_ERROR)), np.empty((N_ERROR, N_ERROR))
+    unpack_total(nav, before)
+    nav[HEADING_DOUBT] += 0.5**2
+    unpack_total(nav, after)
+
+    _, H = position_model(nav, nav[LLA], lever_b)
+
+    np.testing.assert_allclose(H @ after @ H.T, H @ before @ H.T, atol=1e-9)
+    assert np.trace(after[:2, :2] - before[:2, :2]) == pytest.approx(
+        0.5**2 * np.sum((matrix_from_quat(nav[QUAT]) @ lever_b)[:2] ** 2), rel=0.01
+    )
+    np.testing.assert_allclose(total_std(nav), np.sqrt(np.diag(after)))
 
 
 @pytest.mark.parametrize("keeps_weights", [True, False])

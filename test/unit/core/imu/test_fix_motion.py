@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.wander import smooth_wander
 
 from hybrid_ins.core.imu.fix_motion import FixMotion, significant_speed
-from test.support.wander import smooth_wander
 
 Array = NDArray[np.float64]
 

@@ -29,19 +29,14 @@ def test_one_that_is_probable_takes_the_place_of_another() -> None:
     assert of_heights.stds == of_heights.lasting == (0.0, 1.5)
 
 
-def test_what_is_reported_lasts_beside_a_smaller_one_that_is_probable() -> None:
-    error = SlowError().updated((2.0, 2.0), is_probable=True, t_ns=SECOND)
+@pytest.mark.parametrize("was_probable", [True, False])
+def test_what_is_reported_lasts_beside_a_smaller_one_that_is_probable(was_probable: bool) -> None:
+    error = SlowError().updated((2.0, 2.0), is_probable=was_probable, t_ns=SECOND)
 
     error = error.updated((0.1, 0.1), is_probable=True, t_ns=SECOND + HALF_LIFE_NS)
 
     assert error.stds == error.lasting == (0.1, 0.1)
     assert error.past_variance == pytest.approx([1.0, 1.0, 2.25], rel=0.01)
-
-
-def test_nothing_is_reported_of_one_that_was_never_probable() -> None:
-    error = SlowError().updated((2.0, 2.0), is_probable=False, t_ns=SECOND)
-
-    assert not error.past_variance.any()
 
 
 def test_a_drift_of_heights_alone_is_what_they_have_besides_the_rest() -> None:

@@ -12,6 +12,7 @@ from hybrid_ins.core.filter.filter_noise import PROBABLE, FilterNoise
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
 from hybrid_ins.core.inertial.state import CLOCK_VARIANCE, N_FLAT, W_G
 from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank
+from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.noise.slow_error import SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
@@ -25,14 +26,16 @@ def navigator(factor: float, turning: float, extra_std: float) -> Any:
     noise = SimpleNamespace(
         imu_factors=(500.0, factor),
         factors=None,
-        drifts_beyond_claim=(0.0, 0.0),
+        slow_error=SlowError(),
+        jumps=PositionJumps(),
+        split=SimpleNamespace(claimed_stds=(1.0, 1.0)),
         found=NoiseFactors(),
         psd=lambda: psd,
     )
     samples, ring = np.zeros(500, SAMPLE_DTYPE), ImuRing()
     samples["w"][:, 2] = turning
     ring.extend(samples)
-    running = SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT))
+    running = SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT), t_ns=0)
     return SimpleNamespace(filter=running, ring=ring)
 
 
@@ -82,7 +85,7 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
     noise.slow_error = SlowError().updated((drift, drift), probability > PROBABLE, 0)
 
     found = noise_conditions(
-        SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
+        SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT), t_ns=0))
     )
 
     text = found.get("fixes drift by more than they claim", "")
@@ -102,7 +105,7 @@ def test_what_scatters_by_more_than_it_claims_is_named(
     bank.found = NoiseFactors(fixes=fixes, heights=heights)
 
     found = noise_conditions(
-        SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT)))
+        SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=np.zeros(N_FLAT), t_ns=0))
     )
 
     assert [text.split(" by more")[0] for text in found.values()] == [named] * bool(named)
@@ -117,7 +120,7 @@ def test_stamps_are_not_blamed_for_an_offset_that_is_not_known_yet(
     bank.found = NoiseFactors(stamp_probability=0.9, stamp_std=0.03)
     nav[CLOCK_VARIANCE] = clock_std**2
 
-    found = noise_conditions(SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=nav)))
+    found = noise_conditions(SimpleNamespace(filter=SimpleNamespace(noise=noise, nav=nav, t_ns=0)))
 
     assert ("stamps of fixes scatter" in found) is named
 
