@@ -138,11 +138,12 @@ class FilterNoise:
         """
         Return the variance of errors that positions have shown before a stamp [ns], (3,) m², NED.
 
-        Of jumps, and of slow errors as far as they are not in ``slow_variance``, (3,) [m²], that of
-        the slow error in force.
+        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force.
         """
-        slow = self.slow_error.past_variance - slow_variance
-        return np.asarray(np.maximum(self.jumps.variance(t_ns), slow))
+        of_jumps = self.jumps.variance(t_ns)
+        if not any(self.slow_error.past):
+            return of_jumps
+        return np.maximum(of_jumps, self.slow_error.past_variance - slow_variance)
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
