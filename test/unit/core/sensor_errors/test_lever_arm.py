@@ -28,6 +28,7 @@ from hybrid_ins.core.inertial.state import (
     EPS,
     HEADING_VARIANCE,
     N_ERROR,
+    PAST_VARIANCE,
     QUAT,
     covariance,
     total_std,
@@ -107,7 +108,7 @@ def test_an_error_that_is_certain_is_part_of_the_covariance_that_is_reported() -
     ins = filtered(draw(FLIGHT, 1), -error_b)
     found = ins.lever_arm
     total = np.empty((N_ERROR, N_ERROR))
-    ins.nav[CLOCK_VARIANCE] = 0.0
+    ins.nav[CLOCK_VARIANCE], ins.nav[PAST_VARIANCE] = 0.0, 0.0
     unpack_total(ins.nav, total)
     added = total - covariance(ins.nav)
 
