@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.runs import through_estimator
+from support.runs import moved, through_estimator
 
 from hybrid_ins import parameters
 from hybrid_ins.bags.reader import BagReader
@@ -180,6 +180,35 @@ def test_a_smoothed_position_is_as_uncertain_as_the_place_that_is_given_of_the_a
     assert np.sqrt(given[:, 21]).min() > 0.3
     assert np.abs(given[:, 2] - exact[:, 2]).max() < 0.02
     assert np.sqrt(given[:, 7]).max() < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_noise_of_the_imu_is_no_evidence_on_the_clock(seed: int) -> None:
+    # GIVEN a car whose accelerometers are shaken, so that no fix shows how it accelerates
+    errors = ImuErrors(accelerometer_std=4.0)
+    run = draw(Scenario("shaken", car_drive, 100.0, 60.0, errors=errors), seed)
+    # WHEN it is smoothed, its clock being right, and known to be or not
+    stamps, known = smoothed(run, **{"gnss.time_offset.estimate": False})
+    t_ns, unknown = smoothed(run)
+    # THEN the track is as uncertain as the clock, which was 0.2 s off, known to 0.016
+    _, first, second = np.intersect1d(stamps, t_ns, return_indices=True)
+    apart = np.abs(unknown[second, :2] - known[first, :2])
+    assert np.all(apart < 3.0 * np.sqrt(unknown[second][:, [7, 14]]))
+
+
+@pytest.mark.slow
+def test_what_jumps_show_of_the_fixes_is_in_the_smoothed_covariance_on_both_sides() -> None:
+    # GIVEN fixes that jump by 5 m after half a minute, which their receiver does not claim
+    run = draw(Scenario("jump", rate=100.0, duration=60.0), 2)
+    t = np.array([fix.t_ns - run.fixes[0].t_ns for fix in run.fixes]) * 1e-9
+    # WHEN they are smoothed
+    t_ns, odometry = smoothed(moved(run, np.outer(t > 30.0, [4.0, -3.0, 1.0])))
+    # THEN positions after that are as uncertain, and those before: which are right is not known
+    seconds, std = (t_ns - run.fixes[0].t_ns) * 1e-9, np.sqrt(odometry[:, [7, 14]]).mean(axis=1)
+    assert np.all(std[seconds > 35.0] > 2.0)
+    assert np.all(std[(seconds > 20.0) & (seconds < 30.0)] > 2.0)
+    assert np.all(std[(seconds > 3.0) & (seconds < 6.0)] < 2.0)  # that fades
 
 
 @pytest.mark.slow

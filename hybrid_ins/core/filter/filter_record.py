@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins.core.filter.events import Event
 from hybrid_ins.core.filter.measurement_update import MeasurementUpdate, Outcome
-from hybrid_ins.core.inertial.state import NavState
+from hybrid_ins.core.inertial.state import PAST_VARIANCE, NavState
 from hybrid_ins.core.noise.position_scatter import Split
 from hybrid_ins.core.update.gate import Verdict
 
@@ -42,6 +42,7 @@ class Decided:
     clock_drift: float  # s/s
     attitude_by_scale: Array  # (6,) `ScaleErrorObserver.considered`
     heading_by_noise: float  # rad², `HeadingInformation.considered`
+    past_variance: Array  # (3,) m², NED, of positions: `FilterNoise.past_variance`
 
 
 class FilterRecord:
@@ -97,4 +98,5 @@ def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate, nav: Arr
         clock_drift=clock.drift,
         attitude_by_scale=update.scale_errors.considered,
         heading_by_noise=update.heading.considered(nav),
+        past_variance=nav[PAST_VARIANCE].copy(),
     )

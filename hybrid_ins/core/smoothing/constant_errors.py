@@ -46,8 +46,10 @@ from hybrid_ins.core.inertial.state import (
     NavState,
     covariance,
 )
+from hybrid_ins.core.noise.motion_share import fade_sums, motion_share
 from hybrid_ins.core.sensor_errors.clock_offset import MAX_STD
 from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
+from hybrid_ins.core.sensor_errors.clock_sensitivity import noise_information
 from hybrid_ins.core.smoothing.segments import Update
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
 
@@ -118,6 +120,7 @@ class ConstantErrors:
         self.begin_sensitivity(start)
         self._information = np.zeros((N_CONSTANTS, N_CONSTANTS))
         self._gradient = np.zeros(N_CONSTANTS)
+        self._sums, self._fixed_ns = np.zeros(2), 0  # see `motion_share`; of the last fix
         self.begin_adjoint()
 
     def begin_sensitivity(self, start: NavState) -> None:
@@ -157,10 +160,24 @@ class ConstantErrors:
             Gain, and the covariance with which it was fused.
         """
         z, H, h = self._linearised(measurement, before)
-        weighted = np.linalg.solve(H @ covariance(before) @ H.T + R, h)
+        self.sensitivity = self.sensitivity - K @ h
+        S = H @ covariance(before) @ H.T + R
+        if isinstance(measurement, Fix):
+            h[:, CLOCK] *= self._share_of_motion(measurement, before, (H, h[:, CLOCK], K, S))
+        weighted = np.linalg.solve(S, h)
         self._information += weighted.T @ h
         self._gradient += weighted.T @ z
-        self.sensitivity = self.sensitivity - K @ h
+
+    def _share_of_motion(
+        self, fix: Fix, before: Array, model: tuple[Array, Array, Array, Array]
+    ) -> float:
+        """Return the share of motion in what fixes of late say of the clock, this one included."""
+        H, h, K, S = model
+        interval, self._fixed_ns = (fix.t_ns - self._fixed_ns) * 1e-9, fix.t_ns
+        fade_sums(self._sums, interval)
+        of_noise = noise_information(before, H, K, S, isinstance(fix, PositionFix))
+        self._sums += h @ np.linalg.solve(S, h), of_noise
+        return float(motion_share(self._sums))
 
     def turn(self, T: Array) -> None:
         """Turn the sensitivity with the errors: see `kalman.turn_errors`."""

@@ -31,6 +31,7 @@ from hybrid_ins.core.inertial.rotations import (
     quat_multiply,
 )
 from hybrid_ins.core.inertial.state import N_ERROR, NavState
+from hybrid_ins.core.noise.slow_error import LASTING
 from hybrid_ins.core.noise.weights import MEMORY
 from hybrid_ins.core.sensor_errors.clock_prior import ClockPrior
 from hybrid_ins.core.smoothing.constant_errors import ConstantErrors
@@ -128,6 +129,22 @@ class Hindsight:
         known = [(s.decided.event.t_ns, s.decided.heading_by_noise) for s in self._steps]
         stamps, variances = zip(*(known or [(0, 0.0)]), strict=True)
         return np.array(stamps, np.int64), np.array(variances)
+
+    def past_positions(self) -> tuple[NDArray[np.int64], Array]:
+        """
+        Return what positions have shown of their errors, before and, in the end, after it.
+
+        Stamps (n,) [ns] and from each on the variance (n, 3) [m²], NED, `FilterNoise.past_variance`
+        or what is left of a later one: which of the positions about a jump are wrong is not known.
+        """
+        known = [(s.decided.event.t_ns, s.decided.past_variance) for s in self._steps]
+        stamps, squares = zip(*(known or [(0, np.zeros(3))]), strict=True)
+        t_ns, variances = np.array(stamps, np.int64), np.array(squares)
+        if variances.any():
+            left = np.exp(-2e-9 / LASTING * np.diff(t_ns))
+            for k in range(len(left) - 1, -1, -1):
+                variances[k] = np.maximum(variances[k], left[k] * variances[k + 1])
+        return t_ns, variances
 
 
 def _lever_std(last: InsFilter, updates: Sequence[Update]) -> Array | None:

@@ -9,7 +9,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.inertial.state import ATTITUDE_COVARIANCE, HEADING_CONSIDERED, PSD
+from hybrid_ins.core.inertial.state import (
+    ATTITUDE_COVARIANCE,
+    HEADING_CONSIDERED,
+    PAST_VARIANCE,
+    PSD,
+)
 from hybrid_ins.core.smoothing.constant_errors import LEVER, ConstantErrors
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.smoothing.hindsight import Hindsight
@@ -62,6 +67,7 @@ class SmoothedRun:
             smoother, constants = hindsight.smoother(self._make_store, self._progress)
             smoother.run()
             by_scale, by_noise = hindsight.attitude_by_scale(), hindsight.heading_by_noise()
+            past = hindsight.past_positions()
             _report_lever_arm(estimator, constants)
             self._clocks.append(hindsight.clock_offsets(constants.clock_offset))
             # where nobody placed the antenna, what is known is where that was; else it is zero
@@ -69,6 +75,7 @@ class SmoothedRun:
             for t_ns, rows in smoother.states():
                 rows[:, ATTITUDE_COVARIANCE] += _in_force(t_ns, *by_scale)
                 rows[:, HEADING_CONSIDERED] += _in_force(t_ns, *by_noise)
+                rows[:, PAST_VARIANCE] = _in_force(t_ns, *past)
                 for part in _parts(rows):
                     levels = process.q(rows[part.start, PSD][:6])
                     block = source.make_block(t_ns[part], rows[part], arm_b, levels[3:])

@@ -29,6 +29,7 @@ from hybrid_ins.core.inertial.state import (
     N_ERROR,
     N_FLAT,
     N_NAV,
+    PAST_VARIANCE,
     PLACES,
     PSD,
     QUAT,
@@ -36,6 +37,7 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.noise.position_scatter import Split
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
+from hybrid_ins.core.noise.slow_error import LASTING
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.sensor_errors.clock_offset import ClockOffsetObserver
 from hybrid_ins.core.sensor_errors.clock_prior import ClockDrift, ClockPrior
@@ -196,10 +198,13 @@ def test_a_record_keeps_the_drift_of_the_clock_and_what_motion_does_not_show() -
     )
 
     nav = np.zeros(N_FLAT)
+    nav[PAST_VARIANCE] = 4.0
     record.add(nothing, Outcome(None, 1.0, False, None), update, nav)
     record.add_too_old(nothing, update, nav)
 
+    nav[PAST_VARIANCE] = 0.0  # it is the filter's, which goes on
     for decided in (record.decided[0], record.too_old[0]):
+        assert decided.past_variance.tolist() == [4.0, 4.0, 4.0]
         assert decided.clock_drift == 3e-4
         assert decided.clock_variance == pytest.approx(clock.sigma**2)
         assert decided.heading_by_noise == 0.01
@@ -233,6 +238,29 @@ def test_in_an_outage_the_attitude_is_as_uncertain_by_scale_errors_as_before() -
     assert (stamps.tolist(), variances.tolist()) == ([1, 2, 3, 4], [1.0, 2.0, 0.0, 4.0])
     stamps, variances = hindsight.Hindsight(kept()).heading_by_noise()
     assert (stamps.tolist(), variances.tolist()) == ([0], [0.0])
+
+
+def test_what_positions_show_of_their_errors_is_said_of_the_time_before_too() -> None:
+    # GIVEN a filter that saw a jump in the third of four steps, and has half forgotten it
+    second = 1_000_000_000
+    decided = [
+        SimpleNamespace(
+            event=SimpleNamespace(t_ns=round(10 * k * second)),
+            levels=np.ones(6),
+            r_scale=1.0,
+            past_variance=np.array([variance, variance, 0.0]),
+        )
+        for k, variance in enumerate((0.0, 0.0, 9.0, 4.5), start=1)
+    ]
+    record = SimpleNamespace(start=SimpleNamespace(t_ns=0), decided=decided, too_old=[])
+    stretch: Any = SimpleNamespace(filters=[(SimpleNamespace(record=record), 0.0)])
+
+    stamps, variances = hindsight.Hindsight(stretch).past_positions()
+
+    left = np.exp(-20.0 / LASTING)  # of the variance, after 10 s
+    assert stamps.tolist() == [10 * second, 20 * second, 30 * second, 40 * second]
+    np.testing.assert_allclose(variances[:, 0], [9.0 * left**2, 9.0 * left, 9.0, 4.5])
+    assert not variances[:, 2].any()
 
 
 @pytest.mark.parametrize("drift", [0.0, 3e-4])
