@@ -15,7 +15,8 @@ is found of its error is considered with what is not known.
 
 Both are estimated at once: on a straight way at a steady speed one is like the other, and on other
 ways each would be drawn by the other. Most clocks are right: what the innovations say of the offset
-is weighed against a `ClockPrior`, and the lever arm follows.
+is weighed against a `ClockPrior`, and the lever arm follows. Noise of a shaken IMU is no evidence
+on the clock: as in `clock_offset` its regressor counts by the share of motion.
 
 References
 ----------
