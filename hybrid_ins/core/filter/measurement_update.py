@@ -190,10 +190,7 @@ class MeasurementUpdate:
         if psd_changed:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
-        nav[ANTENNA_VARIANCE] = self.lever_arm.considered(nav)
-        nav[ATTITUDE_COVARIANCE] = self.scale_errors.considered + self.lever_arm.of_attitude
-        nav[HEADING_CONSIDERED] += self.heading.considered(nav)
-        nav[PAST_VARIANCE] = self.noise.past_variance(nav[SLOW_VARIANCE], event.t_ns)
+        _consider(nav, self, event.t_ns)
         return Outcome(verdict, r_scale, moved, split)
 
     def _fuse_ordinary(
@@ -349,7 +346,9 @@ class MeasurementUpdate:
             self.lever_arm.update(correction, nav, is_fix=True)
             self.scale_errors.update(correction, is_fix=True)
         moved = self.noise.learn_correction(correction, without_scale)
-        return moved is not None and _move(nav, moved)
+        if moved is not None:
+            _move(nav, moved)
+        return moved is not None
 
 
 def _concerns_noise(measurement: Measurement) -> bool:
@@ -357,12 +356,19 @@ def _concerns_noise(measurement: Measurement) -> bool:
     return measurement.sensor != IMU or measurement.kind == Standstill.kind
 
 
-def _move(nav: Array, moved: StateCorrection) -> bool:
-    """Move a state where it belongs; return that it was moved."""
+def _consider(nav: Array, known: MeasurementUpdate, t_ns: int) -> None:
+    """Write what is reported besides P at a stamp [ns]: of the position and of the attitude."""
+    nav[ANTENNA_VARIANCE] = known.lever_arm.considered(nav)
+    nav[ATTITUDE_COVARIANCE] = known.scale_errors.considered + known.lever_arm.of_attitude
+    nav[HEADING_CONSIDERED] += known.heading.considered(nav)
+    nav[PAST_VARIANCE] = known.noise.past_variance(nav[SLOW_VARIANCE], t_ns)
+
+
+def _move(nav: Array, moved: StateCorrection) -> None:
+    """Move a state where it belongs."""
     inject(nav, moved.dx)
     pack(moved.P, nav[COVARIANCE])
     nav[SENSITIVITY] = initial_sensitivity(nav[VELOCITY], nav[ACCELERATION])
-    return True
 
 
 def _correct(

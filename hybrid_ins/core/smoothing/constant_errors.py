@@ -163,21 +163,21 @@ class ConstantErrors:
         z, H, h = self._linearised(measurement, before)
         self.sensitivity = self.sensitivity - K @ h
         S = H @ covariance(before) @ H.T + R
-        if isinstance(measurement, Fix):
-            h[:, CLOCK] *= self._share_of_motion(measurement, before, (H, h[:, CLOCK], K, S))
         weighted = np.linalg.solve(S, h)
+        if isinstance(measurement, Fix):
+            of_noise = noise_information(before, H, K, S, isinstance(measurement, PositionFix))
+            information = float(h[:, CLOCK] @ weighted[:, CLOCK])
+            share = self._share_of_motion(measurement.t_ns, information, of_noise)
+            h[:, CLOCK] *= share
+            weighted[:, CLOCK] *= share
         self._information += weighted.T @ h
         self._gradient += weighted.T @ z
 
-    def _share_of_motion(
-        self, fix: Fix, before: Array, model: tuple[Array, Array, Array, Array]
-    ) -> float:
-        """Return the share of motion in what fixes of late say of the clock, this one included."""
-        H, h, K, S = model
-        interval, self._fixed_ns = (fix.t_ns - self._fixed_ns) * 1e-9, fix.t_ns
-        fade_sums(self._sums, interval)
-        of_noise = noise_information(before, H, K, S, isinstance(fix, PositionFix))
-        self._sums += h @ np.linalg.solve(S, h), of_noise
+    def _share_of_motion(self, t_ns: int, information: float, of_noise: float) -> float:
+        """Return it in what fixes of late say of the clock, with that of one at a stamp [ns]."""
+        fade_sums(self._sums, (t_ns - self._fixed_ns) * 1e-9)
+        self._sums += information, of_noise
+        self._fixed_ns = t_ns
         return float(motion_share(self._sums))
 
     def turn(self, T: Array) -> None:

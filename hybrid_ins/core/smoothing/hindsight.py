@@ -117,8 +117,7 @@ class Hindsight:
         """
         decided = [(s.decided.event.t_ns, s.decided.attitude_by_scale) for s in self._steps]
         known = [(t_ns, considered) for t_ns, considered in decided if considered.any()]
-        stamps, squares = zip(*(known or [(0, np.zeros(6))]), strict=True)
-        return np.array(stamps, np.int64), np.array(squares)
+        return _columns(known, np.zeros(6))
 
     def heading_by_noise(self) -> tuple[NDArray[np.int64], Array]:
         """
@@ -127,8 +126,7 @@ class Hindsight:
         Stamps (n,) [ns] and from each on the variance (n,) [rad²], `HeadingInformation.considered`.
         """
         known = [(s.decided.event.t_ns, s.decided.heading_by_noise) for s in self._steps]
-        stamps, variances = zip(*(known or [(0, 0.0)]), strict=True)
-        return np.array(stamps, np.int64), np.array(variances)
+        return _columns(known, 0.0)
 
     def past_positions(self) -> tuple[NDArray[np.int64], Array]:
         """
@@ -138,13 +136,20 @@ class Hindsight:
         or what is left of a later one: which of the positions about a jump are wrong is not known.
         """
         known = [(s.decided.event.t_ns, s.decided.past_variance) for s in self._steps]
-        stamps, squares = zip(*(known or [(0, np.zeros(3))]), strict=True)
-        t_ns, variances = np.array(stamps, np.int64), np.array(squares)
+        t_ns, variances = _columns(known, np.zeros(3))
         if variances.any():
             left = np.exp(-2e-9 / LASTING * np.diff(t_ns))
             for k in range(len(left) - 1, -1, -1):
                 variances[k] = np.maximum(variances[k], left[k] * variances[k + 1])
         return t_ns, variances
+
+
+def _columns(
+    known: Sequence[tuple[int, Array | float]], nothing: Array | float
+) -> tuple[NDArray[np.int64], Array]:
+    """Return stamps [ns] and values of what was known, or one of ``nothing``."""
+    stamps, values = zip(*(known or [(0, nothing)]), strict=True)
+    return np.array(stamps, np.int64), np.array(values)
 
 
 def _lever_std(last: InsFilter, updates: Sequence[Update]) -> Array | None:

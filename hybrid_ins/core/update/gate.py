@@ -349,7 +349,7 @@ def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
     size = float(np.linalg.norm(first[:m]))
     change = float(np.linalg.norm(second[:m] - first[:m]))
     grown = 0.5 * ORDINARY_ACCELERATION_ERROR * interval**2
-    return size > grown + tolerance and change <= max(0.2 * size, tolerance)
+    return size > grown + tolerance and change <= max(SETTLED_CHANGE * size, tolerance)
 
 
 def _is_of_receiver(last: _Rejections, seen: _Innovation, t_ns: int) -> bool:

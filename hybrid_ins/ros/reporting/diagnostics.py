@@ -270,9 +270,10 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
             "contains such jumps until there was none for minutes; check the receiver and its "
             "corrections"
         )
-    of_fixes, of_heights = running.noise.split.claimed_stds
-    across, upward = drifts_beyond_claim(running.noise.slow_error, (of_fixes, of_heights))
+    claimed_stds = running.noise.split.claimed_stds
+    across, upward = drifts_beyond_claim(running.noise.slow_error, claimed_stds)
     if across or upward:
+        of_fixes, of_heights = claimed_stds
         what, drift, claimed = (
             ("fixes", across, of_fixes) if across else ("the heights of fixes", upward, of_heights)
         )
