@@ -180,7 +180,7 @@ def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> Clock
     Return filters under several clock offsets around that of a filter that runs.
 
     They begin with the noise that it has learned: with an IMU that is much noisier than they
-    assumed, chance would favour one of them.
+    assumed, chance would favour one of them. What the motion has shown of the heading they know.
     """
 
     def noise() -> FilterNoise:
@@ -188,7 +188,13 @@ def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> Clock
         known.restart(keep_weights=True)
         return known
 
-    begin = _factory(parts, ring, running.t_ns, running.sample, noise)
+    begin_with = _factory(parts, ring, running.t_ns, running.sample, noise)
+
+    def begin(state: NavState, settings: FilterSettings) -> InsFilter:
+        begun = begin_with(state, settings)
+        begun.update.heading = copy.copy(running.update.heading)
+        return begun
+
     clock = running.clock
     prior = parts.settings.clock_prior_at(running.t_ns)
     offsets = probabilities(prior, clock.residual, clock.sigma)
