@@ -249,7 +249,10 @@ def test_claimed_uncertainty_covers_the_error_when_it_is_decided() -> None:
     assert max(normalised) < 4.0 and np.sqrt(np.mean(np.square(normalised))) < 1.6
 
 
-@pytest.mark.parametrize(("sigma", "after"), [(0.08, 1.0), (0.12, 3.0), (0.18, 6.0), (0.25, None)])
+@pytest.mark.parametrize(
+    ("sigma", "after"),
+    [(0.08, 1.0), (0.12, 3.0), (0.18, 6.0), (0.25, 10.0), (0.35, None)],
+)
 def test_a_heading_known_less_well_is_decided_on_later(
     monkeypatch: pytest.MonkeyPatch, sigma: float, after: float | None
 ) -> None:

@@ -178,6 +178,22 @@ def test_what_sets_off_from_a_stand_is_aligned_within_its_first_steps() -> None:
 
 
 @pytest.mark.slow
+def test_a_slow_vehicle_is_aligned_once_its_heading_is_known_to_17_degrees() -> None:
+    """
+    GIVEN a rover at walking pace, whose fixes of 2 m at 1 Hz show its heading slowly
+    THEN one filter goes on with what they have shown, and covers its error: known to 12° it was
+    after 50 s, and until then its noise was sought beside each heading.
+    """
+    row, rover = campaign.draw(451)
+    found = score(from_simulation(record(rover, 451)), parameters.defaults())
+
+    assert (row["motion"], row["receiver"], row["given"]) == ("slow rover", "consumer", "nothing")
+    assert found.aligned < 30.0
+    assert found.heading < 20.0
+    assert found.silent == 0.0 and found.nees < 2.0
+
+
+@pytest.mark.slow
 def test_a_right_clock_is_kept_on_a_cruise() -> None:
     """
     GIVEN a motorway drive that hardly shows the clock, which is right

@@ -61,7 +61,12 @@ MakeFilter = Callable[[NavState, FilterSettings], InsFilter]
 
 N_HEADINGS = 12
 HEADING_STD = math.pi / N_HEADINGS  # rad, half a cell: neighbours overlap
-HEADING_KNOWN = ((0.1, 1_000_000_000), (0.15, 3_000_000_000), (0.2, 6_000_000_000))
+HEADING_KNOWN = (
+    (0.1, 1_000_000_000),
+    (0.15, 3_000_000_000),
+    (0.2, 6_000_000_000),
+    (0.3, 10_000_000_000),
+)
 """Standard deviation of the mixture's heading [rad], for how long [ns]: any is enough."""
 
 SPREAD_NS = 80_000_000  # over which a block's work is spread; it ends after 100 ms
