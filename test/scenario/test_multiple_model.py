@@ -387,7 +387,7 @@ def test_a_search_beside_a_filter_begins_with_the_noise_that_it_has_learned() ->
 
 
 def test_a_search_beside_a_filter_knows_how_little_the_motion_has_shown_of_the_heading() -> None:
-    """A multirotor in a street was 80° off with 37° claimed, and 14° once the clock was found."""
+    """A multirotor in a street was 75° off with 34° claimed, and 14° once the clock was found."""
     estimator = estimating(until(draw(SCENE, 4), 4.0))
     running = estimator.navigator.filter
     assert running is not None

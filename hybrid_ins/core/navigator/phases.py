@@ -188,17 +188,14 @@ def search_clock(running: InsFilter, parts: FilterParts, ring: ImuRing) -> Clock
         known.restart(keep_weights=True)
         return known
 
-    begin_with = _factory(parts, ring, running.t_ns, running.sample, noise)
-
-    def begin(state: NavState, settings: FilterSettings) -> InsFilter:
-        begun = begin_with(state, settings)
-        begun.update.heading = copy.copy(running.update.heading)
-        return begun
-
+    begin = _factory(parts, ring, running.t_ns, running.sample, noise)
     clock = running.clock
     prior = parts.settings.clock_prior_at(running.t_ns)
     offsets = probabilities(prior, clock.residual, clock.sigma)
-    return ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets, False)
+    search = ClockSearch([running.state], begin, parts.settings, np.ones(1), offsets, False)
+    for begun in search.filters:
+        begun.update.heading = copy.copy(running.update.heading)
+    return search
 
 
 def _factory(
