@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 
 ABSURD = 1e6  # m/s², rad/s
 LOOKAHEAD = 15  # windows of a recording that are read along with one
+TURNS_SEEN_HZ = 100.0  # below that the turns of a vehicle may fill the band of its gyroscopes
 NAMES = "plateau", "spectral", "paper"
 ALLOWED = f"noise.model is {', '.join(NAMES)}, or the path of an .onnx file"
 
@@ -154,6 +155,7 @@ class NoiseReader:
             for sensor in ("accelerometer", "gyroscope")
         ]
         self._low, self._high = np.repeat(np.array(limits), 3, axis=0).T
+        self._gyroscope = values["noise.q_gyroscope"]
         self._period_ns = int(values["noise.refresh_period"] * 1e9)
         self._lookahead: tuple[NDArray[np.int64], Array, Array] | None = None
         self._answers: dict[int, tuple[Array, Array]] = {}  # window and levels, by its end
@@ -196,7 +198,11 @@ class NoiseReader:
         return NoiseEstimate(t_ns, q, at_least)
 
     def _levels(self, t_ns: NDArray[np.int64], readings: Array) -> tuple[Array | None, str]:
-        """Return the levels (6,) by a window, b frame, or why the answer is refused."""
+        """
+        Return the levels (6,) by a window, b frame, or why the answer is refused.
+
+        Those of slow gyroscopes are the constant: their window does not tell noise from turns.
+        """
         try:
             q = self._ask(t_ns, readings)
         except Exception:  # A model that answered at start may fail later; the filter goes on.
@@ -205,6 +211,8 @@ class NoiseReader:
             return None, "the model answered with no variance"
         q = np.maximum(q, quantisation_step(readings) ** 2 / 12.0)
         q = np.concatenate((self._turn @ q[:3], self._turn @ q[3:]))
+        if sampling_rate(t_ns) < 0.99 * TURNS_SEEN_HZ:
+            q[3:] = self._gyroscope
         if np.any(q > self._high):
             return None, "noise beyond noise.q_*_max"
         return np.maximum(q, self._low), ""

@@ -83,10 +83,15 @@ for noise, which makes the filter cautious (tables below). Noise that falls by m
 from its plateau to a floor, as of a driver that smooths twice, is taken for motion. Repeated
 samples are removed: the estimate is that of the readings before repetition. A window that ends less
 than about 20 samples after a change of level shows the old level. The result must not be below
-LSB²/12."""
+LSB²/12. It does not know the rate, and is used from 25 Hz on. Below 100 Hz the turns of an agile
+vehicle, or of a body on rough ground, fill the band of its gyroscopes and are taken for their
+noise: there hybrid_ins uses the constant noise.q_gyroscope."""
 
 
 TEXTS = {"plateau": PLATEAU_TEXT, "paper": PAPER_TEXT, "spectral": SPECTRAL_TEXT}
+SLOWEST_HZ = 25.0
+"""The plateau network does not know the rate: from there on it was tried (docs/regressor.md)."""
+RATES_HZ = {"plateau": (SLOWEST_HZ, noise_data.RATE_RANGE_HZ[1]), "paper": noise_data.RATE_RANGE_HZ}
 SHORTEST = {"plateau": 100, "paper": 50, "spectral": 100}  # samples in a window
 
 
@@ -215,7 +220,7 @@ def background_windows(bags: Sequence[str], topic: str, window: int) -> np.ndarr
 
 def export(network: nn.Module, path: Path, args: argparse.Namespace) -> None:
     """Write the trained network as a model that `Regressor.load` accepts."""
-    low, high = noise_data.RATE_RANGE_HZ
+    low, high = RATES_HZ[args.model]
     declared = {
         "format": FORMAT,
         "name": path.stem,

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 DURATION = 120.0  # s, of each motion
 PERIOD = 0.5  # s, between windows
-RATES = (100.0, 200.0, 400.0)  # Hz
+RATES = (25.0, 50.0, 100.0, 200.0, 400.0)  # Hz
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)  # (m/s²)²
 GYROSCOPE = 1e-2  # (rad/s)² per (m/s²)²: its variance over the accelerometer's
 LIMITS = (1.5, 3.0)  # of median and 95th percentile

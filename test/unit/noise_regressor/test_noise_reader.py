@@ -83,6 +83,17 @@ def ring_of(values: Array, mount: Array = NO_TURN, rate: float = RATE) -> ImuRin
     return ring
 
 
+def test_the_turns_of_a_vehicle_are_not_taken_for_noise_of_slow_gyroscopes() -> None:
+    """GIVEN the same readings at 50 and 200 Hz THEN gyroscopes' noise is read at 200 Hz alone."""
+    made, values = reader(q_gyroscope=1e-5), readings()
+    slow, fast = (made.read(ring_of(values, rate=rate), 10**10).q for rate in (50.0, 200.0))
+
+    assert slow is not None and fast is not None
+    assert slow[:3] == pytest.approx(fast[:3])
+    assert slow[3:] == pytest.approx(1e-5)
+    assert fast[3:] == pytest.approx(STD[3:] ** 2, rel=0.5)
+
+
 # --- A recording that is known ahead ---------------------------------------------------------
 
 

@@ -48,7 +48,7 @@ def test_models_declare_what_they_need(plateau, paper):
     for model, name in ((plateau, "plateau"), (paper, "paper")):
         assert model.name == name
         assert model.window == 200
-        assert model.rate_range == (100.0, 1000.0)
+        assert model.rate_range == ((100.0, 1000.0) if name == "paper" else (25.0, 1000.0))
 
 
 def test_the_runtime_sends_nothing_and_keeps_nothing(tmp_path):
@@ -99,7 +99,7 @@ REFUSALS = {
     "other format": ([(b"hybrid_ins.format\x12\x011", b"hybrid_ins.format\x12\x017")], "'7'"),
     "word for a number": ([(b"window\x12\x03200", b"window\x12\x03abc")], "'abc'"),
     "wrong window": ([(b"window\x12\x03200", b"window\x12\x03150")], "150"),
-    "wrong rates": ([(b"rate_min\x12\x03100", b"rate_min\x12\x039e9")], "9e+09"),
+    "wrong rates": ([(b"rate_max\x12\x041000", b"rate_max\x12\x040010")], "10"),
     "wrong name": ([(b"variance", b"deviance")], "deviance"),
     "NaN": ([(scalar(12.0), NAN), (scalar(3.0), NAN), (scalar(2.0), NAN)], "nan"),
 }
@@ -250,6 +250,25 @@ def test_motion_is_not_taken_for_noise(plateau, motion, rate, level):
     assert gyroscope[0] < 1.5
     if motion == "car" or (rate, level) != (100.0, 1e-5):  # turns fill the whole band
         assert gyroscope[1] < 1.6
+
+
+@pytest.mark.parametrize("level", [1e-2, 1e-5])
+@pytest.mark.parametrize("rate", [25.0, 50.0])
+@pytest.mark.parametrize("motion", ["car", "quadrotor"])
+def test_motion_is_not_taken_for_noise_of_a_slow_imu(plateau, motion, rate, level):
+    for median, most in moving(plateau, motion, rate, level):
+        assert 0.9 < median < 1.1 and most < 1.8
+
+
+def test_noise_that_a_sensor_smooths_is_not_lost(plateau):
+    """What is integrated is the plateau: a filter that trusts less than that is silently wrong."""
+    grid = noise_randomised.shaping_grid(200)
+    for order in (1.0, 2.0, 3.0):
+        spectrum = noise_randomised.low_pass_spectrum(
+            grid, np.full(2000, 0.12), np.full(2000, order)
+        )
+        noise = noise_randomised.shaped_noise(np.random.default_rng(5), spectrum, 200)
+        assert np.median(plateau.estimate(noise, 100.0)) > 0.5, order
 
 
 # --- The estimator without a model ---------------------------------------------------------------
