@@ -309,13 +309,15 @@ def test_the_height_is_not_in_doubt_for_what_scale_errors_have_done_to_the_nose(
 
 def test_scale_errors_do_not_count_twice_in_an_outage() -> None:
     """
-    GIVEN an IMU with errors of 1.5 %, whose innovations hide that it is less noisy than assumed
+    GIVEN an IMU with errors of 1.5 % and a rate that the noise model does not read, whose
+        innovations hide that it is less noisy than assumed
     WHEN fixes are missing, and scale errors are part of the covariance by themselves
     THEN the noise is that of innovations without them; with fixes, that of what they are.
     """
     whole = from_simulation(with_scale_errors(recording("road car", 230.0, 5), 5, 0.015))
     t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
-    values = calibrated(**{"imu.scale_std": 0.015, "noise.mode": "learned"})
+    learned = {"noise.mode": "learned", "noise.model": "paper"}
+    values = calibrated(**{"imu.scale_std": 0.015}, **learned)
     for end in (200.0, 240.0):
         estimator, *_ = run(whole.thinned(t < end), values)
         running = estimator.navigator.filter
