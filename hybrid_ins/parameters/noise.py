@@ -85,8 +85,8 @@ NOISE = (
     Parameter(
         "noise.q_gyroscope",
         4e-6,
-        "Variance of the gyroscope's noise per sample, in mode constant, below 100 Hz, and when the "
-        "regressor has no valid estimate",
+        "Variance of the gyroscope's noise per sample, in mode constant, below 100 Hz, and when "
+        "the regressor has no valid estimate",
         unit=_RATE_VARIANCE,
         low=1e-14,
         high=1e2,

@@ -316,8 +316,7 @@ def test_scale_errors_do_not_count_twice_in_an_outage() -> None:
     """
     whole = from_simulation(with_scale_errors(recording("road car", 230.0, 5), 5, 0.015))
     t = (whole.arrival_ns - whole.imu_ns[0]) * 1e-9
-    learned = {"noise.mode": "learned", "noise.model": "paper"}
-    values = calibrated(**{"imu.scale_std": 0.015}, **learned)
+    values = calibrated(**{"imu.scale_std": 0.015, "noise.mode": "learned", "noise.model": "paper"})
     for end in (200.0, 240.0):
         estimator, *_ = run(whole.thinned(t < end), values)
         running = estimator.navigator.filter

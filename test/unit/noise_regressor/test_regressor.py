@@ -41,6 +41,14 @@ def white(level=1.0, channels=6, seed=0, window=200):
     return np.random.default_rng(seed).normal(0.0, np.sqrt(level), (channels, window))
 
 
+def low_passed(corner, order, seed, windows=2000):
+    """Noise behind a low-pass with a corner [cycles/sample], its plateau at 1."""
+    spectrum = noise_randomised.low_pass_spectrum(
+        noise_randomised.shaping_grid(200), np.full(windows, corner), np.full(windows, order)
+    )
+    return noise_randomised.shaped_noise(np.random.default_rng(seed), spectrum, 200)
+
+
 # --- Loading -------------------------------------------------------------------------------------
 
 
@@ -262,12 +270,8 @@ def test_motion_is_not_taken_for_noise_of_a_slow_imu(plateau, motion, rate, leve
 
 def test_noise_that_a_sensor_smooths_is_not_lost(plateau):
     """What is integrated is the plateau: a filter that trusts less than that is silently wrong."""
-    grid = noise_randomised.shaping_grid(200)
     for order in (1.0, 2.0, 3.0):
-        spectrum = noise_randomised.low_pass_spectrum(
-            grid, np.full(2000, 0.12), np.full(2000, order)
-        )
-        noise = noise_randomised.shaped_noise(np.random.default_rng(5), spectrum, 200)
+        noise = low_passed(0.12, order, 5)
         assert np.median(plateau.estimate(noise, 100.0)) > 0.5, order
 
 
@@ -310,12 +314,8 @@ def test_spectral_plateau_is_found_above_fast_motion(motion, level):
 
 
 def test_spectral_plateau_is_not_the_tail_of_a_low_pass():
-    grid = noise_randomised.shaping_grid(200)
     for order in (1.0, 2.0, 4.0):
-        spectrum = noise_randomised.low_pass_spectrum(
-            grid, np.full(2000, 0.25), np.full(2000, order)
-        )
-        noise = noise_randomised.shaped_noise(np.random.default_rng(4), spectrum, 200)
+        noise = low_passed(0.25, order, 4)
         assert np.quantile(noise_spectral.plateau(noise), 0.02) > 0.15
 
 
