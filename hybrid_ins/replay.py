@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hybrid_ins import kernels, parameters, progress
 from hybrid_ins.bags.messages import TRUTH, Message, new_message
-from hybrid_ins.bags.reader import BagReader, InputTopics, has_optional, received
+from hybrid_ins.bags.reader import BagReader, InputTopics, has_optional, received, velocities_topic
 from hybrid_ins.bags.writer import BagWriter
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.errors import InputError
@@ -30,7 +30,7 @@ from hybrid_ins.ros.estimator.gps_fix_input import GpsFixInput
 from hybrid_ins.ros.estimator.imu_admission import NO_READING
 from hybrid_ins.ros.estimator.imu_block import handle_imu_block
 from hybrid_ins.ros.messages.cdr import OdometryEncoder
-from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, POSE, TRANSFORMS, TWIST
+from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, POSE, TRANSFORMS
 from hybrid_ins.ros.output.message_types import OUTPUTS, encode
 from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.reporting.input_log import Log
@@ -197,7 +197,8 @@ class _Replay:
         else:
             self._handlers[fix_topic] = partial(self._measure, estimator.handle_fix)
             self._carried[fix_topic] = "/gnss/fix"
-        if has_optional(bag, velocity_topic, TWIST):
+        velocity_topic = velocities_topic(bag, velocity_topic)
+        if velocity_topic:
             self._handlers[velocity_topic] = partial(self._measure, estimator.handle_velocity)
             self._carried[velocity_topic] = "/gnss/velocity"
         for name, kind in aiding_sources.TOPICS.items():
@@ -277,7 +278,7 @@ class _Replay:
         ):
             if self._is_filtered:
                 self._write_odometry(stamps_ns, *by_frame)
-        self._write_reports(int(imu.stamp_ns[max(rows.stop, 1) - 1]), of_imu=True)
+        self._write_reports(int(imu.log_ns[max(rows.stop, 1) - 1]), of_imu=True)
 
     def _write_odometry(self, stamps_ns: NDArray[np.int64], *by_frame: NDArray[np.float64]) -> None:
         for writer, odometry in zip(self._odometry, by_frame, strict=True):

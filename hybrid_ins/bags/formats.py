@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -25,6 +26,7 @@ BEGINNINGS = (MAGIC, SQLITE, ROS1)  # of files that are bags
 
 METADATA = "metadata.yaml"
 A_BAG = f"a folder with {METADATA}, or an .mcap, .db3 or ROS 1 .bag file"
+NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 _METADATA_LIMIT = 1 << 20  # bytes; a recording in a hundred files needs a tenth
 
 _log = logging.getLogger(__name__)
@@ -46,16 +48,20 @@ class Source(Protocol):
 
 
 class _Files:
-    """The files of a recording that was split."""
+    """The files of a recording that was split; one at least can be read."""
 
     def __init__(self, paths: list[Path]) -> None:
         self._sources: list[Source] = []
-        try:
-            for path in paths:
+        faults: list[InputError] = []
+        for path in paths:
+            try:
                 self._sources.append(open_recording(path))
-        except BaseException:
-            self.close()
-            raise
+            except InputError as error:
+                faults.append(error)
+        if not self._sources:
+            raise faults[0]
+        for fault in faults:
+            _log.warning("%s; the recording's other files are read", fault)
         self.counts: dict[Channel, int] = {}
         for source in self._sources:
             for channel, count in source.counts.items():
@@ -78,6 +84,13 @@ class _RosbagsFile:
     def __init__(self, path: Path, *, is_ros1: bool = False) -> None:
         self.path = path
         self._is_ros1 = is_ros1
+        pending = path.with_name(f"{path.name}-wal")
+        if pending.is_file() and pending.stat().st_size:
+            _log.warning(
+                "%s: messages in %s are not read: copy both files, and move the messages by"
+                ' sqlite3 %s "PRAGMA wal_checkpoint(TRUNCATE)" in the copy',
+                *(path, pending.name, path.name),
+            )
         self._reader = reader = _reader_of(path, is_ros1)
         try:
             reader.open()
@@ -122,11 +135,14 @@ class _RosbagsFile:
 
     def _unreadable(self, error: Exception) -> InputError:
         reason = str(error).strip().rstrip(".") or type(error).__name__
-        repair = "repair it by rosbag reindex, or " if self._is_ros1 else ""
-        return InputError(
-            f"{self.path}: cannot be read ({reason});"
-            f" {repair}fetch the bag again from where it was recorded"
-        )
+        remedy = "fetch the bag again from where it was recorded"
+        if self._is_ros1:
+            remedy = f"repair it by rosbag reindex, or {remedy}"
+        elif isinstance(error, OSError) and error.errno in NO_ROOM:
+            remedy = "set TMPDIR to a folder with room for what it is decompressed to"
+        elif any(mark in str(self.path) for mark in "?#%"):
+            remedy = "SQLite does not find a file whose path holds ?, # or %: rename it"
+        return InputError(f"{self.path}: cannot be read ({reason}); {remedy}")
 
 
 def _reader_of(path: Path, is_ros1: bool) -> Any:
@@ -169,7 +185,10 @@ def _open_directory(path: Path) -> Source:
     trouble = "its metadata.yaml names no file"
     try:
         information = _read_metadata(metadata)
-        if information.get("compression_mode", "").lower() not in ("", "none"):
+        compression, storage = (
+            information.get(name, "").lower() for name in ("compression_mode", "storage_identifier")
+        )
+        if compression == "file" or (compression == "message" and storage != "mcap"):
             return _RosbagsFile(path)
         names = [Path(name).name for name in information["relative_file_paths"]]
     except FileNotFoundError:
@@ -178,6 +197,9 @@ def _open_directory(path: Path) -> Source:
         trouble = "its metadata.yaml is damaged"
     if not names:
         names = sorted(file.name for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+        packed = " ".join(sorted(file.name for file in path.glob("*.zstd")))
+        if not names and packed:
+            raise InputError(f"{path}: {trouble}, and its files are compressed: unzstd {packed}")
         if not names:
             raise InputError(f"{path}: is not a bag ({trouble}): give {A_BAG}")
         _log.warning("%s: %s: reading %s", path, trouble, ", ".join(names))

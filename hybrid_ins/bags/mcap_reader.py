@@ -24,6 +24,7 @@ from struct import Struct
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -35,6 +36,7 @@ from hybrid_ins.bags.messages import absolute
 from hybrid_ins.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
+COMPRESSED = b"\x28\xb5\x2f\xfd"  # begins a message that rosbag2 has compressed; CDR begins with 0
 LARGEST_CHUNK = 1 << 27  # bytes, uncompressed; more is a defect or a decompression bomb
 BATCH = 4096  # messages of a chunk that become Python objects at a time
 
@@ -141,10 +143,19 @@ class McapReader:
             return
         places = places[np.argsort(places["log_ns"], kind="stable")]
         for k in range(0, len(places), BATCH):
-            yield [
+            batch = [
                 (log_ns, channels[number], content[begin:end])
                 for log_ns, number, begin, end in places[k : k + BATCH].tolist()
             ]
+            yield self._decompressed(batch) if batch[0][2].startswith(COMPRESSED) else batch
+
+    def _decompressed(self, batch: list[Record]) -> list[Record]:
+        """Return the messages of a recording of which each is compressed, as ``zstd`` does."""
+        unpack = zstandard.ZstdDecompressor().decompress
+        try:
+            return [(log_ns, channel, unpack(data)) for log_ns, channel, data in batch]
+        except zstandard.ZstdError as error:
+            raise InputError(f"{self.path}: a message cannot be decompressed ({error})") from None
 
     def _content(self, offset: int) -> tuple[Buffer, int, int]:
         """Return what holds the records of the chunk at an offset, and their begin and end."""

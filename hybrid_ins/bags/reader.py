@@ -25,7 +25,7 @@ from hybrid_ins.core.imu.samples import BlockList, Blocks
 from hybrid_ins.errors import InputError
 from hybrid_ins.ros.messages.cdr import ImuDecoder, imu_records
 from hybrid_ins.ros.messages.conversions import imu_fields
-from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, IMU
+from hybrid_ins.ros.messages.type_names import FIX, GPS_FIX, IMU, TWIST
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 IMU_BLOCK = 16_384  # messages that are in memory at a time
 INPUT_TOPICS = ("/imu/data", "/gnss/fix")  # where the input is expected
+VELOCITY = "/gnss/velocity"  # likewise, where there is any
 
 _log = logging.getLogger(__name__)
 
@@ -340,6 +341,22 @@ class BagReader:
                 f"{self.path}: the message on {channel.topic} at {log_ns} ns is not a"
                 f" {channel.type_name} ({error}): leave the topic out or record it again"
             ) from None
+
+
+def velocities_topic(bag: BagReader, topic: str) -> str:
+    """
+    Return the absolute name of the topic of velocities, which is optional; empty without one.
+
+    One that is asked for by another than its usual name, and is not there, is named.
+    """
+    name = absolute(topic)
+    if topic and name not in (VELOCITY, *bag.topics):
+        of_type = [found for found, kind in bag.topics.items() if kind == TWIST]
+        _log.warning(
+            "%s: has no topic %s: no velocities are used; there is %s",
+            *(bag.path, name, ", ".join(of_type) or "none of their type"),
+        )
+    return name if has_optional(bag, name, TWIST) else ""
 
 
 def has_optional(bag: BagReader, topic: str, type_name: str) -> bool:

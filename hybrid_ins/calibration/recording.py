@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
-from hybrid_ins.bags.reader import BagReader, ImuTable, has_optional, received
+from hybrid_ins.bags.reader import BagReader, ImuTable, has_optional, received, velocities_topic
 from hybrid_ins.calibration.admission import (
     FEWEST_SAMPLES,
     check_fixes,
@@ -292,7 +292,8 @@ def _fixes(
             len(fixes) - len(found.aid),
             len(fixes),
         )
-    if has_optional(bag, velocity_topic, type_names.TWIST):
+    velocity_topic = velocities_topic(bag, velocity_topic)
+    if velocity_topic:
         for _, log_ns, message in bag.messages(velocity_topic):
             velocity = gnss.velocity(message, received(values, log_ns))
             if not isinstance(velocity, Refused):

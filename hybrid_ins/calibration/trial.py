@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.bags import messages
+from hybrid_ins.bags.messages import absolute
 from hybrid_ins.bags.reader import BagReader, InputTopics, received
 from hybrid_ins.core.fix_checks.repeated_fixes import without_held
 from hybrid_ins.core.inertial.earth import LocalFrame, displacement
@@ -130,7 +131,7 @@ def _run(
     with BagReader(path) as bag:
         imu = bag.imu(topics["imu_topic"])
         fix_topic = bag.require(topics["fix_topic"], type_names.FIX, "--fix-topic")
-        velocity_topic = topics["velocity_topic"]
+        velocity_topic = absolute(topics["velocity_topic"])
         has_velocity = bag.topics.get(velocity_topic) == type_names.TWIST
         used = np.arange(len(imu.log_ns))[rows]
         used = used[imu.has_reading[used]]

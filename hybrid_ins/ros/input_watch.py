@@ -99,12 +99,25 @@ class InputWatch:
         self._used.update(self._estimator.navigator.last_ns, of_node)
         self._log_outages(heard, elapsed)
         if self.silent:
-            changed = self._estimator.aids.validity.changed(self._now_ns, is_silent=True)
-            if changed is not None:
-                self._topics.publish_all([Report("validity", changed, self._now_ns)])
+            self._publish_lost()
         if self.silent or heard >= SILENCE:
-            now = self._node.get_clock().now().nanoseconds
-            self._topics.publish_diagnostics(now, [*self.diagnostics(), self._imu_status(heard)])
+            statuses = self._estimator.status.diagnostics(self._now_ns, self.silent)
+            self._publish_diagnostics([*statuses, self._imu_status(heard)])
+
+    def end(self, state: str) -> None:
+        """Say last that the node is in a ``state`` in which nothing is estimated."""
+        self._publish_lost()
+        first, *others = self._estimator.status.diagnostics(self._now_ns, self.silent, is_over=True)
+        self._publish_diagnostics([first._replace(text=f"{state}; {first.text}"), *others])
+
+    def _publish_lost(self) -> None:
+        """Publish that what was estimated is lost, unless that is known."""
+        changed = self._estimator.aids.validity.changed(self._now_ns, is_silent=True)
+        if changed is not None:
+            self._topics.publish_all([Report("validity", changed, self._now_ns)])
+
+    def _publish_diagnostics(self, statuses: list[Status]) -> None:
+        self._topics.publish_diagnostics(self._node.get_clock().now().nanoseconds, statuses)
 
     @property
     def silent(self) -> float:
@@ -115,10 +128,6 @@ class InputWatch:
     def _now_ns(self) -> int:
         """The present in the clock of the samples' stamps [ns]."""
         return self._estimator.navigator.last_ns + round(self.silent * 1e9)
-
-    def diagnostics(self) -> list[Status]:
-        """Return the estimator's statuses at present."""
-        return self._estimator.status.diagnostics(self._now_ns, self.silent)
 
     def _imu_status(self, heard: float) -> Status:
         topic = self._node.resolve_topic_name(IMU)

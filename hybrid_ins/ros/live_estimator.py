@@ -226,10 +226,7 @@ class LiveEstimator:
             destroy(entity)
         self._publish_reports()
         self._warm_start.save_at_end()
-        now = self._node.get_clock().now().nanoseconds
-        first, *others = self._watch.diagnostics()
-        first = first._replace(text=f"{state}; {first.text}")
-        self._topics.publish_diagnostics(now, [first, *others])
+        self._watch.end(state)
 
     def destroy(self) -> None:
         """Give the publishers up."""

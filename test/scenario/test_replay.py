@@ -16,7 +16,7 @@ from hybrid_ins.cli import replay, simulate
 from hybrid_ins.evaluation.run_reader import read_run
 from hybrid_ins.parameters import check_all
 from hybrid_ins.replay import _Replay, replay_bag
-from hybrid_ins.ros.messages.conversions import stamp_ns
+from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
 from tools.robustness.disturbances import Flight, change_stamps
 
 DUE = "/imu/bias", "/q/accelerometer", "/q/gyroscope", "/gnss/filtered", "/diagnostics"
@@ -164,6 +164,44 @@ def test_an_optional_topic_of_another_type_is_named(
     assert replay.main([str(path), str(tmp_path / "out.mcap"), "--velocity-topic", "/vel"]) == 0
     told = "/vel is geometry_msgs/msg/TwistStamped, not geometry_msgs/msg/TwistWithCovariance"
     assert told in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["vel", "/vel", "gnss/vel"])
+def test_velocities_are_found_with_or_without_a_slash_or_missed_aloud(
+    flight: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], given: str
+) -> None:
+    path, out = tmp_path / "renamed.mcap", tmp_path / "out.mcap"
+    with BagReader(flight) as bag, BagWriter(path) as renamed:
+        for topic, log_ns, data in bag.raw("/imu/data", "/gnss/fix"):
+            renamed.write_raw(topic, bag.topics[topic], data, log_ns)
+        velocity = new_message("geometry_msgs/msg/TwistWithCovarianceStamped")
+        renamed.write("/vel", velocity, bag.start_ns)
+
+    assert replay.main([str(path), str(out), "--velocity-topic", given]) == 0
+
+    with BagReader(out) as bag:
+        assert ("/gnss/velocity" in bag.topics) is (given != "gnss/vel")
+    told = "has no topic /gnss/vel: no velocities are used; there is /vel"
+    assert (told in capfd.readouterr().err) is (given == "gnss/vel")
+
+
+def test_a_datum_given_for_stamps_since_the_boot_is_written_at_the_time_of_arrival(
+    flight: Path, tmp_path: Path
+) -> None:
+    # GIVEN a recording whose IMU stamps by seconds since its boot
+    path, out = tmp_path / "since_boot.mcap", tmp_path / "out.mcap"
+    with BagReader(flight) as bag, BagWriter(path) as since_boot:
+        for topic, log_ns, message in bag.messages("/imu/data", "/gnss/fix"):
+            set_stamp(message.header.stamp, log_ns - bag.start_ns + 10**11)
+            since_boot.write(topic, message, log_ns)
+        start_ns, end_ns = bag.start_ns, bag.end_ns
+
+    words = ["-p", "use_receive_time:=true", "-p", "datum:=[32.1, 34.8, 0.0]"]
+    assert replay.main([str(path), str(out), *words]) == 0
+
+    # THEN everything lies within the recording
+    with BagReader(out) as bag:
+        assert start_ns <= bag.start_ns <= bag.end_ns <= end_ns + 10**9
 
 
 def test_a_replayed_track_is_exported(

@@ -21,8 +21,10 @@ from hybrid_ins.cli import simulate
 from tools.processes import Processes
 
 pytest.importorskip("rclpy", reason="no ROS 2 Python packages")
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 pytestmark = pytest.mark.live
 
@@ -118,6 +120,12 @@ def test_a_manager_brings_the_node_up_and_down(
     refused = manager.set("imu.position", [0.2, 0.0, 0.0])
     assert "takes effect only at the start" in refused.reason
 
+    told: list[str] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    manager.node.create_subscription(
+        DiagnosticStatus, "/validity", lambda message: told.append(message.message), latched
+    )
+
     assert manager.change(ACTIVATE)
     assert manager.state() == ACTIVE
     assert "ready: waiting for" in log.read_text()
@@ -135,10 +143,15 @@ def test_a_manager_brings_the_node_up_and_down(
 
     assert manager.change(ACTIVATE)
     second = tmp_path / "second.mcap"
-    text, _ = start_player(processes, flight, second, 4.0).communicate(timeout=60)
-    assert count(second, "/odometry") > 400, text  # the stamps went back: it aligned again
-
-    assert manager.change(DEACTIVATE)
+    player = start_player(processes, flight, second, 4.0)
+    manager.spin_until(lambda: told[-1].startswith("position good"), 60.0)  # it aligned again
+    assert manager.change(DEACTIVATE)  # while samples come
+    lost = "position lost, velocity lost, heading lost"
+    manager.spin_until(lambda: told[-1] == lost)
+    manager.spin_until(lambda: manager.diagnostics[-1].status[0].message.startswith("inactive; "))
+    last = {status.name: status.message for status in manager.diagnostics[-1].status}
+    assert last["hybrid_ins: validity"] == lost
+    processes.stop(player)
     assert manager.change(CLEANUP)
     assert manager.state() == UNCONFIGURED
     manager.spin_until(lambda: "/odometry" not in manager.topics())

@@ -27,6 +27,7 @@ from hybrid_ins.core.update.measurements import Measurement
 Array = NDArray[np.float64]
 
 SMALLEST_SCALE_STD = 1e-4
+CONTRADICTED = 60.0  # s, by fixes, after which a scale that was shown is not known any more
 SHOWN = 0.7  # factor on the σ of a scale by which motion has shown it; standing shows nothing
 
 
@@ -55,8 +56,9 @@ class VelocitySensor(AidingSensor):
     def __init__(self, scale: float, scale_std: float, place_std: Array) -> None:
         super().__init__()
         self.scale = scale
-        self._shown_std = SHOWN * scale_std
+        self._nominal_std = scale_std
         self._is_shown = False  # readings have agreed with the motion by this scale
+        self._contradicted_for = 0.0  # s
         self.shift_b = np.zeros(3)
         self._P = np.diag([scale_std, *place_std]) ** 2
 
@@ -92,9 +94,13 @@ class VelocitySensor(AidingSensor):
         J = reading.by_scale_and_place(nav)
         known = J @ self._P @ J.T
         is_far = float(z @ np.linalg.solve(HPH + known + R, z)) > DISAGREES * len(z)
-        self._is_shown |= bool(self._agrees and self.sigma[0] < self._shown_std)
+        self._is_shown |= bool(self._agrees and self.sigma[0] < SHOWN * self._nominal_std)
         if self._is_shown and (is_far or not self._agrees):
-            return
+            self._contradicted_for += self._interval
+            if self._contradicted_for < CONTRADICTED:
+                return
+            self._is_shown, self._P[0, 0] = False, self._nominal_std**2
+        self._contradicted_for = 0.0
         N = inflated(HPH, STATE_TIME, self._interval)
         N = N + inflated(R, self.error_time, self._interval)
         K = np.linalg.solve(known + N, J @ self._P).T
@@ -157,6 +163,7 @@ class HeightSensor(AidingSensor):
         super().__init__()
         self.offset = 0.0
         self._variance = math.inf
+        self._known_ns = 0  # when that was the variance
 
     @property
     def offset_std(self) -> float:
@@ -184,8 +191,10 @@ class HeightSensor(AidingSensor):
 
     def prepare(self, reading: Measurement, nav: Array, checked: bool) -> bool:
         """See `AidingSensor`; the offset wanders, and begins with the first reading."""
+        elapsed = max(reading.t_ns - self._known_ns, 0) * 1e-9
+        self._known_ns = reading.t_ns
         if math.isfinite(self._variance):
-            self._variance += self.WANDER**2 * self._interval
+            self._variance += self.WANDER**2 * elapsed
             return True
         if checked:
             z, H, R = reading.linearise(nav)

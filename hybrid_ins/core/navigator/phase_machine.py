@@ -215,7 +215,7 @@ class PhaseMachine:
                 self.phase.bank.begin_block(self._ring, t_ns)
             return found
         running = self.phase.filter
-        if self.clock_open and not running.update.gate.rejects:  # fixes: the state may be wrong
+        if self.clock_open and not running.update.gate.rejects(t_ns):  # the state may be wrong
             self._enter(Running(running, search_clock(running, self._parts, self._ring)))
         return False
 

@@ -16,10 +16,8 @@ References
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,15 @@ from hybrid_ins.core.shallow_copy import ShallowCopy
 from hybrid_ins.core.update import chi_square
 from hybrid_ins.core.update.linalg import log_determinant
 from hybrid_ins.core.update.measurements import GNSS, Measurement
+from hybrid_ins.core.update.rejections import (
+    Innovation,
+    Rejections,
+    are_consistent,
+    has_jumped,
+    is_jump,
+    is_of_receiver,
+    settled,
+)
 
 Array = NDArray[np.float64]
 
@@ -35,10 +42,6 @@ MARGINAL = 0.5  # of the threshold: a NIS above it, after consistent rejections,
 TAIL_DOF = 6.0  # degrees of freedom of the t distribution, [2]_
 TAIL_EXPONENT = 1.5  # its weights have 1; more protects better from single outliers
 ORDINARY = {m: chi_square.quantile(0.95, m) for m in (1, 2, 3)}  # NIS that keeps the full weight
-MAX_ACCELERATION_ERROR = 10.0  # m/s², of an INS: its tilt is unknown altogether
-ORDINARY_ACCELERATION_ERROR = 2.0  # m/s², of an INS that agreed with the fixes
-SETTLED_CHANGE = 0.2  # of an innovation, at most: an error of an INS grows
-SETTLED_SHARE = 1.0 / 3.0  # of a run; one that grows linearly is unsettled for its first 80 %
 CERTAIN = 50.0  # NIS that errors of such an INS hardly make
 SCALE_LENGTH = 4.0  # fused measurements that the scale of innovations is averaged over
 UNREMARKABLE = 1.5  # a scale that is forgotten
@@ -114,32 +117,6 @@ class Verdict:
         return cls(measurement, False, reason, age, np.nan, np.nan, np.empty(0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Rejections:
-    """A run of measurements above the threshold, one after the other."""
-
-    first_ns: int
-    first_interval: float  # s, between the first and the correction before it
-    consistent_ns: int  # since when they are consistent with each other
-    settled_ns: int  # since when they hardly change
-    settled_z: Array  # innovation at that stamp
-    z: Array  # innovation of the last
-    count: int
-    certain: bool  # none had a NIS below `CERTAIN`, and the innovations before were ordinary
-    jump: bool  # the first was one, or one after it
-    began_with_jump: bool
-
-
-class _Innovation(NamedTuple):
-    """An innovation, and what it is compared with."""
-
-    z: Array
-    R: Array
-    claimed: Array  # covariance that the measurement claims
-    interval: float  # s, since the last correction
-    is_pause: bool
-
-
 class Gate(ShallowCopy):
     """
     Weight of a measurement by its innovation, with a limit on the duration of disagreement.
@@ -150,6 +127,8 @@ class Gate(ShallowCopy):
     next one the covariance is inflated (`Verdict.inflated`). Inconsistent ones have to wait three
     times as long. Where the covariance has grown meanwhile until such a measurement is just below
     the threshold, the state is as wrong, and the covariance is inflated as well.
+
+    Measurements that do not come show nothing: a run of those above the threshold ends with them.
 
     A state is believed no longer than it has been confirmed for: after a pause one measurement
     decides where it is, and if that was the outlier, the following ones need to agree for as long
@@ -174,7 +153,7 @@ class Gate(ShallowCopy):
         self._thresholds = thresholds
         self._patience_ns = int(patience * 1e9)
         self._confirmed_since_ns = LONG_SINCE_NS
-        self._rejections: dict[str, _Rejections] = {}  # replaced, never changed in place
+        self._rejections: dict[str, Rejections] = {}  # replaced, never changed in place
         self._scales: dict[str, float] = {}  # likewise; 1 where there is none
 
     def replaced_by(self, other: Gate) -> Gate:
@@ -198,10 +177,12 @@ class Gate(ShallowCopy):
             return -1.0
         return self._thresholds.get(components, -1.0)
 
-    @property
-    def rejects(self) -> bool:
-        """The last measurement of a kind was rejected as a jump: it is wrong, or the state."""
-        return any(run.jump for run in self._rejections.values())
+    def rejects(self, t_ns: int) -> bool:
+        """Return whether measurements of a kind are rejected as jumps at a stamp [ns]."""
+        return any(
+            run.jump and not run.has_ended(t_ns, self._patience_ns)
+            for run in self._rejections.values()
+        )
 
     def judge(
         self,
@@ -221,6 +202,9 @@ class Gate(ShallowCopy):
         measurement claims where R is its scatter, which may be less.
         """
         last = self._rejections.get(measurement.kind)
+        if last and last.has_ended(measurement.t_ns, self._patience_ns):
+            self._end_run(measurement.kind)
+            last = None
         rejected_ns = measurement.t_ns - last.first_ns if last else 0  # that is no pause
         is_pause = interval * 1e9 - rejected_ns > self._patience_ns
         plain = Verdict(
@@ -235,7 +219,7 @@ class Gate(ShallowCopy):
             weight=weight(nis, len(R)) if measurement.sensor == GNSS else 1.0,
         )
         claimed = R if claimed is None else claimed
-        verdict = self._decide(plain, _Innovation(z, R, claimed, interval, is_pause))
+        verdict = self._decide(plain, Innovation(z, R, claimed, interval, is_pause))
         if verdict.accepted and measurement.sensor == GNSS:
             self._learn_scale(verdict)
             if is_pause:
@@ -252,13 +236,13 @@ class Gate(ShallowCopy):
         is_remarkable = scale > UNREMARKABLE and not verdict.inflated
         self._scales = {**others, kind: scale} if is_remarkable else others
 
-    def _decide(self, plain: Verdict, seen: _Innovation) -> Verdict:
+    def _decide(self, plain: Verdict, seen: Innovation) -> Verdict:
         """Return ``plain``, or what the measurements of its kind before it make of it."""
         measurement, (z, R, *_) = plain.measurement, seen
         kind, t_ns, is_gnss = measurement.kind, measurement.t_ns, measurement.sensor == GNSS
         last = self._rejections.get(kind)
         first_ns = last.first_ns if last else t_ns
-        consistent_ns = last.consistent_ns if last and _are_consistent(last.z, z, R) else t_ns
+        consistent_ns = last.consistent_ns if last and are_consistent(last.z, z, R) else t_ns
         patience_ns = min(self._patience_ns, self._confirmed_ns(first_ns))
         long_consistent = t_ns - consistent_ns > patience_ns // 3
         if plain.nis <= plain.threshold:
@@ -276,7 +260,7 @@ class Gate(ShallowCopy):
         jumped = ambiguous = False
         if kind == "position" and last is not None and self._was_believed(first_ns):
             has_stayed = t_ns - consistent_ns >= patience_ns // 3
-            jumped = has_stayed and _is_of_receiver(last, seen, t_ns)
+            jumped = has_stayed and is_of_receiver(last, seen, t_ns)
             ambiguous = not jumped and last.first_interval * 1e9 <= self._patience_ns
         return replace(
             plain,
@@ -287,7 +271,7 @@ class Gate(ShallowCopy):
             weight=1.0,
         )
 
-    def _continue_run(self, plain: Verdict, seen: _Innovation, consistent_ns: int) -> Verdict:
+    def _continue_run(self, plain: Verdict, seen: Innovation, consistent_ns: int) -> Verdict:
         """Note one more measurement above the threshold; return its weight or its rejection."""
         z, R, claimed, interval, is_pause = seen
         measurement, kind = plain.measurement, plain.measurement.kind
@@ -295,12 +279,13 @@ class Gate(ShallowCopy):
         of_state = last is not None and consistent_ns == last.consistent_ns
         scale = 1.0 if of_state else self._scales.get(kind, 1.0)
         expected = max(scale * float(np.trace(R)), float(np.trace(claimed)))
-        jump = _is_jump(kind, z, expected, interval) or (last is not None and last.jump)
-        run = _Rejections(
+        jump = is_jump(kind, z, expected, interval) or (last is not None and last.jump)
+        run = Rejections(
             last.first_ns if last else measurement.t_ns,
+            measurement.t_ns,
             last.first_interval if last else interval,
             consistent_ns,
-            *_settled(last, z, measurement.t_ns),
+            *settled(last, z, measurement.t_ns),
             z,
             last.count + 1 if last else 1,
             plain.nis > CERTAIN and (last.certain if last else kind not in self._scales),
@@ -317,7 +302,7 @@ class Gate(ShallowCopy):
         if kind == "position" and run.certain and self._was_believed(run.first_ns):
             surprises = run.count == 1
             if last is not None and run.count == 2:
-                jumped = _has_jumped(last.z, z, R, interval)
+                jumped = has_jumped(last.z, z, R, interval)
         reason = "large innovation"
         return replace(plain, reason=reason, receiver_jumped=jumped, surprises=surprises)
 
@@ -341,54 +326,3 @@ def weight(nis: float, m: int) -> float:
     It is 1 for 95 % of ordinary measurements, so that their fusion stays optimal.
     """
     return float(min(1.0, (TAIL_DOF + ORDINARY[m]) / (TAIL_DOF + nis)) ** TAIL_EXPONENT)
-
-
-def _has_jumped(first: Array, second: Array, R: Array, interval: float) -> bool:
-    """Return whether two innovations of positions are alike, and larger than those of an INS."""
-    m, tolerance = min(len(first), len(second)), 4.0 * float(np.sqrt(np.trace(R)))
-    size = float(np.linalg.norm(first[:m]))
-    change = float(np.linalg.norm(second[:m] - first[:m]))
-    grown = 0.5 * ORDINARY_ACCELERATION_ERROR * interval**2
-    return size > grown + tolerance and change <= max(SETTLED_CHANGE * size, tolerance)
-
-
-def _is_of_receiver(last: _Rejections, seen: _Innovation, t_ns: int) -> bool:
-    """
-    Return whether a run of innovations of positions, up to a stamp [ns], is the receiver's error.
-
-    It began with a jump; or it glided within seconds to what would have been one, and stayed there,
-    where an error of an INS would have grown.
-    """
-    if last.began_with_jump:
-        return True
-    expected = max(float(np.trace(seen.R)), float(np.trace(seen.claimed)))
-    settled_ns, _ = _settled(last, seen.z, t_ns)
-    has_settled = t_ns - settled_ns > SETTLED_SHARE * (t_ns - last.first_ns)
-    return has_settled and _is_jump("position", seen.z, expected, last.first_interval)
-
-
-def _settled(last: _Rejections | None, z: Array, t_ns: int) -> tuple[int, Array]:
-    """Return since when [ns] innovations hardly change, and the one at that stamp."""
-    if last is None:
-        return t_ns, z
-    m = min(len(last.settled_z), len(z))
-    change = float(np.linalg.norm(z[:m] - last.settled_z[:m]))
-    stays = change <= SETTLED_CHANGE * float(np.linalg.norm(z[:m]))
-    return (last.settled_ns, last.settled_z) if stays else (t_ns, z)
-
-
-def _is_jump(kind: str, z: Array, expected: float, interval: float) -> bool:
-    """
-    Return whether no acceleration error can have made an innovation so large.
-
-    ``expected`` is the mean square of the measurement's error.
-    """
-    grown = MAX_ACCELERATION_ERROR * interval * (0.5 * interval if kind == "position" else 1.0)
-    return float(np.linalg.norm(z)) > grown + 5.0 * math.sqrt(expected)
-
-
-def _are_consistent(last: Array, z: Array, R: Array) -> bool:
-    """Return whether two innovations show one error of the state: constant, or growing."""
-    m = min(len(last), len(z))
-    change = float(np.linalg.norm(z[:m] - last[:m]))
-    return change <= max(0.5 * float(np.linalg.norm(z)), 4.0 * float(np.sqrt(np.trace(R))))

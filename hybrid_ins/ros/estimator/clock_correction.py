@@ -53,6 +53,8 @@ class ClockCorrection:
         Added to the stamps of fixes [s].
     moved : float
         What estimation has added to the given offset [s].
+    leapt : float
+        What leaps of the receiver's clock have added to it [s].
     prior : ClockPrior
         Of the offset at the start of the filters: as given, or as found before a restart. One
         that is given with a drift is that of the first fix.
@@ -65,7 +67,7 @@ class ClockCorrection:
         self._inputs = inputs
         self._given = values["gnss.time_offset.value"]
         self._estimate = values["gnss.time_offset.estimate"]
-        self.moved = 0.0
+        self.moved = self.leapt = 0.0
         self._settled: ClockPrior | None = None  # by the innovations, once they show it well
         self._axes_are_plausible = True
         self._std = values["gnss.time_offset.std"]
@@ -88,7 +90,8 @@ class ClockCorrection:
         self._std = changes.get("gnss.time_offset.std", self._std)
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
-            self.moved, self._settled, self._found = 0.0, None, None
+            self.moved = self.leapt = 0.0
+            self._settled = self._found = None
             self.drift = self._given_drift
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.std"}:
             self.prior = ClockPrior(self._given, self._std)
@@ -102,6 +105,7 @@ class ClockCorrection:
     def leap(self, by: float) -> None:
         """Note that the receiver's clock has leapt: ``by`` [s] more is added, as if given so."""
         self._given += by
+        self.leapt += by
         self.prior = _moved(self.prior, by)
         self._settled = self._settled and _moved(self._settled, by)
         self._found = self._found and (_moved(self._found[0], by), self._found[1])

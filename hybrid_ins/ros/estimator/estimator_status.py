@@ -53,11 +53,12 @@ class EstimatorStatus:
         """What is wrong with the IMU's axes, units or mount at present, by the motion."""
         return self.review.axes.fault
 
-    def diagnostics(self, t_ns: int, silent: float = 0.0) -> list[Status]:
+    def diagnostics(self, t_ns: int, silent: float = 0.0, is_over: bool = False) -> list[Status]:
         """
         Return the statuses for ``/diagnostics`` at a stamp [ns].
 
-        ``silent`` is for how long no IMU sample has come [s], where that is long.
+        ``silent`` is for how long no IMU sample has come [s], where that is long; ``is_over`` says
+        that none will be used any more.
         """
         mode, reporter = self.values["noise.mode"], self.reporter
         moved_b = self.review.axes.moved_b
@@ -72,7 +73,7 @@ class EstimatorStatus:
             ),
             diagnostics.noise_status(self.navigator, self.noise.reader, mode),
             self.clock.status(),
-            *self.aids.statuses(t_ns, silent > 0.0),
+            *self.aids.statuses(t_ns, is_over or silent > 0.0),
         ]
 
     def summary(self) -> str:

@@ -69,7 +69,11 @@ class WarmStart:
         InputError
             There is no file to write, or nothing to save yet.
         """
-        path, navigator = self._given_path(), self._estimator.navigator
+        path, navigator, clock = (
+            self._given_path(),
+            self._estimator.navigator,
+            self._estimator.clock,
+        )
         running = navigator.filter
         if running is None:
             raise InputError("nothing to save: the filter does not run yet")
@@ -80,7 +84,7 @@ class WarmStart:
             navigator.last_ns,
             navigator.monitor.standing,
             running.noise.levels(),
-            self._estimator.clock.offset,
+            clock.offset - clock.leapt,  # a leap is over when the receiver starts anew
         )
         saved.write(path)
         self._saved_ns, self._saved_standing = saved.stamp_ns, saved.standing

@@ -1,6 +1,9 @@
 """Recordings written and read back, by us and by others."""
 
+import errno
 import random
+import sqlite3
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from support.bags import FIX, TYPES, imu_message, serialised, stamp_ns, write_flight
 
 from hybrid_ins.bags import reader
+from hybrid_ins.bags.mcap_reader import MAGIC
 from hybrid_ins.bags.messages import Message, new_message
 from hybrid_ins.bags.reader import BagReader
 from hybrid_ins.bags.writer import BagWriter
@@ -100,6 +104,27 @@ def test_a_split_recording_is_one_bag(tmp_path: Path) -> None:
         assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
 
 
+@pytest.mark.parametrize("last", [b"", MAGIC], ids=["empty", "cut off"])
+def test_a_split_recording_is_read_without_a_file_that_cannot_be(
+    tmp_path: Path, last: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    """GIVEN a computer that was switched off while the recorder began another file."""
+    directory = tmp_path / "bag"
+    directory.mkdir()
+    with BagWriter(directory / "bag_0.mcap") as bag:
+        for k in range(100):
+            bag.write("/imu/data", imu_message(k), stamp_ns(k))
+    (directory / "bag_1.mcap").write_bytes(last)
+
+    with BagReader(directory) as bag:
+        assert bag.count("/imu/data") == 100
+    assert "bag_1.mcap" in caplog.text and "other files are read" in caplog.text
+
+    (directory / "bag_0.mcap").write_bytes(b"")
+    with pytest.raises(InputError, match=r"bag_0\.mcap: is empty"):
+        BagReader(directory)
+
+
 @pytest.mark.parametrize("layout", ["sqlite3", "zstd chunks", "zstd messages", "zstd file"])
 def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
     plugin = StoragePlugin.SQLITE3 if layout == "sqlite3" else StoragePlugin.MCAP
@@ -122,6 +147,70 @@ def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
     if layout == "sqlite3":
         with BagReader(tmp_path / "bag" / "bag.db3") as bag:
             assert bag.imu().stamp_ns[-1] == stamp_ns(99)
+
+
+def recording(path: Path, mode: CompressionMode, plugin: StoragePlugin) -> Path:
+    """Write a hundred Imu messages as `rosbags` does."""
+    writer = Rosbag2Writer(path, version=9, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/imu/data", IMU, typestore=TYPES)
+        for k in range(100):
+            writer.write(connection, stamp_ns(k), serialised(imu_message(k)))
+    return path
+
+
+def test_compressed_messages_are_read_without_metadata(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "bag", CompressionMode.MESSAGE, StoragePlugin.MCAP)
+    (folder / "metadata.yaml").unlink()
+
+    with BagReader(folder) as bag:
+        assert bag.imu().specific_force[:, 0] == pytest.approx(0.1 * np.arange(100))
+
+
+def test_compressed_files_without_metadata_are_named(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "bag", CompressionMode.FILE, StoragePlugin.MCAP)
+    (folder / "metadata.yaml").unlink()
+
+    with pytest.raises(InputError, match=r"no metadata.yaml, .* unzstd bag\.mcap\.zstd"):
+        BagReader(folder)
+
+
+def test_too_little_room_to_decompress_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = recording(tmp_path / "bag", CompressionMode.FILE, StoragePlugin.SQLITE3)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile.TemporaryDirectory, "__init__", full)
+    monkeypatch.setattr(tempfile.TemporaryDirectory, "__del__", lambda self: None, raising=False)
+    with pytest.raises(InputError, match=r"No space left on device.*set TMPDIR"):
+        BagReader(folder)
+
+
+def test_messages_in_the_log_of_an_sqlite_database_are_missed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = recording(tmp_path / "bag", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    database = sqlite3.connect(folder / "bag.db3")
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("DELETE FROM messages WHERE timestamp < ?", (stamp_ns(50),))
+    database.commit()
+
+    with BagReader(folder) as bag:
+        assert bag.count("/imu/data") == 100  # without what the log says
+    database.close()
+    assert "messages in bag.db3-wal are not read" in caplog.text
+
+
+def test_a_path_that_sqlite_misreads_is_named(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "bag", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    folder = folder.rename(tmp_path / "run#3")
+
+    with pytest.raises(InputError, match=r"whose path holds .*: rename it"):
+        BagReader(folder)
 
 
 @pytest.mark.parametrize(

@@ -268,6 +268,18 @@ def test_a_scale_that_was_shown_is_not_learned_from_readings_that_are_wrong() ->
     assert abs(sensor.scale - 1.02) < 3.0 * sensor.sigma[0]
 
 
+def test_a_scale_that_fixes_contradict_for_a_minute_is_learned_anew() -> None:
+    sensor = VelocitySensor(1.0, 0.03, np.ones(3))
+    wheels(sensor, 60.0, 1.02, 10.0, 2)
+
+    wheels(sensor, 55.0, 0.9, 70.0, 2)
+    assert sensor.state(125 * SECOND) is AidingState.REFUSED
+    wheels(sensor, 40.0, 0.9, 125.0, 2)
+
+    assert sensor.state(165 * SECOND) is AidingState.AIDING
+    assert abs(sensor.scale - 0.9) < 3.0 * sensor.sigma[0]
+
+
 def test_a_scale_is_learned_from_readings_in_another_unit() -> None:
     sensor = VelocitySensor(1.0, 0.03, np.ones(3))
     wheels(sensor, 60.0, 1.0 / 3.6, 10.0, 2)
@@ -373,6 +385,19 @@ def test_offset_of_a_pressure_height_is_found_and_wanders(seed: int) -> None:
     assert sensor.state(t_ns) is AidingState.AIDING
     assert abs(sensor.offset - offset) < 3.0 * sensor.offset_std
     assert sensor.offset_std < 1.0
+
+
+def test_offset_of_a_pressure_height_wanders_while_nothing_is_read() -> None:
+    sensor, sigmas = HeightSensor(), []
+    nav = flat_state(np.zeros(3), np.zeros(3), np.zeros(3), std=0.3)
+    for seconds in (*range(10, 200), 3800):
+        t_ns = seconds * SECOND
+        assert sensor.admit(t_ns)
+        reading = BarometricHeight(t_ns, 100.0 + nav[LLA][2], 0.04)
+        sensor.check(reading, nav, checked=seconds < 3800, outage=False)
+        sigmas.append(sensor.offset_std)
+
+    assert sigmas[-1] == pytest.approx(math.hypot(sigmas[-2], sensor.WANDER * math.sqrt(3601.0)))
 
 
 def test_nothing_is_used_of_a_sensor_that_was_never_checked() -> None:

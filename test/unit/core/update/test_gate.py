@@ -51,7 +51,7 @@ def test_other_limits_leave_a_run_of_rejections_as_it_was(gate: Gate) -> None:
 
     changed = gate.replaced_by(Gate({3: 6.3}, patience=7.0))
 
-    assert changed.rejects and changed.threshold(3) == 6.3
+    assert changed.rejects(int(2e9)) and changed.threshold(3) == 6.3
     verdicts = [judge(changed, 2.0 + 0.5 * k, 50.0) for k in range(1, 16)]
     assert [v.inflated for v in verdicts] == [False] * 13 + [True] + [False]
     assert gate.threshold(3) == 21.1
@@ -289,14 +289,40 @@ def test_a_state_that_was_confirmed_as_long_as_the_patience_is_not(gate: Gate) -
 
 
 def test_it_tells_of_a_jump_until_a_fix_agrees(gate: Gate) -> None:
-    assert not gate.rejects
+    assert not gate.rejects(0)
     judge(gate, 0.0, 5.0)  # weighted: an INS may be so far off
-    assert not gate.rejects
+    assert not gate.rejects(0)
     judge(gate, 0.2, 0.0)
     judge(gate, 0.4, 50.0)
-    assert gate.rejects
+    assert gate.rejects(int(0.4e9))
     judge(gate, 0.6, 0.0)
-    assert not gate.rejects
+    assert not gate.rejects(int(0.6e9))
+
+
+def test_what_comes_no_more_is_rejected_no_more(gate: Gate) -> None:
+    judge(gate, 0.2, 0.0)
+    judge(gate, 0.4, 50.0)
+
+    assert gate.rejects(int(3.4e9)) and not gate.rejects(int(3.5e9))
+
+
+def test_an_outage_ends_a_run_of_rejections(gate: Gate) -> None:
+    """GIVEN a fix rejected before an outage WHEN the first after it is far off THEN it waits."""
+    judge(gate, 1.0, 0.1)
+    judge(gate, 1.5, 50.0)
+
+    first = judge(gate, 21.5, 400.0, interval=20.5)
+    assert not first.accepted and not first.inflated
+    assert judge(gate, 22.0, 0.1, interval=21.0).accepted
+
+
+def test_rare_fixes_are_followed_after_three_that_agree(gate: Gate) -> None:
+    """GIVEN fixes rarer than the patience THEN the pauses between them do not end their run."""
+    judge(gate, 0.0, 0.1, interval=10.0)
+
+    verdicts = [judge(gate, 10.0 * k, 3000.0, interval=10.0 * k) for k in (1, 2, 3)]
+
+    assert any(verdict.inflated for verdict in verdicts)
 
 
 def test_a_run_of_rejections_is_no_pause(gate: Gate) -> None:

@@ -153,6 +153,17 @@ def test_the_clock_offset_is_where_the_search_begins(file: Path) -> None:
     assert Parked(file).estimator.clock.offset == 0.123
 
 
+def test_a_leap_of_the_receiver_s_clock_is_not_saved(file: Path) -> None:
+    run = Parked(file)
+    run.wait(8.0)
+    run.estimator.clock.leap(-3.0)
+    assert run.estimator.clock.offset == -3.0
+
+    run.warm_start.save()
+
+    assert Parked(file).estimator.clock.offset == 0.0
+
+
 BROKEN = {
     "cut short": lambda text: text[: len(text) // 2],
     "no YAML": lambda text: "a: [1, 2",
