@@ -22,9 +22,9 @@ NODE = [
 OFFLINE = [
     "mcap>=1.1",
     "rosbags>=0.11",
-    "zstandard>=0.15",
     "scipy>=1.11",
     "tqdm>=4.60",
+    "zstandard>=0.15",
 ]
 
 EXTRAS = {

@@ -27,7 +27,7 @@ if [ ! -x "$venv/bin/pip" ]; then
         die "cannot make $venv: sudo apt install python3-venv"
 fi
 touch "$venv/COLCON_IGNORE" # colcon searches the workspace for packages
-"$venv/bin/pip" install 'numpy<2' matplotlib mcap numba onnxruntime PyYAML rosbags scipy tqdm
+"$venv/bin/pip" install 'numpy<2' matplotlib mcap numba onnxruntime PyYAML rosbags scipy tqdm zstandard
 
 cd "$workspace"
 "$venv/bin/python" -m colcon build --packages-select hybrid_ins

@@ -90,8 +90,7 @@ class ClockCorrection:
         self._std = changes.get("gnss.time_offset.std", self._std)
         if "gnss.time_offset.value" in changes:
             self._given = changes["gnss.time_offset.value"]
-            self.moved = self.leapt = 0.0
-            self._settled = self._found = None
+            self.moved, self.leapt, self._settled, self._found = 0.0, 0.0, None, None
             self.drift = self._given_drift
         if changes.keys() & {"gnss.time_offset.value", "gnss.time_offset.std"}:
             self.prior = ClockPrior(self._given, self._std)
@@ -270,10 +269,7 @@ class ClockCorrection:
     def status(self) -> Status:
         """Return the status for diagnostics."""
         found, offset = self.found(), self.offset
-        values: dict[str, object] = {
-            "time_offset": offset,
-            "estimated": self._estimate,
-        }
+        values: dict[str, object] = {"time_offset": offset, "estimated": self._estimate}
         if found is None:
             return status("clock", 0, f"fixes: {offset:+.3f} s, as given", values)
         missing, sigma = found
