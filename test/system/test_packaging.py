@@ -35,6 +35,7 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",
+    "zstandard": "mcap-ros2-support",  # the mcap that it brings requires it
 }
 SHARED_FILES = sorted(
     str(path.relative_to(ROOT))

@@ -178,7 +178,8 @@ PUBLISHED = (
         LATEST,
         "position, velocity and heading: *good*, *waiting* (WARN: no estimate yet), *coasting* "
         "(WARN: no fixes, σ within `validity.*_std_max`) or *lost* (ERROR: σ beyond it, no "
-        "estimate any more, no IMU sample for a second, or the node is not active); on every change",
+        "estimate any more, no IMU sample for a second, or the node is not active); on every "
+        "change",
     ),
     Topic("datum", type_names.FIX, LATEST, "origin of `map`; late subscribers receive it, too"),
     Topic(
