@@ -111,12 +111,14 @@ def findings_of(sensor: VelocitySensor, values: Mapping[str, Any], moved: Array)
     ``values`` are the nominal ones, from which the IMU's position was ``moved`` (3,) [m], FLU.
     """
     sigma = sensor.sigma
-    fits = sensor.nis < LARGEST_NIS
+    trouble = f"mean NIS {sensor.nis:.0f} per component" if sensor.nis >= LARGEST_NIS else ""
+    if sensor.has_changed:
+        trouble = "the scale changes within the recordings"
     given_std = np.broadcast_to(values["aiding.velocity_position_std"], 3)
     place = np.add(values["aiding.velocity_position"], FLIP @ sensor.shift_b + moved)
 
     def verdict(std: float, largest: float, given: float) -> Verdict:
-        if not fits:
+        if trouble:
             return "does not fit"
         if std > 0.7 * given:
             return "not identifiable"
@@ -128,7 +130,7 @@ def findings_of(sensor: VelocitySensor, values: Mapping[str, Any], moved: Array)
             f"{sensor.scale:.4f}",
             f"{sigma[0]:.4f}",
             verdict(float(sigma[0]), SCALE_IDENTIFIED, values["aiding.velocity_scale_std"]),
-            "" if fits else f"mean NIS {sensor.nis:.0f} per component: check axes and stamps",
+            f"{trouble}: check axes and stamps" if trouble else "",
             {
                 "aiding.velocity_scale": round(float(sensor.scale), 5),
                 "aiding.velocity_scale_std": float(f"{sigma[0]:.2g}"),
@@ -146,4 +148,4 @@ def findings_of(sensor: VelocitySensor, values: Mapping[str, Any], moved: Array)
             "aiding.velocity_position_std": [float(f"{std:.2g}") for std in sigma[1:]],
         },
     )
-    return rows if fits else [replace(row, values={}) for row in rows]
+    return [replace(row, values={}) for row in rows] if trouble else rows

@@ -48,6 +48,8 @@ class VelocitySensor(AidingSensor):
         As estimated.
     shift_b : ndarray, shape (3,)
         What was found of the place, relative to the nominal one [m].
+    has_changed : bool
+        Fixes have contradicted a scale that had been shown, which was estimated anew.
     """
 
     name = "velocity"
@@ -59,6 +61,7 @@ class VelocitySensor(AidingSensor):
         self._nominal_std = scale_std
         self._is_shown = False  # readings have agreed with the motion by this scale
         self._contradicted_for = 0.0  # s
+        self.has_changed = False
         self.shift_b = np.zeros(3)
         self._P = np.diag([scale_std, *place_std]) ** 2
 
@@ -99,7 +102,8 @@ class VelocitySensor(AidingSensor):
             self._contradicted_for += self._interval
             if self._contradicted_for < CONTRADICTED:
                 return
-            self._is_shown, self._P[0, 0] = False, self._nominal_std**2
+            self._is_shown, self.has_changed = False, True
+            self._P[0, 0] = self._nominal_std**2
         self._contradicted_for = 0.0
         N = inflated(HPH, STATE_TIME, self._interval)
         N = N + inflated(R, self.error_time, self._interval)

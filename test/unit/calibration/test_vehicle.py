@@ -205,4 +205,5 @@ def test_wheels_that_do_not_fit_are_named_and_nothing_is_written() -> None:
 
     mine = [row for row in rows if row.label.startswith("wheel")]
     assert mine[0].verdict == "does not fit"
+    assert "the scale changes" in mine[0].note
     assert not any(row.values for row in mine)
