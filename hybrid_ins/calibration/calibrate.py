@@ -108,14 +108,16 @@ def calibrate(
     trust_fixes : bool
         The covariances of the fixes are right; otherwise a factor on them is estimated, too.
     antenna_is_base : bool
-        The antenna is the origin of the base frame: the lever arm gives the position of the IMU.
+        The antenna is the origin of the base frame, or the positions are the truth's, which are of
+        that origin: the lever arm gives the position of the IMU.
     on_stage : callable
         Given a stage's name, returns what to call after every pass of the filter.
     log : callable
         Given level and text of the regressor's messages.
     """
     period = float(np.median([recording.period for recording in recordings]))
-    lever_b = FLIP @ np.subtract(values["gnss.antenna_position"], values["imu.position"])
+    antenna = np.zeros(3) if antenna_is_base else np.array(values["gnss.antenna_position"])
+    lever_b = FLIP @ (antenna - values["imu.position"])
     nominal = Nominal(
         values["gnss.time_offset.value"],
         lever_b,
@@ -243,6 +245,13 @@ def add_lever_arm(found: Findings, fitted: Fit, C_new_old: Array, antenna_is_bas
     """
     is_given = any(prior.mean for prior in fitted.prior if prior.name in LEVER)
     arm = FLIP @ C_new_old @ fitted.model.lever_b
+    if is_given:  # in the base frame: it does not turn with the mount
+        antenna = np.zeros(3) if antenna_is_base else found.values["gnss.antenna_position"]
+        given = np.subtract(antenna, found.values["imu.position"])
+        if {"lever_x", "lever_y"} <= set(fitted.frozen):
+            arm[:2] = given[:2]
+        if "lever_z" in fitted.frozen:
+            arm[2] = given[2]
     if antenna_is_base:
         sensor, parameter, position = "IMU", "imu.position", -arm
         together = "taken to be at the antenna"

@@ -148,6 +148,7 @@ def _body(args: argparse.Namespace) -> int:
     kernels.prepare(partial(log_message, "info"), kernels.OFFLINE)
     with _replays(args, recordings) as replay:
         before = () if args.use_truth else replay(values)  # while calibrating, by other processes
+        of_base = args.use_truth or antenna_is_base(args.bags, values, args.fix_topic)
         with _Stages() as stages:
             found = calibrate(
                 recordings,
@@ -156,7 +157,7 @@ def _body(args: argparse.Namespace) -> int:
                 search=args.search,
                 nose_first=args.nose_first,
                 trust_fixes=args.use_truth,
-                antenna_is_base=antenna_is_base(args.bags, values, args.fix_topic),
+                antenna_is_base=of_base,
                 on_stage=stages.start,
                 log=log_message,
             )

@@ -107,7 +107,8 @@ def convert_logs(
     streams = [_imu_entries(imu), _fix_entries(gnss), _velocity_entries(gnss)]
     estimate = read_estimate(paths[0]) if len(paths) == 1 else None
     if estimate is not None:
-        streams.append(_estimate_entries(replace(estimate, t=estimate.t + EPOCH)))
+        t = estimate.t + EPOCH + (time_offset or 0.0)  # one clock with the IMU
+        streams.append(_estimate_entries(replace(estimate, t=t)))
         remarks += f"; the autopilot's own estimate on {AUTOPILOT}/odometry"
     remarks += _left_out(gnss)
     count = len(imu.t) + (1 + (gnss.velocity_n is not None)) * len(gnss.t)

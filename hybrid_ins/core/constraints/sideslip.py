@@ -81,6 +81,7 @@ class WindObserver:
         self._nose = nose
         self.wind_n = np.zeros(3)
         self._P = WIND_STD**2 * np.eye(2)
+        self._t_ns: int | None = None
         self.slip = SlipEstimator(np.array([SIDESLIP_STD]))
 
     @property
@@ -88,20 +89,25 @@ class WindObserver:
         """Standard deviations of the wind to the north and east [m/s], (2,)."""
         return np.asarray(np.sqrt(np.diag(self._P)))
 
-    def observe(self, nav: Array, interval: float, *, settled: bool) -> None:
+    def observe(self, t_ns: int, nav: Array, interval: float, *, settled: bool) -> None:
         """
         Use the motion at an instant.
 
         Parameters
         ----------
+        t_ns : int
+            Its stamp [ns].
         nav : ndarray, shape (N_NAV,) or longer
             Flat state with nothing pending.
         interval : float
-            Time since the last observation [s].
+            What the instant stands for [s].
         settled : bool
             Fixes alone have determined that state for a while.
         """
-        self._P = self._P + WIND_WALK**2 * interval * np.eye(2)
+        elapsed = interval if self._t_ns is None else max((t_ns - self._t_ns) * 1e-9, 0.0)
+        self._t_ns = t_ns
+        self._P = self._P + WIND_WALK**2 * elapsed * np.eye(2)
+        self._P *= min(1.0, WIND_STD**2 / float(self._P.diagonal().max()))  # what any wind is
         if not settled or not self._flies(nav):
             return
         z, H, _ = self._constraint(0, 0.0).linearise(nav)

@@ -21,7 +21,14 @@ from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_record import FilterRecord, FilterStart
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.rewind import Checkpoint, History
-from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing, interpolate, readings_of, steps_since
+from hybrid_ins.core.imu.samples import (
+    SAMPLE_DTYPE,
+    ImuRing,
+    interpolate,
+    readings_of,
+    steps_since,
+    usual_pause,
+)
 from hybrid_ins.core.inertial import propagation
 from hybrid_ins.core.inertial.propagation import NO_ROWS
 from hybrid_ins.core.inertial.state import (
@@ -44,6 +51,9 @@ Array = NDArray[np.float64]
 NEVER_NS = 2**63 - 1
 LONG_STEP = 4.0  # sample periods: in a longer step samples are missing
 MIN_GAP = 0.025  # s
+PAUSES = 2.0  # between bursts: likewise, of samples that arrive together
+LONGEST_PAUSE = 0.25  # s: longer, and it is a gap
+RECENT = 256  # samples that show it
 TOO_OLD = "too old"  # the reason of a measurement that comes too late
 NOT_MEASURED = "no IMU samples at its time"  # of one that lies in a long gap of them
 LONG_GAP_NS = int(gap.LONG_GAP * 1e9)
@@ -106,7 +116,7 @@ class InsFilter:
         self.nav[CLOCK_VARIANCE] = self.clock.missing_variance if self.considers_clock else 0.0
         self.ring = ring
         self.verdicts: deque[Verdict] = deque()
-        self.long_step_ns = int(max(LONG_STEP * noise.process.period, MIN_GAP) * 1e9)
+        self.long_step_ns = _long_step_ns(noise.process.period, ring)
         self.covariance_interval = settings.covariance_interval - 1e-6
         self._pending: list[Event] = []  # ahead of the IMU
         self._history = History(settings.max_delay)
@@ -336,3 +346,9 @@ def state_at_imu(behind: InsFilter, nav: Array) -> Array:
     dt = steps_since(behind.t_ns, samples["t_ns"]) * 1e-9
     propagation.run(nav, dt, readings_of(samples), behind.covariance_interval, NO_ROWS)
     return nav
+
+
+def _long_step_ns(period: float, ring: ImuRing) -> int:
+    """Return the step [ns] from which samples are missing, by their period [s] and the last."""
+    pause = min(PAUSES * usual_pause(ring.latest(RECENT)["t_ns"]), LONGEST_PAUSE)
+    return int(max(LONG_STEP * period, MIN_GAP, pause) * 1e9)

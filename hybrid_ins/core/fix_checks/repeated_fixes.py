@@ -66,6 +66,18 @@ def without_held(fixes: Sequence[Fix]) -> list[Fix]:
     return kept + list(fixes[first:])
 
 
+def with_course(velocity_n: Array) -> Array:
+    """
+    Return a velocity (3,) with its course [rad] and its speed, (5,).
+
+    A receiver that rounds these two changes north and east with either, one that rounds north and
+    east changes these.
+    """
+    north, east, _ = velocity_n
+    course, speed = math.atan2(east, north), math.hypot(north, east)
+    return np.array([*velocity_n, round(course, 6), round(speed, 6)])
+
+
 class RepetitionCheck:
     """
     Compares each measurement of a kind with the one before.
@@ -82,10 +94,14 @@ class RepetitionCheck:
         self._length = 0  # of the run of identical measurements
         self._runs = 0  # that show a repetition, less those that contradict it; 0 to RUNS
         self._recent: deque[int] = deque(maxlen=RECENT)  # lengths of runs; 0: not ended completely
-        self._varies = np.array([True, True, False])  # components that are no constants
+        self._varies = np.array([True, True, False, True, True])  # what is no constant
 
     def is_again(self, measured: Array) -> bool:
-        """Return whether a measurement (3,), NED or position, is bit-identical to the last one."""
+        """
+        Return whether a measurement is bit-identical to the last one.
+
+        It is a position (3,), or a velocity `with_course` (5,).
+        """
         last, self._last = self._last, measured
         if last is None:
             self._length = 1
@@ -94,8 +110,8 @@ class RepetitionCheck:
         if not changed.any():
             self._length += 1
             return True
-        self._varies |= changed
-        self._count_run(bool(changed[self._varies].all()))
+        self._varies[: len(changed)] |= changed
+        self._count_run(bool(changed[self._varies[: len(changed)]].all()))
         self._length = 1
         return False
 

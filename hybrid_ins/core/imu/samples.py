@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPAN = 32  # samples, over which a period is averaged
+GAPS, FEWEST_STEPS = 3, 64  # longest steps that may be gaps, and of those left, that show pauses
 SAMPLE_DTYPE = np.dtype([("t_ns", np.int64), ("f", np.float64, 3), ("w", np.float64, 3)])
 
 
@@ -56,6 +57,20 @@ def sample_period(t_ns: NDArray[np.int64]) -> float:
     ordered = np.sort(t_ns[span:] - t_ns[:-span])  # `np.median` takes eight times as long
     middle = int(ordered[(len(ordered) - 1) // 2]) + int(ordered[len(ordered) // 2])
     return 0.5 * middle / span * 1e-9
+
+
+def usual_pause(t_ns: NDArray[np.int64]) -> float:
+    """
+    Return the step [s] between stamps (N,) [ns] that half of their time is spent in, or in shorter.
+
+    It is the period of steady samples, and of those that arrive in bursts the pause between these.
+    Some of the longest steps may be gaps, and are left out.
+    """
+    ordered = np.sort(t_ns[1:] - t_ns[:-1])[:-GAPS]
+    if len(ordered) < FEWEST_STEPS:
+        return 0.0
+    spent = np.cumsum(ordered)
+    return float(ordered[int(np.searchsorted(2 * spent, spent[-1]))]) * 1e-9
 
 
 def interpolate(

@@ -58,7 +58,7 @@ class _Rate(NamedTuple):
 
     def change_from(self, before: _Rate) -> _Change:
         """Return how it differs from an earlier one."""
-        drift = DRIFT**2 * (self.t_ns - before.t_ns) * 1e-9
+        drift = DRIFT**2 * min(self.t_ns - before.t_ns, MEMORY_NS) * 1e-9
         sigma = math.sqrt(self.variance + before.variance + drift)
         return _Change(self.mean - before.mean, sigma)
 
@@ -74,6 +74,7 @@ class SlowTurn:
     """
     Compares the mean rate of a stand with that of ten to thirty seconds ago.
 
+    A turn that goes on is one however long it lasts: a bias that drifts without end is a turn, too.
     A turn that a stand begins with is noticed when it ends, since the rate then is nearer to the
     bias that was known before the stand.
     """

@@ -13,7 +13,7 @@ from enum import Enum
 
 from hybrid_ins.core.filter.gap import LONG_GAP
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
-from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, left_behind
+from hybrid_ins.core.fix_checks.repeated_fixes import RepetitionCheck, left_behind, with_course
 from hybrid_ins.core.fix_checks.velocity_check import Contradiction, VelocityCheck
 from hybrid_ins.core.imu.fix_motion import FixMotion
 from hybrid_ins.core.noise.position_scatter import horizontal_variance
@@ -68,6 +68,7 @@ class ImuStampCheck:
         """Forget the last stamps."""
         self.last_ns = 0
         self._jumped_ns = self._jumps = 0
+        self._jumped_from_ns = 0  # `last_ns` then
 
     def is_ahead(self, t_ns: int) -> bool:
         """Return whether a measurement's stamp [ns] lies further ahead than samples may lack."""
@@ -90,9 +91,10 @@ class ImuStampCheck:
         if -self.short_ns < step <= 0:
             return StampFault.REPEATED if step == 0 else StampFault.OUT_OF_ORDER
         # One stray stamp is the driver's fault; several in a row are a gap, a loop, a new clock.
-        follows = self._jumps > 0 and 0 < t_ns - self._jumped_ns <= self.short_ns
-        self._jumps = self._jumps + 1 if follows else 1
-        self._jumped_ns = t_ns
+        follows = 0 < t_ns - self._jumped_ns <= self.short_ns
+        in_a_row = self._jumps > 0 and self.last_ns == self._jumped_from_ns
+        self._jumps = self._jumps + 1 if follows and in_a_row else 1
+        self._jumped_ns, self._jumped_from_ns = t_ns, self.last_ns
         if self._jumps < JUMP_CONFIRMED:
             return StampFault.JUMP
         self._jumps = 0
@@ -189,7 +191,8 @@ class MeasurementCheck:
         """Refuse a fix that is no new one: the first of identical ones has the right stamp."""
         repetition = self._repetitions[fix.kind]
         believed = not repetition.repeats
-        again = repetition.is_again(fix.velocity_n if isinstance(fix, VelocityFix) else fix.lla)
+        measured = with_course(fix.velocity_n) if isinstance(fix, VelocityFix) else fix.lla
+        again = repetition.is_again(measured)
         self.was_misled = believed and repetition.repeats and self.motion.speed > 0.0
         if again and repetition.repeats:
             return Verdict.rejected(fix, PUBLISHED_AGAIN)

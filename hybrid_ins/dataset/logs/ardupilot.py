@@ -130,10 +130,13 @@ def read_gnss(path: Path) -> GnssLog:
 def read_estimate(path: Path) -> EstimateLog | None:
     """Read the first core of EKF3, else of EKF2, from a dataflash log; None without either."""
     origin: Array | None = None
+    geoid: list[float] = []  # m, below the ellipsoid: an origin is above sea level
     found: dict[str, list[tuple[float, ...]]] = {name: [] for name in ESTIMATES}
-    for m in _messages(path, "ORGN", *ESTIMATES) if _is_dataflash(path) else ():
+    for m in _messages(path, "ORGN", "GPA", *ESTIMATES) if _is_dataflash(path) else ():
         if m.get_type() == "ORGN":
             origin = np.array([*np.radians((m.Lat, m.Lng)), m.Alt])
+        elif m.get_type() == "GPA":
+            geoid.append(getattr(m, "Und", 0.0))
         elif getattr(m, "C", 0) == 0:  # logs before ArduPilot 4.1 name further cores otherwise
             found[m.get_type()].append(
                 (m.TimeUS * 1e-6, m.PN, m.PE, m.PD, m.VN, m.VE, m.VD, m.Roll, m.Pitch, m.Yaw)
@@ -144,6 +147,7 @@ def read_estimate(path: Path) -> EstimateLog | None:
     table = np.array(rows, float)
     table = table[rising(path, table[:, 0], "estimates")]
     quats = np.array([quat_from_rpy(*rpy) for rpy in np.radians(table[:, 7:10])])
+    origin[2] -= np.median(geoid) if geoid else 0.0
     lla = LocalFrame(origin).lla(table[:, 1:4])
     return EstimateLog(table[:, 0], lla, table[:, 4:7], quats)
 
@@ -213,7 +217,14 @@ def _messages(path: Path, *types: str) -> Iterator[Any]:
             log = DFReader_binary(str(path))
         else:
             log = mavutil.mavlogfile(str(path))
+        is_telemetry = not head.startswith((DATAFLASH, DATAFLASH_TEXT))
+        vehicle = None  # the first of several in a telemetry log
         while (message := log.recv_match(type=list(types))) is not None:
+            if is_telemetry:
+                sender = message.get_srcSystem(), message.get_srcComponent()
+                vehicle = vehicle or sender
+                if sender != vehicle:
+                    continue
             count += 1
             yield message
     except Exception as error:  # the library raises what the damage leads to

@@ -305,7 +305,7 @@ class _Columns:
     def time(self) -> tuple[Array, bool]:
         """Return the times [s], and whether they are UTC; else the clock is one of its own."""
         if {"week", "tow"} <= self.at.keys():
-            tow = self["tow"] * self._unit_of(self["tow"])
+            tow = self["tow"] * self._unit_of(self["tow"], self.name("tow"))
             return utc_from_gps(self["week"] * WEEK + tow), True
         if "clock" in self.at:
             t = text.dates(self.words("date")) + text.clocks(self.words("clock"))
@@ -314,17 +314,17 @@ class _Columns:
         if np.isnan(t).mean() > 0.5:
             t = text.stamps(self.words("t"))
             return self._utc(t, self.name("t")), True
-        t = t * self._unit_of(t)
+        t = t * self._unit_of(t, self.name("t"))
         if np.nanmax(t) < 3e8:
             return t, False
         if "gps" in self.name("t") and np.nanmax(t) < 1.6e9:
             return utc_from_gps(t), True
         return self._utc(t, self.name("t")), True
 
-    def _unit_of(self, t: Array) -> float:
+    def _unit_of(self, t: Array, name: str) -> float:
         """Return a clock's unit [s]; receivers give up to 100 fixes a second, or one a minute."""
         try:
-            return text.unit_of(t, 0.009, 60.0)
+            return text.unit_of(t, 0.009, 60.0, name)
         except ValueError as error:
             raise InputError(
                 f"{self.path}: {error} are those of a receiver in no unit from s to ns"
@@ -387,7 +387,7 @@ class _Columns:
         if {"vn", "ve"} <= self.at.keys():
             velocity = np.column_stack((self.metric("vn"), self.metric("ve"), down))
         elif {"speed", "course"} <= self.at.keys():
-            course = np.radians(self["course"])
+            course = self["course"] if "rad" in self.name("course") else np.radians(self["course"])
             speed = self.metric("speed")
             velocity = np.column_stack((speed * np.cos(course), speed * np.sin(course), down))
         else:

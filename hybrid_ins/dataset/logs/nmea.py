@@ -8,6 +8,7 @@ NMEA 0183 standard 4.11, sentences GGA, GST, RMC, ZDA.
 
 from __future__ import annotations
 
+import io
 import re
 from datetime import date, time
 from pathlib import Path
@@ -22,6 +23,7 @@ from hybrid_ins.dataset.logs.series import (
     SBAS_FIX,
     GnssLog,
     diagonal,
+    head_of,
     rising,
     undamaged,
 )
@@ -82,7 +84,7 @@ def read_gnss(path: Path) -> GnssLog:
     except ImportError:
         raise InputError(f"{path}: NMEA files need pynmeagps: pip install pynmeagps") from None
     epochs: list[_Epoch] = []
-    with path.open("rb") as stream:
+    with io.BytesIO(head_of(path, -1)) as stream:
         for message in undamaged(NMEAReader(stream, quitonerror=ERR_IGNORE)):
             if message.msgID in ("GGA", "RMC", "GST", "ZDA") and isinstance(message.time, time):
                 if not epochs or epochs[-1].at != message.time:
@@ -131,9 +133,13 @@ def _row(epoch: dict[str, Any]) -> tuple[Any, ...]:
     """Return position, standard deviations [m], status and velocity [m/s] of an epoch."""
     gga, gst, rmc = epoch["GGA"], epoch.get("GST"), epoch.get("RMC")
     geoid = gga.sep if isinstance(gga.sep, float) else 0.0
-    lla = (np.radians(gga.lat), np.radians(gga.lon), float(gga.alt) + geoid)
+    height = gga.alt + geoid if isinstance(gga.alt, float) else np.nan
+    lla = (np.radians(gga.lat), np.radians(gga.lon), height)
     if gst is not None and isinstance(gst.stdLat, float):
-        std = (gst.stdLat, gst.stdLong, gst.stdAlt)
+        std = tuple(
+            value if isinstance(value, float) else np.nan
+            for value in (gst.stdLat, gst.stdLong, gst.stdAlt)
+        )
     else:
         horizontal = RANGE_STD * (gga.HDOP if isinstance(gga.HDOP, float) else 1.0) / 2**0.5
         std = (horizontal, horizontal, VERTICAL * horizontal)

@@ -73,6 +73,7 @@ def read_gnss(path: Path) -> GnssLog:
             "longitude in degrees (out-solformat=llh, out-outdegform=deg)"
         )
     width = len(names) - 1
+    rows = sorted(dict(rows).items())  # a backward solution is written from its end
     table = [(t, values) for t, values in rows if len(values) == width and width >= 10]
     if not table:
         raise InputError(f"{path}: no row has the columns that its header names")

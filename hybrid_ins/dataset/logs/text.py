@@ -17,8 +17,11 @@ DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%Y%m%d", "%d%m%y", "%d/%m/%Y", "%m
 YEARS = 1980, 2100  # of a date; others are misread
 STAMP = re.compile(r"(\d{4}-\d\d?-\d\d?)[T ](\d\d?:\d\d:\d\d\.?\d*) ?(Z|UTC|[+-]\d\d:?\d\d)?")
 CLOCK = re.compile(r"\d\d?:\d\d:\d\d\.?\d*Z?")
+COMMA = re.compile(r"^([^.,]*),(\d+(?:[eE][-+]?\d+)?Z?)$")  # a decimal comma
 SEPARATORS = ";\t,"
-UNITS = 1.0, 1e-3, 1e-6, 1e-9  # s, of a clock
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # s, of a clock
+UNIT_IN_NAME = re.compile(r"[\[(_ ](s|ms|us|µs|ns)[\])]?$")
+SINCE_1970 = 9e8, 2.2e9  # s, of a clock that shows the date
 
 _log = logging.getLogger(__name__)
 
@@ -32,10 +35,9 @@ def split(line: str, separator: str | None) -> list[str]:
     """Return the words of a line, without quotes; a decimal comma becomes a point."""
     if separator is None:
         return line.split()
-    if separator != "," and "." not in line:
-        line = line.replace(",", ".")
     try:
-        return [word.strip() for word in next(csv.reader([line], delimiter=separator), [])]
+        words = [word.strip() for word in next(csv.reader([line], delimiter=separator), [])]
+        return words if separator == "," else [COMMA.sub(r"\1.\2", word) for word in words]
     except csv.Error:  # control characters: no text
         return []
 
@@ -48,9 +50,9 @@ def number(word: str) -> float:
         return np.nan
 
 
-def unit_of(t: Array, shortest: float, longest: float) -> float:
+def unit_of(t: Array, shortest: float, longest: float, name: str = "") -> float:
     """
-    Return the unit of a clock [s], by the steps between its readings.
+    Return the unit of a clock [s]: as its name says, as makes it a date, or by its steps alone.
 
     Parameters
     ----------
@@ -58,17 +60,25 @@ def unit_of(t: Array, shortest: float, longest: float) -> float:
         Readings; NaN is left out.
     shortest, longest : float
         What the median of the steps can be [s].
+    name : str
+        Of the column, in lower case; a unit may end it, in brackets or after an underscore.
 
     Raises
     ------
     ValueError
         In no unit it is that, or no step is above zero; says what the steps are.
     """
+    named = UNIT_IN_NAME.search(name)
+    if named:
+        return UNITS[named[1]]
     steps = np.diff(t[np.isfinite(t)])
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
-    for unit in UNITS:
-        if shortest <= step * unit <= longest:
+    possible = [unit for unit in UNITS.values() if shortest <= step * unit <= longest]
+    for unit in possible:
+        if SINCE_1970[0] < np.nanmax(t) * unit < SINCE_1970[1]:
             return unit
+    if possible:
+        return possible[0]
     raise ValueError(f"steps of {step:g}")
 
 

@@ -83,6 +83,7 @@ def read_gnss(path: Path) -> GnssLog:
     lla = np.column_stack((*angles, height))
     horizontal = data["eph"] / 2**0.5
     speed = data["s_variance_m_s"].astype(float)  # a deviation, despite its name
+    speed[np.asarray(data.get("vel_ned_valid", np.ones(len(speed)))) == 0] = np.nan
     sampled = np.any(data.get("timestamp_sample", 0))
     stamps = data["timestamp_sample" if sampled else "timestamp"]
     arrivals, epochs = stamps * 1e-6, data.get("time_utc_usec", stamps) * 1e-6
@@ -109,6 +110,7 @@ def read_estimate(path: Path) -> EstimateLog | None:
         return None
     t, t_attitude = place["timestamp"] * 1e-6, attitude["timestamp"] * 1e-6
     good = place["xy_valid"].astype(bool) & place["xy_global"].astype(bool)
+    good &= np.isfinite(place["ref_alt"])
     good &= (t >= t_attitude[0]) & (t <= t_attitude[-1])
     if good.sum() < 2 or len(t_attitude) < 2:
         return None
@@ -117,13 +119,30 @@ def read_estimate(path: Path) -> EstimateLog | None:
     right = np.clip(np.searchsorted(t_attitude, t), 1, len(t_attitude) - 1)
     part = (t - t_attitude[right - 1]) / (t_attitude[right] - t_attitude[right - 1])
     origin = (place["ref_lat"][good][-1], place["ref_lon"][good][-1])
-    frame = LocalFrame(np.array([*np.radians(origin), place["ref_alt"][good][-1]]))
+    height = place["ref_alt"][good][-1] + _geoid(path)
+    frame = LocalFrame(np.array([*np.radians(origin), height]))
     return EstimateLog(
         t,
         frame.lla(np.column_stack([place[axis][good] for axis in "xyz"]).astype(float)),
         np.column_stack([place[f"v{axis}"][good] for axis in "xyz"]).astype(float),
         slerp(quats[right - 1], quats[right], part),
     )
+
+
+def _geoid(path: Path) -> float:
+    """Return the geoid's height above the ellipsoid [m], as the receiver's fixes have it."""
+    try:
+        data = _topic(path, GNSS_TOPICS)
+    except InputError:
+        return 0.0
+    good = np.isin(data["fix_type"], list(STATUS_OF_FIX_TYPE))
+    if "altitude_msl_m" in data:
+        above = data["altitude_ellipsoid_m"] - data["altitude_msl_m"]
+    elif "alt" in data and "alt_ellipsoid" in data:
+        above = (data["alt_ellipsoid"] - data["alt"]) * 1e-3
+    else:
+        return 0.0
+    return float(np.median(above[good])) if good.any() else 0.0
 
 
 def _topic(path: Path, names: tuple[str, ...]) -> dict[str, Any]:

@@ -142,7 +142,7 @@ class VehicleInput:
             self._observe(running, t_ns)
 
     def _observe_wind(self, wind: WindObserver, nav: Array, t_ns: int) -> None:
-        wind.observe(nav, PERIOD_NS * 1e-9, settled=self._fixes.settled(t_ns))
+        wind.observe(t_ns, nav, PERIOD_NS * 1e-9, settled=self._fixes.settled(t_ns))
         if self._fixes.outage(t_ns):
             constraint = wind.measurement(t_ns, nav, PERIOD_NS * 1e-9)
             self.fused = constraint is not None

@@ -38,6 +38,7 @@ from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
 from hybrid_ins.core.filter.ins_filter import InsFilter
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE, ImuRing
+from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec
 from hybrid_ins.core.inertial.state import N_NAV, PSD, NavState
 from hybrid_ins.core.noise.process_noise import ConstantNoise, ProcessNoise
 from hybrid_ins.core.update.gate import Gate
@@ -358,3 +359,24 @@ def test_the_uncertainty_of_an_antenna_is_written_unless_it_was_given(
     # THEN a weak axis counts for less than its σ says, and one that was given and kept is exact
     height = 0.0 if any(given) else 0.4
     assert report.values["gnss.antenna_position_std"] == pytest.approx([0.01, 0.02, height])
+
+
+def test_an_antenna_that_was_given_and_is_kept_does_not_turn_with_the_mount(
+    found: Calibration,
+) -> None:
+    given = [1.0, 0.0, 0.8]
+    prior = tuple(
+        replace(p, mean=float((FLIP @ given)["xyz".index(p.name[-1])])) if p.name in LEVER else p
+        for p in found.fitted.prior
+    )
+    fitted = replace(found.fitted, prior=prior, frozen=found.fitted.frozen | set(LEVER))
+    report = Findings({**parameters.defaults(), "gnss.antenna_position": given})
+
+    add_lever_arm(
+        report,
+        fitted,
+        matrix_from_quat(quat_from_rotvec(np.array([0.0, 0.0, 0.5]))),
+        antenna_is_base=False,
+    )
+
+    assert report.values["gnss.antenna_position"] == given

@@ -281,3 +281,19 @@ def test_only_a_parameter_file_is_replaced(
     error = capsys.readouterr().err
     assert ("t.sh: is not a parameter file" in error) is not may
     assert (out.read_text() == content) is not may
+
+
+@pytest.mark.slow
+def test_the_truth_shows_the_imu_s_place_and_leaves_the_antenna_s(tmp_path: Path) -> None:
+    """GIVEN a flight with an antenna that is placed rightly WHEN calibrated on its truth."""
+    bag, given, out = (tmp_path / name for name in ("flight.mcap", "given.yaml", "out.yaml"))
+    flight = [str(bag), "--duration", "60", "--imu-rate", "50", "--lever-arm", "0.5", "0", "0.3"]
+    assert simulate.main(flight) == 0
+    given.write_text("ins_node:\n  ros__parameters:\n    gnss.antenna_position: [0.5, 0.0, 0.3]\n")
+
+    words = ["--use-truth", "--params-file", str(given), "--search", "0.2", "--out", str(out)]
+    assert program.main([str(bag), *words]) == 0
+
+    values = load(out)
+    assert values["gnss.antenna_position"] == [0.5, 0.0, 0.3]
+    np.testing.assert_allclose(values["imu.position"], 0.0, atol=0.1)

@@ -33,6 +33,7 @@ from hybrid_ins.dataset.logs.series import (
     utc_from_gps,
 )
 from hybrid_ins.errors import InputError
+from hybrid_ins.ros.messages.conversions import stamp_ns
 
 NOON = 1_700_049_600.0  # 2023-11-15T12:00:00Z
 LLA = (np.radians(32.1), np.radians(34.8), 50.0)
@@ -63,6 +64,14 @@ def test_rtklib_solution(tmp_path: Path, time: str) -> None:
     assert log.velocity_n is not None and log.velocity_covariance_n is not None
     assert log.velocity_n[0].tolist() == [1.0, 2.0, -3.0]
     assert np.diag(log.velocity_covariance_n[0]) == pytest.approx([0.16, 0.25, 0.36])
+
+
+def test_rtklib_solution_from_its_end_with_a_row_twice(tmp_path: Path) -> None:
+    path = tmp_path / "backward.pos"
+    rows = [POS_ROW.format(f"2288 30241{second}.000") for second in (9, 8, 8, 7)]
+    path.write_text(POS_HEADER + "".join(rows))
+
+    assert rtklib.read_gnss(path).t.tolist() == [NOON - 1.0, NOON, NOON + 1.0]
 
 
 def test_rtklib_solution_in_earth_fixed_coordinates(tmp_path: Path) -> None:
@@ -284,8 +293,12 @@ def test_ubx(tmp_path: Path) -> None:
     assert log.velocity_n[0].tolist() == [1.0, 2.0, -3.0]
 
 
-def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
-    """Write a ULog with two IMU samples and a fix, by the format's description."""
+def ulog_file(path: Path, topic: str = "sensor_combined", velocity_valid: int = 1) -> None:
+    """
+    Write a ULog with two IMU samples and a fix, by the format's description.
+
+    Sea level is 20 m above the ellipsoid, and the origin of the local position is above the sea.
+    """
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<Hc", len(body), kind) + body
@@ -298,8 +311,9 @@ def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
     imu = f"{topic}:uint64_t timestamp;{imu}"
     gps = (
         "sensor_gps:uint64_t timestamp;double latitude_deg;double longitude_deg;"
-        "double altitude_ellipsoid_m;float eph;float epv;float s_variance_m_s;float vel_n_m_s;"
-        "float vel_e_m_s;float vel_d_m_s;uint8_t fix_type;"
+        "double altitude_ellipsoid_m;double altitude_msl_m;float eph;float epv;"
+        "float s_variance_m_s;float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;"
+        "uint8_t vel_ned_valid;uint8_t fix_type;"
     )
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40))]
     place = (
@@ -317,10 +331,11 @@ def ulog_file(path: Path, topic: str = "sensor_combined") -> None:
             deltas = (0.1 * 5e-3, 0.2 * 5e-3, 0.3 * 5e-3, 4e-3, 8e-3, -9.8 * 4e-3)
             readings = struct.pack("<Q6fII", t_us, *deltas, 5000, 4000)
         parts.append(message(b"D", struct.pack("<H", 0) + readings))
-    fix = struct.pack("<Q3d6fB", 1_002_000, 32.1, 34.8, 50.0, 0.2, 0.3, 0.5, 1.0, 2.0, -3.0, 6)
+    position, errors, velocity = (32.1, 34.8, 50.0, 30.0), (0.2, 0.3, 0.5), (1.0, 2.0, -3.0)
+    fix = struct.pack("<Q4d6f2B", 1_002_000, *position, *errors, *velocity, velocity_valid, 6)
     parts.append(message(b"D", struct.pack("<H", 1) + fix))
     for t_us in (1_001_000, 1_005_000):
-        moved = struct.pack("<2d7f2B", 32.1, 34.8, 50.0, 4.0, 3.0, -5.0, 1.0, 2.0, 3.0, 1, 1)
+        moved = struct.pack("<2d7f2B", 32.1, 34.8, 30.0, 4.0, 3.0, -5.0, 1.0, 2.0, 3.0, 1, 1)
         parts.append(message(b"D", struct.pack("<HQ", 2, t_us) + moved))
     for t_us, turn in ((1_000_000, 0.0), (1_010_000, 1.0)):  # rad, about the down axis
         q = (np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn))
@@ -344,6 +359,15 @@ def test_ulog(tmp_path: Path, topic: str) -> None:
     assert gnss.lla[0] == pytest.approx(LLA)
     assert gnss.status.tolist() == [GBAS_FIX]
     assert np.diag(gnss.covariance_n[0]) == pytest.approx([0.02, 0.02, 0.09], rel=1e-5)
+
+
+def test_a_receiver_without_velocities_has_none(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    ulog_file(tmp_path / "flight.ulg", velocity_valid=0)
+
+    _, gnss = formats.read_logs([tmp_path / "flight.ulg"])
+
+    assert gnss.velocity_covariance_n is None or np.isnan(gnss.velocity_covariance_n).any()
 
 
 def dataflash(path: Path, estimate: str = "XKF1", has_cores: bool = True) -> None:
@@ -388,7 +412,7 @@ def dataflash(path: Path, estimate: str = "XKF1", has_cores: bool = True) -> Non
     fix = (321_000_000, 348_000_000, 7000, 2.0, 90.0, -3.0)
     parts.append(message("GPS", 1_010_000, 0, 6, 302_418_000, 2288, *fix))
     parts.append(message("GPA", 1_010_300, 0, 1.0, 0.2, 0.3, 0.5, 20.0))
-    parts.append(message("ORGN", 1_000_000, 0, 321_000_000, 348_000_000, 5000))
+    parts.append(message("ORGN", 1_000_000, 0, 321_000_000, 348_000_000, 7000))
     for t_us, yaw in ((1_001_000, 573), (1_005_000, 2865)):  # 0.01°
         moved = (1.0, 2.0, 3.0, 0.0, 4.0, 3.0, -5.0)
         parts.append(message(estimate, t_us, *([0] if has_cores else []), 0, 0, yaw, *moved))
@@ -431,6 +455,21 @@ def telemetry(path: Path) -> None:
     path.write_bytes(b"".join(stamp + message.pack(link) for message in messages))
 
 
+def test_of_two_vehicles_in_a_telemetry_log_the_first_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("pymavlink")
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    alone, both = tmp_path / "alone.tlog", tmp_path / "both.tlog"
+    telemetry(alone)
+    other = mavlink.MAVLink_raw_imu_message(1_010_000, 0, 0, -2000, 0, 0, 0, 0, 0, 0)
+    stamp = struct.pack(">Q", round(NOON * 1e6))
+    both.write_bytes(alone.read_bytes() + stamp + other.pack(mavlink.MAVLink(None, srcSystem=2)))
+
+    imu, _ = formats.read_logs([both])
+
+    assert imu.t.tolist() == pytest.approx([1.0, 1.02])
+
+
 @pytest.mark.parametrize(
     ("needed", "write"),
     [
@@ -458,16 +497,22 @@ def test_the_autopilots_own_estimate_is_there_for_comparison(
     assert yaw == pytest.approx([0.1, 0.5], abs=2e-4)
 
 
-def test_an_autopilots_log_becomes_one_bag_with_its_estimate(tmp_path: Path) -> None:
+@pytest.mark.parametrize("offset", [None, 1e-3])
+def test_an_autopilots_log_becomes_one_bag_with_its_estimate(
+    tmp_path: Path, offset: float | None
+) -> None:
     pytest.importorskip("pyulog")
     path, out = tmp_path / "flight.ulg", tmp_path / "flight.mcap"
     ulog_file(path)
-    assert "estimate on /autopilot/odometry" in convert_logs([path], out)
+    assert "estimate on /autopilot/odometry" in convert_logs([path], out, time_offset=offset)
     with BagReader(out) as bag:
+        imu = next(m for _, _, m in bag.messages("/imu/data"))
         counts = {topic: bag.count(topic) for topic in bag.topics}
         [(_, _, datum)] = bag.messages("/autopilot/datum")
         first = next(m for _, _, m in bag.messages("/autopilot/odometry"))
     assert counts["/imu/data"] == counts["/autopilot/odometry"] == 2
+    later = stamp_ns(first.header.stamp) - stamp_ns(imu.header.stamp)
+    assert later == pytest.approx(1_000_000, abs=1000)  # of one clock, whatever is added
     assert datum.altitude == pytest.approx(55.0, abs=1e-3)
     assert first.pose.pose.position.x == pytest.approx(0.0, abs=1e-6)
     assert first.twist.twist.linear.z == pytest.approx(-3.0, abs=1e-6)

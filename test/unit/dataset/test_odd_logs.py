@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, reduce
@@ -73,6 +75,39 @@ def test_units_in_the_names_of_columns(tmp_path: Path) -> None:
     assert log.velocity_n is not None and log.velocity_covariance_n is not None
     assert log.velocity_n[0, :2] == pytest.approx([0.0, 10.0], abs=1e-9)
     assert log.velocity_covariance_n[0, 0, 0] == pytest.approx(0.25 / 3.0)
+
+
+@pytest.mark.parametrize("rate", [5, 20, 50])
+@pytest.mark.parametrize(("name", "unit"), [("time_ms", 1e3), ("time [us]", 1e6), ("time", 1e3)])
+def test_a_clock_s_unit_is_that_of_its_name_or_makes_it_a_date(
+    tmp_path: Path, rate: int, name: str, unit: float
+) -> None:
+    rows = [f"{round((NOON + k / rate) * unit)},{THERE}" for k in range(90)]
+
+    log = table(tmp_path / "f", f"{name},{PLACE}", *rows)
+
+    assert log.t[[0, -1]].tolist() == pytest.approx([NOON, NOON + 89 / rate], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["course [rad]", "course_rad"])
+def test_a_course_in_radians(tmp_path: Path, name: str) -> None:
+    rows = [f"{t},{THERE},10.0,1.5707963,0.5" for t in (NOON, NOON + 1.0)]
+    log = table(tmp_path / "f", f"time,{PLACE},speed,{name},sAcc", *rows)
+    assert log.velocity_n is not None
+    assert log.velocity_n[0, :2] == pytest.approx([0.0, 10.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("header", "first"),
+    [("date;time", "15.11.2023;12:00:00,50"), ("time", "2023-11-15T12:00:00.500Z")],
+)
+def test_decimal_commas_beside_points(tmp_path: Path, header: str, first: str) -> None:
+    rows = [f"{words};32,1;34,8;50,5" for words in (first, first.replace("00:00", "00:01"))]
+
+    log = table(tmp_path / "f", f"{header};lat;lon;height", *rows)
+
+    assert log.t.tolist() == [NOON + 0.5, NOON + 1.5]
+    assert log.lla[0] == pytest.approx([*np.radians([32.1, 34.8]), 50.5])
 
 
 @pytest.mark.parametrize(
@@ -447,6 +482,27 @@ def nmea_file(path: Path, *epochs: tuple[str, str], date_by: str = "RMC") -> Pat
             text += sentence(f"GNZDA,{clock},{day[:2]},{day[2:4]},20{day[4:]},00,00")
     path.write_text(text)
     return path
+
+
+def test_a_compressed_stream_with_empty_fields_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("pynmeagps")
+    path = nmea_file(tmp_path / "log.nmea", *((f"12000{k}.00", "151123") for k in range(3)))
+    text = path.read_text()
+    without = re.sub(r",20\.0,M,(.*?)\*..", r",,M,\1*", text)
+    lines = []
+    for line in without.splitlines():
+        body = line.strip("$").partition("*")[0]
+        lines.append(f"${body}*{reduce(xor, body.encode()):02X}\r\n")
+        if body.startswith("GNGGA"):
+            gst = f"GNGST,{body.split(',')[1]},1.0,,,,2.0,3.0,"
+            lines.append(f"${gst}*{reduce(xor, gst.encode()):02X}\r\n")
+    packed = tmp_path / "log.nmea.gz"
+    packed.write_bytes(gzip.compress("".join(lines).encode()))
+
+    log = nmea.read_gnss(packed)
+
+    assert len(log.t) == 3 and np.isnan(log.lla[:, 2]).all()
+    assert np.sqrt(np.diag(log.covariance_n[0]))[:2] == pytest.approx([2.0, 3.0])
 
 
 @pytest.mark.parametrize("date_by", ["RMC", "ZDA"])

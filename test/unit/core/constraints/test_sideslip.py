@@ -41,7 +41,9 @@ def fly(observer: WindObserver, seconds: float, seed: int, gust: float, rate: fl
     slip = gust * rng.standard_normal()
     for k in range(int(seconds / INTERVAL)):
         slip = decay * slip + gust * np.sqrt(1.0 - decay**2) * rng.standard_normal()
-        observer.observe(state(rate * INTERVAL * k, slip), INTERVAL, settled=True)
+        observer.observe(
+            round(1e9 * INTERVAL * k), state(rate * INTERVAL * k, slip), INTERVAL, settled=True
+        )
 
 
 @pytest.mark.parametrize("gust", [0.3, 1.5])
@@ -68,17 +70,30 @@ def test_what_is_not_known_of_the_wind_is_in_the_covariance() -> None:
     assert abs(observer.wind_n[1] - WIND_N[1]) < 0.5
     assert east.variance > 20.0 * north.variance
     assert east.variance > WIND_STD**2
-    for _ in range(240):  # two minutes without fixes
-        observer.observe(state(0.0, 0.0), INTERVAL, settled=False)
+    for k in range(240):  # two minutes without fixes
+        observer.observe(
+            round(1e9 * (120.0 + INTERVAL * k)), state(0.0, 0.0), INTERVAL, settled=False
+        )
     later = observer.measurement(0, state(0.0, 0.0), INTERVAL)
     assert later is not None and later.variance > 1.5 * north.variance
+
+
+def test_the_wind_changes_while_nothing_is_observed() -> None:
+    """GIVEN a flight and hours on the ground THEN what was known of the wind is worth little."""
+    observer = WindObserver(NOSE)
+    fly(observer, 180.0, 2, 0.3)
+    assert max(observer.sigma) < 0.5 * WIND_STD
+
+    observer.observe(round(1e9 * 10_000.0), state(0.0, 0.0), INTERVAL, settled=False)
+
+    assert max(observer.sigma) == pytest.approx(WIND_STD)
 
 
 def test_on_the_ground_there_is_neither_wind_nor_constraint() -> None:
     observer = WindObserver(NOSE)
     taxiing = flat_state(np.array([0.9 * AIRBORNE, 1.0, 0.0]), np.zeros(3), np.zeros(3))
 
-    observer.observe(taxiing, INTERVAL, settled=True)
+    observer.observe(0, taxiing, INTERVAL, settled=True)
 
     assert observer.measurement(0, taxiing, INTERVAL) is None
     np.testing.assert_array_equal(observer.wind_n, 0.0)

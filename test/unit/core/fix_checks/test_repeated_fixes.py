@@ -8,6 +8,7 @@ from hybrid_ins.core.fix_checks.repeated_fixes import (
     RECENT,
     RUNS,
     RepetitionCheck,
+    with_course,
     without_held,
 )
 from hybrid_ins.core.update.measurements import PositionFix
@@ -46,6 +47,35 @@ def test_a_rounded_receiver_may_stand_drive_and_stand(unit: float) -> None:
 
     assert not _refused(np.round((track + rng.normal(0.0, 0.01, track.shape)) / unit) * unit).any()
     assert not _refused(np.round(track / unit) * unit).any(), "without any noise"
+
+
+@pytest.mark.parametrize("rounds", ["speed and course", "north and east"])
+@pytest.mark.parametrize("rate", [5, 10])
+def test_velocities_that_a_receiver_rounds_are_no_repeats(rounds: str, rate: int) -> None:
+    """GIVEN a cruise at 20 m/s by 0.1 kn and 0.1°, or by 1 cm/s."""
+    rng = np.random.default_rng(0)
+    speed = np.full(600 * rate, 20.0)
+    course = np.full(600 * rate, 1.0)
+    for k in range(1, len(speed)):
+        gusts = rng.normal(0.0, np.array([0.15, 0.003]) / np.sqrt(rate))
+        speed[k] = 20.0 + (speed[k - 1] - 20.0) * (1.0 - 0.05 / rate) + gusts[0]
+        course[k] = 1.0 + (course[k - 1] - 1.0) * (1.0 - 0.05 / rate) + gusts[1]
+    if rounds == "speed and course":
+        speed = np.round(speed / 0.0514444) * 0.0514444
+        course = np.radians(np.round(np.degrees(course), 1))
+    velocity = np.column_stack((speed * np.cos(course), speed * np.sin(course), 0.0 * speed))
+    if rounds == "north and east":
+        velocity = np.round(velocity / 0.01) * 0.01
+
+    assert not _refused(np.array([with_course(one) for one in velocity])).any()
+
+
+def test_velocities_that_are_repeated_are_refused() -> None:
+    velocity = np.random.default_rng(1).normal([10.0, 5.0, 0.0], 0.1, (100, 3))
+
+    refused = _refused(np.repeat([with_course(one) for one in velocity], 2, axis=0))
+
+    assert refused[20:].mean() == 0.5
 
 
 def test_new_measurements_end_it() -> None:

@@ -59,6 +59,12 @@ def test_a_turn_that_begins_softly_is_noticed_and_the_bias_is_that_of_before(
     assert all(is_turning for t, is_turning in turns if t > at)
 
 
+def test_a_turn_that_lasts_is_one_to_its_end() -> None:
+    _, [(at, _)], turns = followed(lambda t: np.array([0.0, 0.0, 0.004 * (t > 40.0)]), 400.0)
+
+    assert all(is_turning for t, is_turning in turns if t > at)
+
+
 def test_the_turn_is_over_when_the_rate_is_what_it_was() -> None:
     def rate(t: float) -> np.ndarray:
         return np.array([0.0, 0.0, ramp(t, 40.0, 5.0) - ramp(t, 80.0, 20.0)]) * RATE

@@ -31,6 +31,15 @@ def test_a_stray_stamp_after_a_gap_is_no_confirmed_jump() -> None:
     assert stamps.check(2_100 * MS) is StampFault.JUMP
 
 
+def test_stray_stamps_among_good_ones_are_no_confirmed_jump() -> None:
+    """GIVEN a driver that stamps one sample in a hundred 100 s early."""
+    stamps = ImuStampCheck(2.0)
+    for k in range(1, 10 * JUMP_CONFIRMED):
+        stamps.last_ns = (200_000 + 500 * k) * MS // 10  # good ones, by steps that need no check
+
+        assert stamps.check(stamps.last_ns - 10_000 * MS) is StampFault.JUMP
+
+
 class HeldPositions:
     """A receiver that repeats one position at 5 Hz, and the checks of its fixes."""
 
