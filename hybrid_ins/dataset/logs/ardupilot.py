@@ -81,7 +81,7 @@ def read_imu(path: Path) -> ImuLog:
         hint = "set LOG_BITMASK to log the IMU"
     else:
         found: dict[str, list[tuple[float, ...]]] = {name: [] for name in IMU_MESSAGES}
-        for m in _messages(path, *IMU_MESSAGES):
+        for m in _of_one_vehicle(path, *IMU_MESSAGES):
             name = m.get_type()
             unit_f, unit_w = IMU_MESSAGES[name]
             t = m.time_boot_ms * 1e-3 if name == "SCALED_IMU" else m.time_usec * 1e-6
@@ -183,7 +183,7 @@ def _dataflash_fixes(path: Path) -> list[tuple[float, ...]]:
 def _telemetry_fixes(path: Path) -> list[tuple[float, ...]]:
     """Return rows as `_dataflash_fixes`."""
     rows: list[tuple[float, ...]] = []
-    for m in _messages(path, "GPS_RAW_INT"):
+    for m in _of_one_vehicle(path, "GPS_RAW_INT"):
         if m.fix_type not in STATUS_OF_FIX_TYPE:
             continue
         is_moving_known = UNKNOWN not in (m.vel, m.cog)
@@ -202,6 +202,14 @@ def _is_dataflash(path: Path) -> bool:
     return head_of(path, 4).startswith((DATAFLASH, DATAFLASH_TEXT))
 
 
+def _of_one_vehicle(path: Path, *types: str) -> Iterator[Any]:
+    """Yield telemetry of the first vehicle that sends an IMU's, where several are heard."""
+    first = next(_messages(path, *IMU_MESSAGES), None)
+    for message in _messages(path, *types):
+        if first is None or message.get_srcSystem() == first.get_srcSystem():
+            yield message
+
+
 def _messages(path: Path, *types: str) -> Iterator[Any]:
     try:
         from pymavlink import mavutil
@@ -217,14 +225,7 @@ def _messages(path: Path, *types: str) -> Iterator[Any]:
             log = DFReader_binary(str(path))
         else:
             log = mavutil.mavlogfile(str(path))
-        is_telemetry = not head.startswith((DATAFLASH, DATAFLASH_TEXT))
-        vehicle = None  # the first of several in a telemetry log
         while (message := log.recv_match(type=list(types))) is not None:
-            if is_telemetry:
-                sender = message.get_srcSystem(), message.get_srcComponent()
-                vehicle = vehicle or sender
-                if sender != vehicle:
-                    continue
             count += 1
             yield message
     except Exception as error:  # the library raises what the damage leads to

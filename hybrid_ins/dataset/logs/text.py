@@ -21,6 +21,7 @@ COMMA = re.compile(r"^([^.,]*),(\d+(?:[eE][-+]?\d+)?Z?)$")  # a decimal comma
 SEPARATORS = ";\t,"
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # s, of a clock
 UNIT_IN_NAME = re.compile(r"[\[(_ ](s|ms|us|µs|ns)[\])]?$")
+LEAST_STEP = 1e-4  # s, of a clock whose unit is named
 SINCE_1970 = 9e8, 2.2e9  # s, of a clock that shows the date
 
 _log = logging.getLogger(__name__)
@@ -68,11 +69,11 @@ def unit_of(t: Array, shortest: float, longest: float, name: str = "") -> float:
     ValueError
         In no unit it is that, or no step is above zero; says what the steps are.
     """
-    named = UNIT_IN_NAME.search(name)
-    if named:
-        return UNITS[named[1]]
     steps = np.diff(t[np.isfinite(t)])
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.nan
+    named = UNIT_IN_NAME.search(name)
+    if named and LEAST_STEP <= step * UNITS[named[1]] <= longest:
+        return UNITS[named[1]]
     possible = [unit for unit in UNITS.values() if shortest <= step * unit <= longest]
     for unit in possible:
         if SINCE_1970[0] < np.nanmax(t) * unit < SINCE_1970[1]:

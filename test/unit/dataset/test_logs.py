@@ -462,12 +462,17 @@ def test_of_two_vehicles_in_a_telemetry_log_the_first_is_read(tmp_path: Path) ->
     alone, both = tmp_path / "alone.tlog", tmp_path / "both.tlog"
     telemetry(alone)
     other = mavlink.MAVLink_raw_imu_message(1_010_000, 0, 0, -2000, 0, 0, 0, 0, 0, 0)
-    stamp = struct.pack(">Q", round(NOON * 1e6))
-    both.write_bytes(alone.read_bytes() + stamp + other.pack(mavlink.MAVLink(None, srcSystem=2)))
+    place = mavlink.MAVLink_gps_raw_int_message(
+        1_005_000, 6, 330_000_000, 348_000_000, 70_000, 80, 90, 200, 9000, 12
+    )
+    stamp, link = struct.pack(">Q", round(NOON * 1e6)), mavlink.MAVLink(None, srcSystem=2)
+    parts = stamp + place.pack(link), alone.read_bytes(), stamp + other.pack(link)
+    both.write_bytes(b"".join(parts))
 
-    imu, _ = formats.read_logs([both])
+    imu, gnss = formats.read_logs([both])
 
     assert imu.t.tolist() == pytest.approx([1.0, 1.02])
+    assert gnss.t.tolist() == pytest.approx([1.01])
 
 
 @pytest.mark.parametrize(
