@@ -86,7 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument(
         "--use-truth", action="store_true",
-        help="use /truth/odometry for fixes and attitude (for comparison)",
+        help="use /truth/odometry for fixes and attitude (for comparison): it gives the "
+        "IMU's position, and nothing of the antenna",
     )  # fmt: skip
     options.add_topics(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the output files")
