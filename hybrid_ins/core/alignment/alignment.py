@@ -289,7 +289,7 @@ class Alignment:
         bias_a, bias_g, bias_P = biases
         rate = samples["w"].mean(axis=0)
         standing = motion.has_velocity and is_standing(samples)
-        standing = standing and may_be_zero(motion.velocity_n, motion.measured_cov)
+        standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = np.hypot(RATE_STD_STANDING, sway(samples)) if standing else np.full(3, np.inf)
@@ -346,7 +346,7 @@ class Alignment:
         if self._source == "imu" and self._imu_yaw is not None:
             return self._imu_yaw, settings.yaw_std
         if self._source == "course" and motion.speed >= settings.course_min_speed:
-            velocity_n, v_cov = motion.velocity_n, motion.measured_cov
+            velocity_n, v_cov = motion.velocity_n, motion.v_cov
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / motion.speed
             return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
         return None

@@ -30,8 +30,7 @@ class FirstMotion(NamedTuple):
     lla: Array  # (3,) rad, rad, m
     p_cov: Array  # (3, 3) m², NED
     velocity_n: Array  # (3,) m/s
-    v_cov: Array  # (3, 3) m²/s², now
-    measured_cov: Array  # (3, 3) m²/s², when it was measured
+    v_cov: Array  # (3, 3) m²/s²
     has_velocity: bool  # otherwise the velocity is zero, with the variance of any
 
     @property
@@ -65,15 +64,13 @@ def first_motion(
     if not np.isfinite(p_cov[2, 2]) or not math.isfinite(last.lla[2]):
         p_cov[2, :] = p_cov[:, 2] = 0.0
         p_cov[2, 2] = HEIGHT_STD**2
-    known, measured_ns = _slope(fixes, lla, p_cov, bool(heights)), last.t_ns
+    known = _slope(fixes, lla, p_cov, bool(heights))
     if velocity is not None and abs(now - velocity.t_ns) < 1e9:
-        known, measured_ns = _measured(velocity, known), velocity.t_ns
-    velocity_n, measured_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
-    age, since = (now - last.t_ns) * 1e-9, (now - measured_ns) * 1e-9
-    p_cov = p_cov + measured_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
-    v_cov = measured_cov + np.eye(3) * (ACCELERATION_STD * since) ** 2
-    lla = lla + velocity_n * age / scale
-    return FirstMotion(lla, p_cov, velocity_n, v_cov, measured_cov, known is not None)
+        known = _measured(velocity, known)
+    velocity_n, v_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
+    age = (now - last.t_ns) * 1e-9
+    p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
+    return FirstMotion(lla + velocity_n * age / scale, p_cov, velocity_n, v_cov, known is not None)
 
 
 def _measured(velocity: VelocityFix, slope: tuple[Array, Array] | None) -> tuple[Array, Array]:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hybrid_ins.core.alignment.first_motion import (
-    ACCELERATION_STD,
     CLIMB_STD,
     HEIGHT_STD,
     first_motion,
@@ -70,20 +69,3 @@ def test_a_velocity_without_a_vertical_part_leaves_that_to_the_fixes(height: flo
     assert motion.v_cov[0, 0] == pytest.approx(0.04)
     assert motion.velocity_n[2] == pytest.approx(-5.0 if np.isfinite(height) else 0.0)
     assert motion.v_cov[2, 2] == pytest.approx(alone.v_cov[2, 2])
-
-
-@pytest.mark.parametrize("by_receiver", [True, False])
-def test_a_velocity_that_is_old_is_as_uncertain_as_the_vehicle_may_have_changed_it(
-    by_receiver: bool,
-) -> None:
-    age, at_ns = 0.9, 6 * STEP_NS
-    velocity = VelocityFix(at_ns, VELOCITY_N, 0.01 * np.eye(3), np.zeros(3))
-    given = velocity if by_receiver else None
-
-    then, now = (
-        first_motion(fixes(120.0), given, t_ns) for t_ns in (at_ns, at_ns + round(age * 1e9))
-    )
-
-    grown = now.v_cov - then.v_cov
-    np.testing.assert_allclose(grown, np.eye(3) * (ACCELERATION_STD * age) ** 2, atol=1e-9)
-    np.testing.assert_array_equal(now.measured_cov, then.measured_cov)
