@@ -30,7 +30,7 @@ class Rejections:
     settled_z: Array  # innovation at that stamp
     z: Array  # innovation of the last
     count: int
-    certain: bool  # none had a NIS below `CERTAIN`, and the innovations before were ordinary
+    certain: bool  # none had a NIS below `gate.CERTAIN`, and the innovations before were ordinary
     jump: bool  # the first was one, or one after it
     began_with_jump: bool
 

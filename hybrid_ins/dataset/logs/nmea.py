@@ -129,23 +129,22 @@ def _times(path: Path, epochs: list[_Epoch]) -> Array:
     return np.asarray(days[near[best, rows]] - turns[best, rows] * DAY + of_day)
 
 
+def _field(value: Any, missing: float = np.nan) -> float:
+    """Return a number of a sentence; its field may be empty."""
+    return value if isinstance(value, float) else missing
+
+
 def _row(epoch: dict[str, Any]) -> tuple[Any, ...]:
     """Return position, standard deviations [m], status and velocity [m/s] of an epoch."""
     gga, gst, rmc = epoch["GGA"], epoch.get("GST"), epoch.get("RMC")
-    geoid = gga.sep if isinstance(gga.sep, float) else 0.0
-    height = gga.alt + geoid if isinstance(gga.alt, float) else np.nan
-    lla = (np.radians(gga.lat), np.radians(gga.lon), height)
+    lla = (np.radians(gga.lat), np.radians(gga.lon), _field(gga.alt) + _field(gga.sep, 0.0))
     if gst is not None and isinstance(gst.stdLat, float):
-        std = tuple(
-            value if isinstance(value, float) else np.nan
-            for value in (gst.stdLat, gst.stdLong, gst.stdAlt)
-        )
+        std = (gst.stdLat, _field(gst.stdLong), _field(gst.stdAlt))
     else:
-        horizontal = RANGE_STD * (gga.HDOP if isinstance(gga.HDOP, float) else 1.0) / 2**0.5
+        horizontal = RANGE_STD * _field(gga.HDOP, 1.0) / 2**0.5
         std = (horizontal, horizontal, VERTICAL * horizontal)
     velocity = (np.nan, np.nan, np.nan)
     if rmc is not None and isinstance(rmc.spd, float):
-        course = np.radians(rmc.cog) if isinstance(rmc.cog, float) else 0.0
-        speed = rmc.spd * KNOT
+        course, speed = np.radians(_field(rmc.cog, 0.0)), rmc.spd * KNOT
         velocity = (speed * np.cos(course), speed * np.sin(course), np.nan)
     return lla, std, STATUS_OF_QUALITY[gga.quality], velocity

@@ -69,11 +69,8 @@ class WarmStart:
         InputError
             There is no file to write, or nothing to save yet.
         """
-        path, navigator, clock = (
-            self._given_path(),
-            self._estimator.navigator,
-            self._estimator.clock,
-        )
+        path = self._given_path()
+        navigator, clock = self._estimator.navigator, self._estimator.clock
         running = navigator.filter
         if running is None:
             raise InputError("nothing to save: the filter does not run yet")

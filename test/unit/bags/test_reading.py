@@ -125,30 +125,6 @@ def test_a_split_recording_is_read_without_a_file_that_cannot_be(
         BagReader(directory)
 
 
-@pytest.mark.parametrize("layout", ["sqlite3", "zstd chunks", "zstd messages", "zstd file"])
-def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
-    plugin = StoragePlugin.SQLITE3 if layout == "sqlite3" else StoragePlugin.MCAP
-    writer = Rosbag2Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
-    mode = {
-        "zstd chunks": CompressionMode.STORAGE,
-        "zstd messages": CompressionMode.MESSAGE,
-        "zstd file": CompressionMode.FILE,
-    }.get(layout, CompressionMode.NONE)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/imu/data", IMU, typestore=TYPES)
-        for k in range(100):
-            writer.write(connection, stamp_ns(k), serialised(imu_message(k)))
-    with BagReader(tmp_path / "bag") as bag:
-        assert bag.topics == {"/imu/data": IMU}
-        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
-        assert bag.count("/imu/data") == 100
-        assert bag.imu().specific_force[:, 0] == pytest.approx(0.1 * np.arange(100))
-    if layout == "sqlite3":
-        with BagReader(tmp_path / "bag" / "bag.db3") as bag:
-            assert bag.imu().stamp_ns[-1] == stamp_ns(99)
-
-
 def recording(path: Path, mode: CompressionMode, plugin: StoragePlugin) -> Path:
     """Write a hundred Imu messages as `rosbags` does."""
     writer = Rosbag2Writer(path, version=9, storage_plugin=plugin)
@@ -158,6 +134,24 @@ def recording(path: Path, mode: CompressionMode, plugin: StoragePlugin) -> Path:
         for k in range(100):
             writer.write(connection, stamp_ns(k), serialised(imu_message(k)))
     return path
+
+
+@pytest.mark.parametrize("layout", ["sqlite3", "zstd chunks", "zstd messages", "zstd file"])
+def test_recordings_of_rosbag2(tmp_path: Path, layout: str) -> None:
+    plugin = StoragePlugin.SQLITE3 if layout == "sqlite3" else StoragePlugin.MCAP
+    mode = {
+        "zstd chunks": CompressionMode.STORAGE,
+        "zstd messages": CompressionMode.MESSAGE,
+        "zstd file": CompressionMode.FILE,
+    }.get(layout, CompressionMode.NONE)
+    with BagReader(recording(tmp_path / "bag", mode, plugin)) as bag:
+        assert bag.topics == {"/imu/data": IMU}
+        assert (bag.start_ns, bag.end_ns) == (stamp_ns(0), stamp_ns(99))
+        assert bag.count("/imu/data") == 100
+        assert bag.imu().specific_force[:, 0] == pytest.approx(0.1 * np.arange(100))
+    if layout == "sqlite3":
+        with BagReader(tmp_path / "bag" / "bag.db3") as bag:
+            assert bag.imu().stamp_ns[-1] == stamp_ns(99)
 
 
 def test_compressed_messages_are_read_without_metadata(tmp_path: Path) -> None:
