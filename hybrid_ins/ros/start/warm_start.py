@@ -50,8 +50,6 @@ class WarmStart:
     def __init__(self, estimator: Estimator, values: Mapping[str, Any]) -> None:
         self._estimator = estimator
         self.path = Path(values["state_file"]) if values["state_file"] else None
-        lever = np.subtract(values["gnss.antenna_position"], values["imu.position"])
-        self._lever = float(np.linalg.norm(lever))
         self._uses_heading = values["alignment.heading_source"] in ("auto", "motion")
         self._known: SavedState | None = None
         self._prepared: Alignment | None = None  # with the known biases
@@ -195,7 +193,8 @@ class WarmStart:
         away = displacement(known.lla, lla)[:2]
         fix_std = math.sqrt(max(message.position_covariance[0], message.position_covariance[4], 0))
         distance = float(np.linalg.norm(away))
-        limit = SAME_PLACE * math.hypot(known.position_std, math.sqrt(2.0) * fix_std) + self._lever
+        lever = float(np.linalg.norm(self._estimator.placement.lever_b))
+        limit = SAME_PLACE * math.hypot(known.position_std, math.sqrt(2.0) * fix_std) + lever
         if not distance <= limit:
             return f"the vehicle is {distance:.1f} m from where it was"
         force = samples["f"].mean(axis=0) - known.accelerometer_bias

@@ -54,6 +54,7 @@ class Parked:
             self.estimator.run_periodic()
             if k % 20 == 10:
                 fix = new_message("sensor_msgs/msg/NavSatFix")
+                fix.header.frame_id = "gnss_link"
                 set_stamp(fix.header.stamp, t_ns)
                 fix.latitude, fix.longitude, fix.altitude = place
                 fix.position_covariance = np.diag([0.01, 0.01, 0.02]).ravel()
@@ -101,6 +102,21 @@ def test_the_heading_is_used_where_the_vehicle_has_not_moved(file: Path) -> None
     assert heading == pytest.approx(60.0, abs=1.0)
     assert 1.9 < std < 2.2
     assert any("the vehicle has not moved" in line for line in warm.log)
+
+
+def test_an_antenna_that_tf_static_places_is_not_taken_for_a_way(file: Path) -> None:
+    """GIVEN an antenna 2 m from the IMU, by /tf_static WHEN parked THEN nothing has moved."""
+    run = Parked(file, 70.0)
+    message = new_message("tf2_msgs/msg/TFMessage")
+    message.transforms = [new_message("geometry_msgs/msg/TransformStamped")]
+    message.transforms[0].header.frame_id = "base_link"
+    message.transforms[0].child_frame_id = "gnss_link"
+    message.transforms[0].transform.translation.x = 2.0
+    message.transforms[0].transform.rotation.w = 1.0
+    run.estimator.handle_static_transforms(message)
+    run.wait(4.0, place=(PLACE[0] + 2.0 * METRE, *PLACE[1:]))
+
+    assert any("the vehicle has not moved" in line for line in run.log), run.log
 
 
 @pytest.mark.parametrize(
