@@ -24,6 +24,10 @@ IMU, FIX = "imu/data", "gnss/fix"
 LAUNCH_ARGUMENTS = {IMU: "imu_topic", FIX: "fix_topic"}
 KINDS = {topic.name: topic.type_name for topic in interface.SUBSCRIBED}
 DRIVER_STOPPED = "restart the driver, check the cable; until they come the state is lost"
+RECEIVER_STOPPED = (
+    "while the IMU's come: restart the receiver's driver, check the cable; until they come the "
+    "position drifts"
+)
 NO_CLOCK = (
     "use_sim_time is true: start the simulator, play the bag with --clock, or set use_sim_time to "
     "false"
@@ -146,12 +150,17 @@ class InputWatch:
     def _log_outages(self, heard: float, elapsed: float) -> None:
         self._clockless = self._clockless + elapsed if self._clocks.is_missing else 0.0
         self._clock_outage.note(self._clockless, lambda: NO_CLOCK)
-        located = self._located.update(self.fixes, elapsed)
-        if self.imu_messages:  # a bag that is paused is no outage
+        # A bag that is paused is no outage.
+        is_paused = heard >= SILENCE and self.fixes > 0
+        located = self._located.update(self.fixes, 0.0 if is_paused else elapsed)
+        if self.imu_messages:
             self._imu_outage.note(min(heard, self._used.seconds), lambda: DRIVER_STOPPED)
         else:
             self._imu_outage.note(heard, self._since_the_start(IMU))
-        self._fix_outage.note(0.0 if self.fixes else located, self._since_the_start(FIX))
+        if self.fixes:
+            self._fix_outage.note(located, lambda: RECEIVER_STOPPED)
+        else:
+            self._fix_outage.note(located, self._since_the_start(FIX))
 
     def _since_the_start(self, name: str) -> Callable[[], str]:
         """Return what says why nothing has come on a topic yet."""

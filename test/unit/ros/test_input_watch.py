@@ -105,6 +105,27 @@ def test_without_samples_the_state_is_lost_until_they_return(
     assert flown.lines()[-1] == "info: /imu/data: messages come, after 35 s"
 
 
+def test_a_receiver_that_dies_is_logged_while_the_imu_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """GIVEN a flight WHEN no fixes come any more THEN one line says so, not where both stop."""
+    flown = Watched(monkeypatch)
+    flown.fly(0.0, 2.0)
+    flown.wait(1)
+    for _ in range(20):
+        flown.watch.imu_messages += 1
+        flown.wait(1)
+
+    (line,) = flown.lines()
+    assert line.startswith("warn: no messages on /gnss/fix for 10 s: while the IMU's come")
+    flown.watch.imu_messages += 1
+    flown.watch.fixes += 1
+    flown.wait(1)
+    assert flown.lines()[1:] == ["info: /gnss/fix: messages come, after 20 s"]
+    flown.wait(30)
+    assert not any("/gnss/fix" in line for line in flown.lines()[2:])
+
+
 def test_messages_of_no_use_are_told_from_none(monkeypatch: pytest.MonkeyPatch) -> None:
     flown = Watched(monkeypatch)
     flown.fly(0.0, 2.0)
