@@ -94,7 +94,7 @@ class SensorPlacement:
 
     def _is_placed_by_transform(self, topic: str) -> bool:
         frame = self.frame_of(topic)
-        is_base = frame == self._base  # so say drivers that do not know it
+        is_base = frame.lstrip("/") == self._base  # so say drivers that do not know it
         return not is_base and self._transform_of(frame) is not None
 
     def frame_of(self, topic: str) -> str:

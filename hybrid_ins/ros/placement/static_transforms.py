@@ -29,6 +29,11 @@ TOO_MANY = Refused(
     "tf_static: too many frames",
     f"more than {MOST_FRAMES} frames, or names of more than {LONGEST_NAME} characters: left out",
 )
+NO_NAME = Refused(
+    "tf_static: no frame",
+    "a transform without header.frame_id or child_frame_id is left out, as tf2 does; correct its "
+    "publisher",
+)
 
 NOT_PUBLISHED = "tf2_msgs is not installed: /tf is not published"
 NOT_READ = "tf2_msgs is not installed: /tf_static is not read"
@@ -53,6 +58,8 @@ class StaticTransforms:
 
     def _add(self, transform: Any) -> Refused | None:
         child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+        if not (child and parent):
+            return NO_NAME
         if max(len(child), len(parent)) > LONGEST_NAME or (
             child not in self._parents and len(self._parents) >= MOST_FRAMES
         ):

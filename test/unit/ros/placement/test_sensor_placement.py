@@ -30,6 +30,15 @@ def test_an_antenna_at_the_origin_is_placed_by_its_uncertainty(
     assert placed([0.0, 0.0, 0.0], std).antenna_is_placed is is_placed
 
 
+@pytest.mark.parametrize("frame", ["base_link", "/base_link", ""])
+def test_a_driver_that_names_the_base_frame_places_nothing(frame: str) -> None:
+    placement = placed([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    placement.set_frame("gnss/fix", frame)
+    placement.set_frame("imu/data", frame)
+
+    assert not placement.antenna_is_placed and not placement.imu_is_placed
+
+
 @pytest.mark.parametrize("transforms_first", [True, False])
 @pytest.mark.parametrize(
     ("base", "x", "text"),

@@ -63,6 +63,17 @@ def test_leading_slash_and_the_frame_itself() -> None:
     assert np.array_equal(C, np.eye(3)) and not p.any()
 
 
+@pytest.mark.parametrize(("parent", "child"), [("", "imu"), ("/", "imu"), ("imu", "")])
+def test_a_transform_without_a_frame_moves_nothing(parent: str, child: str) -> None:
+    known = tree(transform("base_link", "imu", (1.0, 2.0, 3.0)))
+
+    (fault,) = known.add(Namespace(transforms=[transform(parent, child)]))
+
+    assert "without header.frame_id or child_frame_id is left out" in fault.text
+    assert known.find("base_link", "imu")[1] == pytest.approx([1.0, 2.0, 3.0])
+    assert known.find("base_link", "") is None
+
+
 @pytest.mark.parametrize(
     "bad",
     [
