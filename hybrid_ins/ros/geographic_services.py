@@ -23,7 +23,7 @@ except ImportError:
 
 from hybrid_ins.ros.callback_guard import CallbackGuard
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages.conversions import MapFrame, place_of, set_place
+from hybrid_ins.ros.messages.conversions import HIGHEST, MapFrame, place_of, set_place
 
 Array = NDArray[np.float64]
 Message = Any
@@ -101,7 +101,13 @@ class GeographicServices:
 
     def _to_ll(self, request: Message, response: Message) -> None:
         point = request.map_point
-        lla = self._map.lla(np.array([point.x, point.y, point.z]))
+        position, lla = np.array([point.x, point.y, point.z]), np.full(3, math.nan)
+        if np.isfinite(position).all():
+            lla = self._map.lla(position)
+        if not abs(lla[2]) <= HIGHEST:
+            lla[:] = math.nan
+            text = f"{position} m in the map is not a point on Earth: give metres"
+            self._estimator.inputs.log("error", text)
         set_place(response.ll_point, lla)
 
     def _point(self, geographic: Message) -> Point:
@@ -116,8 +122,9 @@ class GeographicServices:
     def _refuse(self, geographic: Message) -> None:
         self._estimator.inputs.log(
             "error",
-            f"{place_of(geographic.latitude, geographic.longitude)} is not a point on Earth: give "
-            "degrees",
+            f"{place_of(geographic.latitude, geographic.longitude)}, altitude "
+            f"{geographic.altitude:.7g} is not a point on Earth: give degrees, and metres above "
+            "the ellipsoid",
         )
 
     def _set_datum(self, request: Message, response: Message) -> None:
@@ -152,7 +159,7 @@ def lla_of(geographic: Message, height: float) -> Array | None:
     None for what is no point on Earth; an altitude that is NaN is ``height``.
     """
     latitude, longitude, altitude = geographic.latitude, geographic.longitude, geographic.altitude
-    if not (abs(latitude) < 90.0 and abs(longitude) <= 360.0) or math.isinf(altitude):
+    if not (abs(latitude) < 90.0 and abs(longitude) <= 360.0) or abs(altitude) > HIGHEST:
         return None
     altitude = height if math.isnan(altitude) else altitude
     return np.array([math.radians(latitude), math.radians(longitude), altitude])

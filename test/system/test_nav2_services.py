@@ -43,6 +43,7 @@ def test_a_waypoint_follower_gets_its_points(
     answer. Before there is a datum only ``datum`` is offered; it may be moved.
     """
     from geographic_msgs.msg import GeoPoint, GeoPose
+    from geometry_msgs.msg import Point
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from robot_localization.srv import FromLL, FromLLArray, SetDatum, ToLL
     from sensor_msgs.msg import NavSatFix
@@ -98,6 +99,17 @@ def test_a_waypoint_follower_gets_its_points(
     wrong = client.call(FromLL, "/fromLL", FromLL.Request(ll_point=GeoPoint(latitude=91.0)))
     assert math.isnan(wrong.map_point.x)
     assert "latitude 91," in (tmp_path / "node.log").read_text()
+
+    for x in (math.nan, math.inf, 1e300):
+        nowhere = client.call(ToLL, "/toLL", ToLL.Request(map_point=Point(x=x))).ll_point
+        assert math.isnan(nowhere.latitude) and math.isnan(nowhere.longitude)
+    log = (tmp_path / "node.log").read_text()
+    assert log.count("m in the map is not a point on Earth") == 3 and "RuntimeWarning" not in log
+    space = GeoPoint(latitude=DATUM[0], longitude=DATUM[1], altitude=1e300)
+    client.call(SetDatum, "/datum", SetDatum.Request(geo_pose=GeoPose(position=space)))
+    there = client.call(FromLL, "/fromLL", FromLL.Request(ll_point=unknown)).map_point
+    assert (there.x, there.y, there.z) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert "altitude 1e+300 is not a point on Earth" in (tmp_path / "node.log").read_text()
 
     kinds = dict(client.node.get_service_names_and_types())
     assert kinds["/fromLL"] == ["robot_localization/srv/FromLL"]

@@ -40,6 +40,7 @@ SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU <->
 APPROXIMATED, DIAGONAL, KNOWN = 1, 2, 3  # covariance types of a NavSatFix besides unknown
 STATUS_FIX, STATUS_NO_FIX = 0, -1
 UNKNOWN = np.eye(3)  # in place of a covariance that cannot be used
+HIGHEST = 1e6  # m, of a position above the ellipsoid, or below
 NEAR_POLE = 89.9  # deg, beyond which north turns too fast for a filter in NED
 VERTICAL_RATIO = 2.0  # of a velocity's σ: of a receiver that has one number for all directions
 
@@ -172,7 +173,7 @@ class GnssInput:
                 "latitude and longitude are exactly zero: the receiver has no position; the driver "
                 "should report status NO_FIX",
             )
-        if abs(height) > 1e6:
+        if abs(height) > HIGHEST:
             return Refused("gnss: impossible position", f"altitude {height:g} m is not on Earth")
         if abs(lat) > NEAR_POLE:
             return Refused(
