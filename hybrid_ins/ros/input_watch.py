@@ -22,6 +22,7 @@ from hybrid_ins.ros.review.silent_input import OutageLog, Silence, why_missing
 SILENCE = 0.9  # s: a second of the timer without a sample
 IMU, FIX = "imu/data", "gnss/fix"
 LAUNCH_ARGUMENTS = {IMU: "imu_topic", FIX: "fix_topic"}
+ESTIMATES = tuple(f"/{name.lstrip('/')}" for name in OUTPUTS)  # of any ins_node
 KINDS = {topic.name: topic.type_name for topic in interface.SUBSCRIBED}
 DRIVER_STOPPED = "restart the driver, check the cable; until they come the state is lost"
 RECEIVER_STOPPED = (
@@ -173,11 +174,14 @@ class InputWatch:
         return describe
 
     def _others(self, kind: str) -> list[str]:
-        """Return the topics of a type that others publish and the node has no use for."""
+        """Return the topics of a type that others publish, but no estimate of another ins_node."""
         node = self._node
         ours = {node.resolve_topic_name(name) for name in (*KINDS, *OUTPUTS)}
         return sorted(
             name
             for name, kinds in node.get_topic_names_and_types()
-            if kind in kinds and name not in ours and node.count_publishers(name)
+            if kind in kinds
+            and name not in ours
+            and not name.endswith(ESTIMATES)
+            and node.count_publishers(name)
         )

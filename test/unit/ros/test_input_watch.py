@@ -32,11 +32,13 @@ class Graph:
         return name if name.startswith("/") else f"/{name}"
 
     def count_publishers(self, topic: str) -> int:
-        return int(topic in ("/cam/imu", "/gnss/filtered"))
+        return int(topic in ("/cam/imu", "/gnss/filtered", "/r1/gnss/filtered", "/r1/datum"))
 
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
         imu, fix = ["sensor_msgs/msg/Imu"], ["sensor_msgs/msg/NavSatFix"]
-        return [("/imu/data", imu), ("/unused", imu), ("/cam/imu", imu), ("/gnss/filtered", fix)]
+        of_imu = [("/imu/data", imu), ("/unused", imu), ("/cam/imu", imu)]
+        names = "/gnss/filtered", "/r1/gnss/filtered", "/r1/datum"  # two ins_nodes
+        return [*of_imu, *((name, fix) for name in names)]
 
 
 class Watched(Drive):
@@ -183,6 +185,6 @@ def test_what_never_came_is_logged_with_what_could_be_meant(
     imu, fix = idle.lines()
     assert imu.startswith("warn: no messages on /imu/data for 10 s: ")
     assert "choose /cam/imu with -r imu/data:=/cam/imu" in imu
-    assert fix.startswith("warn: no messages on /gnss/fix for 10 s: nobody publishes it")
+    assert fix.startswith("warn: no messages on /gnss/fix for 10 s: nobody publishes it, nor")
     assert "waiting" in idle.last("validity").text
     assert idle.last("filter").text.startswith("aligning, waiting for the IMU")
