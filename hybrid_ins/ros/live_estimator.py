@@ -60,6 +60,7 @@ from hybrid_ins.ros.output.rate_limiter import RateLimiter
 from hybrid_ins.ros.placement.static_transforms import without_tf2
 from hybrid_ins.ros.reporting.input_log import Log
 from hybrid_ins.ros.review.crowded_topics import CrowdedTopics
+from hybrid_ins.ros.review.mistyped_topics import MistypedTopics
 from hybrid_ins.ros.start.memory import HypothesesHeap
 from hybrid_ins.ros.start.warm_start import WarmStart
 
@@ -138,6 +139,7 @@ class LiveEstimator:
         self._by_receipt = bool(values["use_receive_time"])
         self._transforms_due = RateLimiter(TRANSFORM_RATE)
         self._crowded = CrowdedTopics(node, self.estimator.inputs)
+        self._mistyped = MistypedTopics(node, self.estimator.inputs)
         self._heap = HypothesesHeap()
         self._input: list[tuple[Callable[[Any], bool], Any]] = []  # how to destroy each, and it
         self._gps_fix = GpsFixInput(self.estimator, new_message)
@@ -339,6 +341,7 @@ class LiveEstimator:
         """Check the topics, save, and say what does not come."""
         self._topics.find_subscribers()
         self._crowded.find()
+        self._mistyped.find()
         self._warm_start.save_where_due()
         self._heap.update(len(self.estimator.navigator.phases.filters))
         if self._geographic is not None:

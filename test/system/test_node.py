@@ -409,6 +409,31 @@ def test_publisher_whose_qos_does_not_fit_is_told(
     )
 
 
+def test_publishers_of_another_type_are_told(
+    processes: Processes, folder: Path, client: Client
+) -> None:
+    """GIVEN the TwistStamped of nmea_navsat_driver as velocity THEN the log names both types."""
+    from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+
+    log = folder / "mistyped.log"
+    start_node(processes, log, "-r", "gnss/velocity:=/vel")
+    client.node.create_publisher(TwistStamped, "/vel", 10)
+    client.node.create_publisher(TwistWithCovarianceStamped, "/aiding/velocity", 10)
+
+    until(lambda: "geometry_msgs/msg/TwistStamped" in log.read_text())
+    (told,) = (line for line in log.read_text().splitlines() if "TwistStamped" in line)
+    assert "gnss/velocity: asking publishes geometry_msgs/msg/TwistStamped on /vel, not " in told
+    client.spin_until(
+        lambda: any(
+            pair.key == "gnss/velocity: another type"
+            for d in client.diagnostics
+            for s in d.status
+            for pair in s.values
+        )
+    )
+    assert "aiding/velocity" not in log.read_text()
+
+
 def ended_start(
     *words: str, environment: dict[str, str] | None = None, timeout: float = 90.0
 ) -> subprocess.CompletedProcess[str]:

@@ -84,7 +84,7 @@ def why_missing(name: str, kind: str, publishers: int, others: Sequence[str], op
         The argument of the launch file that sets the topic.
     """
     if publishers:
-        return f"it has a publisher ({publishers}): does it publish, is its QoS compatible?"
+        return f"it has a publisher ({publishers}): does it publish, are type and QoS right?"
     if not others:
         return f"nobody publishes it, nor another {kind}: start the driver"
     first = others[0]
