@@ -79,7 +79,7 @@ def _check_folder(target: Path) -> None:
     """Raise `OSError` where no file can be made beside an output, or in the folder above it."""
     if _is_device(target):
         return
-    folder = next(parent for parent in target.parents if parent.exists())
+    folder = next((parent for parent in target.parents if parent.exists()), target)  # "/" has none
     with tempfile.TemporaryFile(dir=folder):
         pass
 

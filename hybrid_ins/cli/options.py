@@ -15,15 +15,19 @@ from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.reader import check_model
 from hybrid_ins.parameters import parameter_file
 
+LARGEST = 2.0**32  # s, the range of stamps; no other quantity needs more
+
 
 def number(text: str) -> float:
-    """Read a finite number."""
+    """Read a finite number, small enough to be counted in nanoseconds."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    if abs(value) > LARGEST:
+        raise argparse.ArgumentTypeError(f"{text} is too large: give {LARGEST:.2g} at most")
     return value
 
 

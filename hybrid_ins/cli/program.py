@@ -4,6 +4,7 @@ import argparse
 import io
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -40,7 +41,15 @@ def parser(name: str, description: str, example: str = "") -> argparse.ArgumentP
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports wrong options as programs report other invalid input: in one line."""
+    """
+    Reports wrong options as programs report other invalid input: in one line.
+
+    ``-1e-3`` is a number, not an option, as it is for argparse itself from Python 3.14 on.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
     def error(self, message: str) -> NoReturn:
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: error: {message}: see {self.prog} --help\n")

@@ -94,6 +94,11 @@ def evaluate(
             after(origin_ns, max(scoring.start or 0.0, scoring.skip)),
             int(estimate.stamp_ns[-1]) if scoring.end is None else after(origin_ns, scoring.end),
         )
+        if window[0] > min(window[1], int(estimate.stamp_ns[-1])):
+            duration = (int(estimate.stamp_ns[-1]) - origin_ns) * 1e-9
+            raise InputError(
+                f"no estimate between --start or --skip and --end: it lasts {duration:.1f} s"
+            )
         errors, epochs, coverage = None, None, None
         gaps_within = estimate.stamp_ns
         offset = clock.summary(fix_ns)

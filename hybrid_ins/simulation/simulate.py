@@ -47,6 +47,7 @@ from hybrid_ins.simulation.vehicles import Vehicle, record
 
 ORIENTATION_STD = np.radians([1.0, 1.0, 3.0])  # roll, pitch, yaw of an AHRS's orientation
 MOST_SAMPLES = 5_000_000  # about 4 GB of memory
+STAMPS_END = 2.0**31  # s since 1970, the seconds of a stamp
 MONITOR_RATE = 10.0  # Hz, of the true biases and noise variances in the bag
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
@@ -104,6 +105,7 @@ def simulate(scenario: Scenario, out: Path, *, overwrite: bool = False) -> str:
     """
     fastest = max(scenario.imu_rate, scenario.gnss_rate, scenario.truth_rate)
     _check_size(scenario.duration, fastest)
+    _check_dates(scenario.duration, scenario.time_offset)
     motion = _motion(scenario)
     imu_rng, gnss_rng, orientation_rng = np.random.default_rng(scenario.seed).spawn(3)
     imu_truth = sample(motion, sample_times(scenario.duration, scenario.imu_rate))
@@ -192,6 +194,16 @@ def _check_size(duration: float, rate: float) -> None:
     if not 2.0 <= samples <= MOST_SAMPLES:
         raise InputError(
             f"--duration {duration:g} s makes {samples:.3g} samples: 2 to {MOST_SAMPLES:g} fit"
+        )
+
+
+def _check_dates(duration: float, offset: float) -> None:
+    """Raise `InputError` where fixes or samples are dated before or after what a stamp can hold."""
+    begin = flight_bag.EPOCH_NS * 1e-9
+    if not (begin - offset >= 0.0 and begin + max(-offset, 0.0) + duration < STAMPS_END):
+        raise InputError(
+            f"--time-offset {offset:g} s, --duration {duration:g} s: stamps begin in 1970 and end "
+            "in 2038, and a simulation begins in 2023: give smaller ones"
         )
 
 
