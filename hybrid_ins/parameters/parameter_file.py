@@ -61,7 +61,9 @@ def _ros_parameters(path: Path, content: object) -> dict[str, object]:
         if section != "/**" and str(section).rstrip("/").split("/")[-1] != node:
             continue
         if not isinstance(body, dict) or not isinstance(body.get("ros__parameters"), dict):
-            raise InputError(f"{path}: section '{section}' holds no 'ros__parameters:'")
+            raise InputError(
+                f"{path}: section '{section}' holds no 'ros__parameters:' with parameters below it"
+            )
         merged.update(_flatten(body["ros__parameters"], path))
         found = True
     if not found and content:

@@ -189,6 +189,7 @@ class TestFiles:
             ("[1, 2]", "not a parameter file"),
             ("other_node:\n  ros__parameters: {}\n", "no section for ins_node"),
             ("/**:\n  map_frame: map\n", "holds no 'ros__parameters:'"),
+            ("/**:\n  ros__parameters:\n", "no 'ros__parameters:' with parameters below it"),
             ("/**:\n  ros__parameters:\n    1: 2\n", "a parameter's name must be a text"),
             ("/**: [", "no readable YAML: line 1"),
             ("a: 1\nb: *a\n", "no readable YAML"),
