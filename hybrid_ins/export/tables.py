@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid_ins.core.inertial.rotations import rpy_from_quat
 from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.evaluate import HEADING_UNKNOWN
 from hybrid_ins.export.track import lat_lon_height
 from hybrid_ins.ros.messages.trajectory import Array, Trajectory
 
@@ -47,17 +48,22 @@ _BLOCK = 5000  # rows formatted at a time
 
 def tum(trajectory: Trajectory, name: str) -> Iterator[str]:
     """
-    Yield lines ``time x y z qx qy qz qw`` of base_link in the map, where the attitude is known.
+    Yield lines ``time x y z qx qy qz qw`` of base_link in the map, where the heading is known.
 
     Raises
     ------
     InputError
-        No epoch has an attitude.
+        No epoch has an attitude, or none a known heading.
     """
     quat = trajectory.quat_xyzw
-    known = None if quat is None else np.isfinite(quat).all(axis=1)
-    if quat is None or known is None or not np.any(known):
-        raise InputError(f"{name}: has no attitude, which TUM files need: export to .csv instead")
+    known = np.zeros(len(trajectory), bool) if quat is None else np.isfinite(quat).all(axis=1)
+    if trajectory.attitude_cov is not None:
+        known &= ~(trajectory.attitude_cov[:, 2, 2] >= HEADING_UNKNOWN**2)
+    if quat is None or not np.any(known):
+        raise InputError(
+            f"{name}: has no attitude with a known heading, which TUM files need: export to .csv "
+            "instead"
+        )
     rows = np.column_stack((trajectory.position_enu, quat))[known]
     for stamp_ns, row in zip(trajectory.stamp_ns[known].tolist(), rows.tolist(), strict=True):
         yield f"{_seconds(stamp_ns)} " + " ".join(f"{value:.9f}" for value in row) + "\n"
@@ -92,7 +98,7 @@ def _columns(trajectory: Trajectory) -> Array:
             unknown if velocity is None else velocity,
             _std(trajectory.velocity_cov, unknown),
             rpy,
-            np.mod(90.0 - rpy[:, 2], 360.0),
+            np.mod(np.round(90.0 - rpy[:, 2], COLUMNS["heading_deg"]), 360.0),
             np.degrees(_std(trajectory.attitude_cov, unknown)),
         )
     )

@@ -24,6 +24,7 @@ from support.recordings import (
 )
 
 from hybrid_ins.core.inertial.earth import LocalFrame
+from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.errors import InputError
 from hybrid_ins.export.tables import COLUMNS
 from hybrid_ins.export.writer import FORMATS, check_export, export, export_bag
@@ -214,6 +215,29 @@ def test_without_attitude_there_is_no_tum(tmp_path: Path) -> None:
         export(replace(flight(TRUTH), quat_xyzw=None), "run", tmp_path / "run.tum")
 
     assert list(tmp_path.iterdir()) == []
+
+
+def test_poses_of_a_heading_that_is_searched_for_are_in_no_tum(tmp_path: Path) -> None:
+    # GIVEN an estimate whose heading is known from 5 s on, and one whose heading never is
+    track = flight(TRUTH)
+    covariance = np.tile(0.01 * np.eye(3), (len(track), 1, 1))
+    covariance[:50, 2, 2] = 3.3
+    found = replace(track, attitude_cov=covariance)
+
+    export(found, "run", tmp_path / "run.tum")
+    with pytest.raises(InputError, match=r"no attitude with a known heading.*\.csv"):
+        export(found.rows(slice(50)), "run", tmp_path / "never.tum")
+
+    assert len((tmp_path / "run.tum").read_text().splitlines()) == len(TRUTH) - 50
+
+
+def test_a_heading_in_a_table_is_below_360_degrees(tmp_path: Path) -> None:
+    track = flight([0.0, 1.0])
+    quat = np.tile(quat_from_rpy(0.0, 0.0, np.radians(90.00001)), (2, 1))
+
+    export(replace(track, quat_xyzw=quat), "run", tmp_path / "run.csv")
+
+    assert [row["heading_deg"] for row in rows(tmp_path / "run.csv")] == ["0.0000"] * 2
 
 
 def test_a_name_that_will_not_do_is_refused_before_the_work(tmp_path: Path) -> None:
