@@ -131,10 +131,7 @@ def _finish(view: RunView, timed: Sequence[Axes], bottom: Sequence[Axes]) -> Non
                 view.scoring_start(), color=MUTED, lw=0.8, ls="--", label="_scored from here"
             )
         axes.tick_params(labelbottom=axes in bottom)
-    first, last = min(0.0, view.seconds[0]), view.seconds[-1]
-    if view.error_seconds is not None:
-        last = max(last, view.error_seconds[-1])
-    timed[0].set_xlim(first - 0.01 * (last - first), last + 0.01 * (last - first))
+    timed[0].set_xlim(*view.span())
     for axes in bottom:
         axes.set_xlabel(
             "time [s]"

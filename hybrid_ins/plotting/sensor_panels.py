@@ -45,6 +45,12 @@ def draw_nis(axes: Axes, view: RunView) -> None:
         mark_missing(axes, "no verdicts recorded")
         return
     at = view.since(view.to_imu(v.stamp_ns))
+    first, last = view.span()
+    within = (at >= first) & (at <= last)
+    v, at = v.rows(within), at[within]
+    if not len(v):
+        mark_missing(axes, "no verdicts in this time")
+        return
     position = v.kind == "position"
     tested = np.isfinite(v.nis) & (v.nis > 0.0)
     fused = tested & v.accepted & position

@@ -57,6 +57,14 @@ class RunView:
         """Times of the errors [s], shape (M,), where there is truth."""
         return None if self.result.errors is None else self.since(self.result.errors.stamp_ns)
 
+    def span(self) -> tuple[float, float]:
+        """Return begin and end of the time axis [s]."""
+        first, last = min(0.0, float(self.seconds[0])), float(self.seconds[-1])
+        if self.error_seconds is not None:
+            last = max(last, float(self.error_seconds[-1]))
+        margin = 0.01 * (last - first)
+        return first - margin, last + margin
+
     @property
     def scored(self) -> NDArray[np.bool_] | None:
         """Which epochs of the errors are scored, shape (M,)."""

@@ -92,6 +92,21 @@ def test_the_legend_of_nis_stays_in_its_panel_and_off_the_points(whole: Run, cou
     assert axes.transData.transform((0.0, 400.0))[1] < legend.y0
 
 
+def test_the_legend_of_nis_counts_what_is_shown(whole: Run) -> None:
+    # GIVEN fixes that were refused before the first estimate, where the axis begins
+    late = replace(whole, estimate=whole.estimate.rows(slice(500, None)), truth=None)
+    at = np.arange(0.0, 20.0, 0.1)
+    accepted = (at > 4.0) & (at != 10.0)
+    refused = replace(
+        late,
+        verdicts=verdicts(at, accepted=accepted, reason=["" if a else "gate" for a in accepted]),
+    )
+
+    axes = panel(overview(refused, evaluate_run(refused)), "NIS")
+
+    assert "rejected: gate (1)" in [str(text.get_text()) for text in axes.get_legend().get_texts()]
+
+
 def test_the_map_has_the_start_of_the_run_a_scale_and_north(whole: Run) -> None:
     # GIVEN an estimate that begins 5 s, and 50 m, after the first fix
     late = replace(whole, estimate=whole.estimate.rows(slice(500, None)))
