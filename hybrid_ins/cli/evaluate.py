@@ -151,6 +151,8 @@ def _run(args: argparse.Namespace) -> int:
         if args.json or args.report or args.export:
             raise InputError("--json, --report and --export are for one bag at a time")
         return _evaluate_many(args, topics, scoring)
+    if args.results:
+        raise InputError("--results is for several bags, or a folder of bags")
     [path] = args.estimate
     run = _read(path, truth=args.truth, topics=topics, no_truth=args.no_truth)
     result = evaluate_run(run, scoring)

@@ -107,6 +107,7 @@ WRONG = [
     ("ins_evaluate", "estimate --no-truth --end 1e300", "1e300 is too large"),
     ("ins_evaluate", "estimate --no-truth --time-offset 1e10", "1e10 is too large"),
     ("ins_evaluate", "estimate --no-truth --start 5 --end 3", "it lasts 8.0 s"),
+    ("ins_evaluate", "estimate --no-truth --results OUT", "--results is for several bags"),
     ("ins_evaluate", "estimate --no-truth --skip 20", "it lasts 8.0 s"),
     ("ins_evaluate", "bag --plot picture.doc", "picture.doc"),
     ("ins_calibrate", "missing --out OUT", "missing"),
