@@ -15,7 +15,7 @@ from hybrid_ins.bags.messages import new_message
 from hybrid_ins.core.inertial.rotations import quat_from_rpy
 from hybrid_ins.core.noise.process_noise import ConstantNoise
 from hybrid_ins.core.update import chi_square
-from hybrid_ins.ros.messages.conversions import set_stamp, stamp_ns
+from hybrid_ins.ros.messages.conversions import FLIP, mount_matrix, set_stamp, stamp_ns
 from hybrid_ins.ros.reporting.reports import Diagnostics, MapOdometry
 from hybrid_ins.simulation.motions import (
     START_LLA,
@@ -398,6 +398,24 @@ def test_a_push_over_before_the_heading_is_known_is_a_motion() -> None:
 
     assert not drive.warnings()
     assert drive.estimator.aligned and drive.error(29.89) < 0.5
+
+
+@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (0.0, 0.35, 0.0), (np.pi, 0.0, 0.0)])
+def test_a_turn_beyond_the_range_is_noticed_however_the_imu_is_mounted(
+    rpy: tuple[float, float, float],
+) -> None:
+    # GIVEN half a second in which a gyroscope reads as much as it can
+    drive = Drive(**KNOWN, **{"imu.mount_rpy": list(rpy)})
+    to_own = FLIP @ mount_matrix(rpy)
+    drive.force, drive.rate = drive.force @ to_own, drive.rate @ to_own
+    beyond = (drive.truth.t > 20.0) & (drive.truth.t < 20.5)
+    drive.rate[beyond, 2] = 4.36
+
+    drive.play(0.0, 22.0)
+
+    # THEN it is named, and the attitude is not kept
+    assert any("rate on axis z stays at 4.36" in text for text in drive.warnings())
+    assert any("a turn beyond the gyroscope's range" in text for text in drive.warnings())
 
 
 def test_a_receiver_that_repeats_its_position_in_flight_is_not_believed() -> None:

@@ -41,6 +41,7 @@ class Parts:
 
     def __init__(self, lever_b: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.settings = FilterSettings(lever_b=np.asarray(lever_b))
+        self.mount = np.eye(3)
         self.speed_check = SpeedCheck(515.0, 3.0)
 
     def noise(self, period: float) -> FilterNoise:

@@ -31,6 +31,8 @@ SPIKE = 12.0  # times the median distance of a sample from its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
 MOST_ACCELERATION = 0.15 * STANDARD_GRAVITY  # of a vehicle whose specific force is gravity
 LARGEST_TURN = 3.0  # rad turned in the window: more is a spin, or degrees
+OWN_AXES = np.eye(3)  # of an IMU that lies along b
+DECIMALS = 9  # of readings turned back into the IMU's axes: a limit is one number again
 
 
 class FaultKind(Enum):
@@ -67,7 +69,7 @@ class ImuFault:
         The value that shows it, rounded for the user: the mean specific force [m/s²] for faults
         of gravity, the reading [m/s² or rad/s] for the others; 0 for a frozen sensor.
     axis : int
-        Of a saturated sensor: 0 to 2 for x, y, z of b.
+        Of a saturated sensor: 0 to 2 for the IMU's own x, y, z.
     lost_turn : float
         Of a saturated gyroscope: by how much more than it says the IMU may have turned [rad].
     lost_speed : tuple of float
@@ -86,10 +88,16 @@ class ImuFault:
         return self.kind in UNUSABLE
 
 
-def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
-    """Return the gravest fault that about a second of samples (``SAMPLE_DTYPE``) shows."""
+def find_fault(samples: NDArray[np.void], mount: Array = OWN_AXES) -> ImuFault | None:
+    """
+    Return the gravest fault that about a second of samples (``SAMPLE_DTYPE``, in b) shows.
+
+    ``mount``, shape (3, 3), leads from the IMU's own axes to b: one of those has a limit, and none
+    of b does.
+    """
     if len(samples) < 10:
         return None
+    samples = _in_own_axes(samples, mount)
     readings = readings_of(samples)
     means, size, top, at_limit, off, frozen, turned = _survey(samples["t_ns"], readings)
     mean = float(np.linalg.norm(means[:3]))
@@ -110,8 +118,8 @@ def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
                 limit = float(top[sensor][axis])
                 if sensor is RATE:
                     return ImuFault(kind, round(limit, 2), axis, _lost_turn(samples, limit))
-                lost = _lost_speed(samples, limit)
-                return ImuFault(kind, round(limit, 2), axis, lost_speed=lost)
+                x, y, z = np.sqrt(mount**2 @ _lost_speed(samples, limit) ** 2).tolist()
+                return ImuFault(kind, round(limit, 2), axis, lost_speed=(x, y, z))
     for kind, sensor, least in (
         (FaultKind.SPIKES_FORCE, FORCE, SPIKE_FORCE),
         (FaultKind.SPIKES_RATE, RATE, SPIKE_RATE),
@@ -124,6 +132,14 @@ def find_fault(samples: NDArray[np.void]) -> ImuFault | None:
     if turned >= LARGEST_TURN and _in_degrees(samples):
         return ImuFault(FaultKind.DEGREES, round(float(top[RATE].max())))
     return None
+
+
+def _in_own_axes(samples: NDArray[np.void], mount: Array) -> NDArray[np.void]:
+    """Return samples as the IMU gave them; see `find_fault`."""
+    own = samples.copy()
+    for name in ("f", "w"):
+        own[name] = np.round(samples[name] @ mount, DECIMALS)
+    return own
 
 
 @kernel()
@@ -188,7 +204,7 @@ def _lost_turn(samples: NDArray[np.void], limit: float) -> float:
     return float(np.abs(lost).sum())
 
 
-def _lost_speed(samples: NDArray[np.void], limit: float) -> tuple[float, float, float]:
+def _lost_speed(samples: NDArray[np.void], limit: float) -> Array:
     """
     Return what the axes of an accelerometer that stays at ``limit`` may lack of the velocity.
 
@@ -198,8 +214,8 @@ def _lost_speed(samples: NDArray[np.void], limit: float) -> tuple[float, float, 
 
     Returns
     -------
-    tuple of float
-        Along x, y, z of b [m/s].
+    ndarray, shape (3,)
+        Along the IMU's own axes [m/s].
     """
     t, lost = samples["t_ns"] * 1e-9, np.zeros(3)
     for axis, force in enumerate(samples["f"].T):
@@ -212,8 +228,7 @@ def _lost_speed(samples: NDArray[np.void], limit: float) -> tuple[float, float, 
             part = min(max(slopes) * lasted / 6.0, limit) * lasted
             parts.append(math.copysign(part, force[begin]))
         lost[axis] = math.hypot(sum(parts), math.hypot(*parts))
-    x, y, z = lost.tolist()
-    return x, y, z
+    return lost
 
 
 def _largest_spike(readings: Array, least: float) -> float:

@@ -76,7 +76,7 @@ class ImuMonitor:
     Parameters
     ----------
     parts : FilterParts
-        What the filters are made of: it knows where the antenna is.
+        What the filters are made of: it knows how the IMU lies, and where the antenna is.
     zero_updates : bool
         Use standing as a measurement.
     bias_g : ndarray, shape (3,)
@@ -186,7 +186,7 @@ class ImuMonitor:
             return False
         self._next_ns = t_ns + PERIOD_NS
         samples = ring.after(t_ns - WINDOW_NS)
-        before, self.fault = self.fault, find_fault(samples)
+        before, self.fault = self.fault, find_fault(samples, self._parts.mount)
         manoeuvres = self._is_manoeuvre(t_ns, phases.filter is not None)
         if manoeuvres:
             self.fault = None

@@ -41,6 +41,10 @@ class FilterParts(Protocol):
         """Return the filters' settings."""
 
     @property
+    def mount(self) -> Array:
+        """Return the matrix (3, 3) from the IMU's own axes to b."""
+
+    @property
     def speed_check(self) -> SpeedCheck:
         """Return what knows how fast the vehicle may be; it is the same each time."""
 

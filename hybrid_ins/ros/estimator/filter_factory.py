@@ -64,6 +64,7 @@ class FilterFactory:
         given = values["gnss.time_offset.value"]
         prior = ClockPrior(given, values["gnss.time_offset.std"])
         self.set_clock_offset(given, prior, clock_drift(values))
+        self.mount = np.eye(3)
         self.speed_check = SpeedCheck(values["gnss.max_speed"], values["gnss.patience"])
 
     def change(self, changes: Mapping[str, Any]) -> None:
@@ -76,13 +77,17 @@ class FilterFactory:
         self.speed_check.max_speed = self._values["gnss.max_speed"]
         self.speed_check.patience = self._values["gnss.patience"]
 
-    def set_antenna(self, lever_b: Array, lever_std: Array, is_placed: bool) -> None:
+    def place_sensors(
+        self, mount: Array, lever_b: Array, lever_std: Array, is_placed: bool
+    ) -> None:
         """
-        Note where the antenna is relative to the IMU [m], b, shape (3,).
+        Note how the IMU lies, and where the antenna is relative to it [m], b, shape (3,).
 
-        Its standard deviation is zero where it was not found from motion. Where it is not placed,
-        nobody has said where it is.
+        ``mount``, shape (3, 3), leads from the IMU's own axes to b. The standard deviation is zero
+        where the antenna was not found from motion; where it is not placed, nobody has said where
+        it is.
         """
+        self.mount = mount
         self.settings = replace(
             self.settings, lever_b=lever_b, lever_std=lever_std, antenna_is_placed=is_placed
         )

@@ -68,8 +68,12 @@ class FixInput:
         if "gnss.time_offset.value" in changes:
             self._leaps.clear()
         placement = self._placement
-        is_placed = placement.antenna_is_placed
-        self._parts.set_antenna(placement.lever_b, placement.antenna_std, is_placed)
+        self._parts.place_sensors(
+            placement.mount,
+            placement.lever_b,
+            placement.antenna_std,
+            placement.antenna_is_placed,
+        )
         clock = self._clock
         self._parts.set_clock_offset(clock.offset, clock.prior, clock.drift)
         self._prior = clock.prior

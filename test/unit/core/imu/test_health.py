@@ -7,6 +7,7 @@ import pytest
 
 from hybrid_ins.core.imu.health import FaultKind, find_fault
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
+from hybrid_ins.ros.messages.conversions import mount_matrix
 from hybrid_ins.ros.reporting.wording import describe_fault, name_of_fault
 
 RATE = 200.0
@@ -137,6 +138,27 @@ def test_vibration_beyond_both_ends_of_the_range_loses_as_much_to_as_fro() -> No
 
     assert fault is not None and fault.lost_speed[1:] == (0.0, 0.0)
     assert 0.0 < fault.lost_speed[0] < 0.3 * lost
+
+
+@pytest.mark.parametrize("rpy", [(np.pi, 0.0, 0.0), (0.0, np.pi / 2.0, 0.0), (0.1, 0.35, 2.0)])
+@pytest.mark.parametrize("kind", ["saturated force", "saturated rate"])
+def test_a_limit_is_one_of_the_imus_own_axes_however_it_is_mounted(
+    kind: str, rpy: tuple[float, float, float]
+) -> None:
+    # GIVEN an IMU that is mounted upside down, sideways or askew
+    own, mount = spoiled(kind), mount_matrix(rpy)
+    samples = own.copy()
+    samples["f"], samples["w"] = own["f"] @ mount.T, own["w"] @ mount.T
+
+    fault, by_own = find_fault(samples, mount), find_fault(own)
+
+    # THEN its limit is found as along b, and what it lacks is told along b
+    assert fault is not None and by_own is not None
+    assert fault == by_own
+    assert fault.lost_turn == pytest.approx(by_own.lost_turn)
+    lost, lost_b = np.square(by_own.lost_speed), np.square(fault.lost_speed)
+    assert lost_b.sum() == pytest.approx(lost.sum())
+    assert lost_b == pytest.approx(mount**2 @ lost)
 
 
 @pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])
