@@ -26,6 +26,7 @@ LEAST_FORCE = 0.4 * STANDARD_GRAVITY  # of a vehicle's mean over a second
 MOST_FORCE = 4.0 * STANDARD_GRAVITY
 FROZEN = 0.5  # share of the window in which nothing changes
 AT_LIMIT, AT_LIMIT_SHARE = 8, 0.05  # samples at the very largest reading
+DROP, STEADY = 4.5, 0.5  # resolutions, and share of repeats: coarse readings do no more
 LIMIT_FORCE, LIMIT_RATE = 15.0, 2.0  # m/s², rad/s: smaller largest readings are no limit
 SPIKE = 12.0  # times the median distance of a sample from its neighbours
 SPIKE_FORCE, SPIKE_RATE = 50.0, 2.0  # m/s², rad/s: propellers make smaller ones
@@ -114,7 +115,8 @@ def find_fault(samples: NDArray[np.void], mount: Array = OWN_AXES) -> ImuFault |
     ):
         for axis in np.flatnonzero(top[sensor] >= least).tolist():
             most = max(AT_LIMIT, AT_LIMIT_SHARE * len(readings))
-            if frozen < steps and at_limit[sensor][axis] >= most:
+            stays = frozen < steps and at_limit[sensor][axis] >= most
+            if stays and _is_cut_off(readings[:, sensor], axis):
                 limit = float(top[sensor][axis])
                 if sensor is RATE:
                     return ImuFault(kind, round(limit, 2), axis, _lost_turn(samples, limit))
@@ -182,6 +184,30 @@ def _survey(t_ns, readings):  # type: ignore[no-untyped-def]
                 off[c] = max(off[c], abs(middle - 0.5 * (value + readings[k - 2, c])))
         frozen = frozen + 1 if same else 0
     return means, size, top, at_limit, off, frozen, turned
+
+
+def _is_cut_off(readings: Array, axis: int) -> bool:
+    """
+    Return whether an axis of a sensor's readings (N, 3) stays at its largest because of a limit.
+
+    A coarse sensor does in each steady turn, too. The peak of a parabola that is rounded falls by
+    three resolutions within half the time that it stays; a steady turn does by fewer, one that is
+    cut off by more. Where it stays all the time, the other axes show whether readings do.
+    """
+    size = np.abs(readings[:, axis])
+    below, last = size.max() - size, len(size) - 1
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], below == 0.0, [0]))))
+    begin, end = edges.reshape(-1, 2).T
+    half = np.maximum((end - begin) // 2, 1)
+    before = below[np.maximum(begin - half, 0)][begin > 0]
+    after = below[np.minimum(end - 1 + half, last)][end <= last]
+    drops = np.sort(np.concatenate((before, after)))
+    if not len(drops):
+        others = np.delete(readings, axis, axis=1)
+        return bool(np.mean(np.diff(others, axis=0) == 0.0) < STEADY)
+    gaps = np.diff(np.sort(readings, axis=0), axis=0)
+    resolution = np.min(gaps, where=gaps > 10.0**-DECIMALS, initial=np.inf)
+    return bool(drops[(len(drops) - 1) // 2] > DROP * resolution)
 
 
 def _lost_turn(samples: NDArray[np.void], limit: float) -> float:

@@ -161,6 +161,32 @@ def test_a_limit_is_one_of_the_imus_own_axes_however_it_is_mounted(
     assert lost_b == pytest.approx(mount**2 @ lost)
 
 
+@pytest.mark.parametrize("resolution", [np.radians(250.0) / 128.0, 0.01])
+@pytest.mark.parametrize("rest", [0.0, 0.45, 0.5])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_steady_turn_is_no_limit_of_a_coarse_gyroscope(
+    resolution: float, rest: float, side: float
+) -> None:
+    # GIVEN a turn whose rate lies between two readings
+    samples = window()
+    noise = 0.1 * resolution * np.random.default_rng(1).standard_normal((int(RATE), 3))
+    turn = noise + side * (np.floor(2.7 / resolution) + rest) * resolution * np.array([0, 0, 1])
+    samples["w"] = np.round(turn / resolution) * resolution
+
+    # THEN readings that stay at the largest one are at no limit
+    largest = np.abs(samples["w"][:, 2]).max()
+    assert np.sum(np.abs(samples["w"][:, 2]) == largest) >= 10
+    assert find_fault(samples) is None
+
+    # WHEN it is faster for half a second THEN those are
+    limit = np.floor(3.5 / resolution)
+    turn[50:150, 2] += side * 3.0 * np.sin(np.pi * np.arange(100) / 100.0)
+    samples["w"] = np.clip(np.round(turn / resolution), -limit, limit)
+    samples["w"] *= resolution
+    fault = find_fault(samples)
+    assert fault is not None and fault.kind is FaultKind.SATURATED_RATE
+
+
 @pytest.mark.parametrize("noise", [(0.02, 0.002), (0.5, 0.05), (5.0, 0.5)])
 def test_sound_readings_have_none(noise: tuple[float, float]) -> None:
     assert find_fault(window(*noise)) is None
