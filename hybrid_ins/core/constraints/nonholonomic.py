@@ -37,7 +37,7 @@ from hybrid_ins.core.inertial.state import (
     VELOCITY,
 )
 from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE
-from hybrid_ins.core.update.measurements import IMU
+from hybrid_ins.core.update.measurements import IMU, LinearModel
 
 Array = NDArray[np.float64]
 
@@ -89,6 +89,7 @@ class NonHolonomic:
     swing: float = 0.0  # rad, by which the body is pitched up on its springs, against its mean
     by_scale: Array = field(default_factory=lambda: np.zeros((2, N_SCALE)))
     # derivative of z by the scale errors that the nose contains, see `ScaleErrorObserver`
+    beside: LinearModel | None = None  # what is added to z, H and R for their sake
 
     kind: ClassVar[str] = "non-holonomic"
     sensor: ClassVar[str] = IMU
@@ -105,7 +106,10 @@ class NonHolonomic:
         velocity_b, by_error = point_velocity(nav, self.rate_b, self.nose.point_b)
         squatting = self.nose.squatting(nav)
         still = replace(self.nose, pitch=self.nose.pitch - self.swing)
-        return -squatting.axes @ velocity_b, still.axes @ by_error, self.covariance
+        z, H, R = -squatting.axes @ velocity_b, still.axes @ by_error, self.covariance
+        if self.beside is None:
+            return z, H, R
+        return z + self.beside[0], H + self.beside[1], R + self.beside[2]
 
 
 def point_velocity(nav: Array, rate_b: Array, point_b: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from hybrid_ins.core.filter.events import Event
 from hybrid_ins.core.filter.measurement_update import MeasurementUpdate, Outcome
 from hybrid_ins.core.inertial.state import PAST_VARIANCE, NavState
 from hybrid_ins.core.noise.position_scatter import Split
+from hybrid_ins.core.sensor_errors.considered_scale import ScaleStep
 from hybrid_ins.core.update.gate import Verdict
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ class Decided:
     attitude_by_scale: Array  # (6,) `ScaleErrorObserver.considered`
     heading_by_noise: float  # rad², `HeadingInformation.considered`
     past_variance: Array  # (3,) m², NED, of positions: `FilterNoise.past_variance`
+    scale_step: ScaleStep | None = None  # what scale errors did to the state, in an outage
 
 
 class FilterRecord:
@@ -88,10 +90,10 @@ class FilterRecord:
 
 def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate, nav: Array) -> Decided:
     """Return what is kept of an event, with noise, clock, scale errors and heading as they are."""
-    clock = update.clock
+    clock, scale = update.clock, outcome.scale
     return Decided(
         event,
-        *outcome,
+        *outcome[:-1],
         levels=update.noise.levels(),
         clock_residual=clock.residual,
         clock_variance=clock.sigma**2,
@@ -99,4 +101,5 @@ def _decided(event: Event, outcome: Outcome, update: MeasurementUpdate, nav: Arr
         attitude_by_scale=update.scale_errors.considered,
         heading_by_noise=update.heading.considered(nav),
         past_variance=nav[PAST_VARIANCE].copy(),
+        scale_step=scale.step if scale is not None else None,
     )

@@ -6,6 +6,7 @@ A measurement is judged by the gate and fused; its innovation teaches noise, clo
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,7 @@ from hybrid_ins.core.sensor_errors.clock_sensitivity import (
     noise_information,
     sensitivities,
 )
+from hybrid_ins.core.sensor_errors.considered_scale import Considered
 from hybrid_ins.core.sensor_errors.lever_arm import LeverArmObserver
 from hybrid_ins.core.sensor_errors.scale_errors import ScaleErrorObserver
 from hybrid_ins.core.update import iterated_update
@@ -99,6 +101,7 @@ class Outcome(NamedTuple):
     r_scale: float  # factor that was on the covariance of fixes
     state_moved: bool  # by a `StateCorrection`
     split: Split | None  # of a position's covariance
+    scale: Considered | None = None  # what scale errors did, in an outage
 
 
 class MeasurementUpdate:
@@ -191,7 +194,7 @@ class MeasurementUpdate:
             nav[PSD] = self.noise.psd()
         nav[CLOCK_VARIANCE] = self.clock.missing_variance if consider_clock else 0.0
         _consider(nav, self, event.t_ns)
-        return Outcome(verdict, r_scale, moved, split)
+        return Outcome(verdict, r_scale, moved, split, self.scale_errors.done)
 
     def _fuse_ordinary(
         self, nav: Array, fix: Measurement, split: Split | None, age: float
@@ -251,7 +254,9 @@ class MeasurementUpdate:
 
         ``split`` is that of a position's covariance.
         """
-        (model, by_scale), found = _linearised(nav, measurement, self.scale_errors), None
+        found: Evidence | None = None
+        measurement, by_scale = _decorrelated(nav, measurement, self.scale_errors)
+        model = measurement.linearise(nav)
         claimed, parts, unchanged = model[2], split or UNSPLIT, nav.copy()
         of_stamp: Array | None = None
         by_stamp: Array | float = 0.0
@@ -382,11 +387,11 @@ def _correct(
     return dx, K, linear, turn
 
 
-def _linearised(
+def _decorrelated(
     nav: Array, measurement: Measurement, scale_errors: ScaleErrorObserver
-) -> tuple[LinearModel, Array | float]:
-    """Return a measurement's model, and its derivative by scale errors beside by the state."""
-    model = measurement.linearise(nav)
+) -> tuple[Measurement, Array | float]:
+    """Return a measurement as it is fused, and its derivative by scale errors beside the state."""
     if isinstance(measurement, NonHolonomic) and scale_errors.in_outage:
-        return scale_errors.decorrelated(nav, model, measurement.by_scale)
-    return model, 0.0
+        added, by_scale = scale_errors.decorrelated(nav, measurement.by_scale)
+        return replace(measurement, beside=added), by_scale
+    return measurement, 0.0

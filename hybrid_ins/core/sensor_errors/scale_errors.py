@@ -64,6 +64,7 @@ from hybrid_ins.core.inertial.state import (
 from hybrid_ins.core.noise.process_noise import Correction
 from hybrid_ins.core.sensor_errors.clock_offset import MARGIN, MAX_STD, NIS_MEMORY, RANDOM_WALK
 from hybrid_ins.core.sensor_errors.clock_sensitivity import sensitivities
+from hybrid_ins.core.sensor_errors.considered_scale import Considered, told_by_state
 from hybrid_ins.core.sensor_errors.lever_arm import AGE_STD, HEADING_STD, dependence_on_lever_arm
 from hybrid_ins.core.sensor_errors.scale_sensitivity import N_SCALE, follow_samples
 from hybrid_ins.core.shallow_copy import ShallowCopy
@@ -116,6 +117,7 @@ class ScaleErrorObserver(ShallowCopy):
         self._U = np.zeros((N_ERROR, N_LEVER + N_SCALE))
         self._reference = np.zeros(6)  # f₀ and 0
         self._root: Array | None = None  # of P_m, while U P_m U' is part of a covariance
+        self.done: Considered | None = None  # to the state at the last event
 
     @property
     def estimate(self) -> ScaleErrors:
@@ -160,11 +162,9 @@ class ScaleErrorObserver(ShallowCopy):
         ahead.follow(nav, ring, t_ns)
         return ahead._U[:, N_LEVER:] if ahead._t_ns is not None else np.zeros((N_ERROR, N_SCALE))
 
-    def decorrelated(
-        self, nav: Array, model: LinearModel, by_scale: Array
-    ) -> tuple[LinearModel, Array]:
+    def decorrelated(self, nav: Array, by_scale: Array) -> tuple[LinearModel, Array]:
         """
-        Return a measurement whose error depends on m, in an outage, as one whose error does not.
+        Return what makes a measurement whose error depends on m, in an outage, one that does not.
 
         What is known of m is taken out of z. The rest is correlated with the error of the state,
         which contains U m: the part that this error tells is one of H, what is left one of R.
@@ -173,24 +173,21 @@ class ScaleErrorObserver(ShallowCopy):
         ----------
         nav : ndarray, shape (N_FLAT,)
             Flat state with nothing pending.
-        model : LinearModel
         by_scale : ndarray, shape (m, N_SCALE)
             Derivative of z by m, in units of its deviations, beside that through the state.
 
         Returns
         -------
-        model : LinearModel
+        added : LinearModel
+            To its z, H and R.
         beside : ndarray, shape (m, N_LEVER + N_SCALE)
             Derivative of z by the parameters beside H U.
         """
         assert self._root is not None
-        (z, H, R), P, own = model, covariance(nav), by_scale @ self._root
-        common, std = self.correlation @ own.T, np.sqrt(np.diag(P))
-        told = np.linalg.solve(P / np.outer(std, std), common / std[:, None]).T / std
-        beside, rest = -told @ self._U, own @ own.T - told @ common
+        told, rest = told_by_state(nav, self.correlation, by_scale @ self._root)
+        beside = -told @ self._U
         beside[:, N_LEVER:] += by_scale
-        z = z - by_scale @ self._parameters[SCALE]
-        return (z, H + told, R + 0.5 * (rest + rest.T)), beside
+        return (-by_scale @ self._parameters[SCALE], told, rest), beside
 
     def restart(self) -> None:
         """Note that the state was changed by other means than measurements."""
@@ -217,6 +214,7 @@ class ScaleErrorObserver(ShallowCopy):
         t_ns : int
             The stamp [ns].
         """
+        self.done = None
         if self._t_ns is None or t_ns <= self._t_ns:
             return
         if t_ns - self._t_ns > MAX_INTERVAL_NS or ring.has_lost(self._t_ns):
@@ -232,9 +230,10 @@ class ScaleErrorObserver(ShallowCopy):
         driven *= self._units
         if self._root is not None:
             before = U[:, N_LEVER:] @ self._root
-            after = before + driven @ self._root
+            after, dx = before + driven @ self._root, driven @ self._parameters[SCALE]
+            self.done = Considered(dx, before, after - before, nav[COVARIANCE].copy())
             pack(covariance(nav) + after @ after.T - before @ before.T, nav[COVARIANCE])
-            inject(nav, driven @ self._parameters[SCALE])
+            inject(nav, dx)
         U[:, N_LEVER:] += driven
         self._U, self._P, elapsed = U, self._P.copy(), (t_ns - self._t_ns) * 1e-9
         self._P[CLOCK, CLOCK] += elapsed * RANDOM_WALK**2
@@ -254,9 +253,10 @@ class ScaleErrorObserver(ShallowCopy):
             self.follow(nav, ring, t_ns)
         P_m = self._P[SCALE, SCALE] + VARYING * np.eye(N_SCALE)
         self._root = np.linalg.cholesky(0.5 * (P_m + P_m.T))
-        S = self.correlation
+        S, dx = self.correlation, self._U[:, N_LEVER:] @ self._parameters[SCALE]
+        self.done = Considered(dx, np.zeros_like(S), S, nav[COVARIANCE].copy())
         pack(covariance(nav) + S @ S.T, nav[COVARIANCE])
-        inject(nav, self._U[:, N_LEVER:] @ self._parameters[SCALE])
+        inject(nav, dx)
 
     def end_outage(self) -> None:
         """Note a fix: what is considered is part of the covariance, which goes on alone."""

@@ -234,11 +234,11 @@ def _record(running: InsFilter) -> FilterRecord:
 
 
 def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
-    event, verdict = step.decided.event, step.decided.verdict
+    event, verdict, scale = step.decided.event, step.decided.verdict, step.decided.scale_step
     if isinstance(event, CovarianceInflation):
-        return Update(event.t_ns, psd, inflation=event)
+        return Update(event.t_ns, psd, inflation=event, scale=scale)
     if verdict is None:
-        return None
+        return None if scale is None else Update(event.t_ns, psd, scale=scale)
     plain, split = verdict.accepted and not verdict.inflated, step.decided.split
     measurement = verdict.measurement
     if isinstance(measurement, PositionFix) and split is not None:
@@ -253,6 +253,7 @@ def _update(step: _Step, moved_ns: int, psd: Array) -> Update | None:
         math.inf if plain else verdict.threshold,
         verdict.inflated,
         split=split,
+        scale=scale,
     )
 
 

@@ -18,6 +18,7 @@ from hybrid_ins.core.filter.events import CovarianceInflation
 from hybrid_ins.core.imu.samples import as_numbers, interpolate, readings_of, steps_since
 from hybrid_ins.core.inertial.state import NavState
 from hybrid_ins.core.noise.position_scatter import Split
+from hybrid_ins.core.sensor_errors.considered_scale import ScaleStep
 from hybrid_ins.core.update.measurements import Measurement
 
 Array = NDArray[np.float64]
@@ -60,6 +61,8 @@ class Update:
         Of the covariance.
     split : Split or None
         How a position's covariance was split: that of ``measurement`` is the part that is white.
+    scale : ScaleStep or None
+        What scale errors of the IMU do to the state before all that.
     """
 
     t_ns: int
@@ -70,6 +73,7 @@ class Update:
     inflates: bool = False
     inflation: CovarianceInflation | None = None
     split: Split | None = None
+    scale: ScaleStep | None = None
 
 
 class Node(NamedTuple):

@@ -181,6 +181,8 @@ class Smoother:
 
     def _apply(self, nav: Array, k: int, update: Update) -> None:
         """Apply an update to the flat state of the forward pass."""
+        if update.scale is not None:
+            update.scale.apply(nav)
         unchanged = nav[:N_NAV].copy()
         _inflate(nav, update)
         if update.measurement is not None and np.isfinite(nav[:N_NAV]).all():
@@ -217,8 +219,7 @@ class Smoother:
             if constants is not None:
                 constants.sensitivity = self._states[k][N_NAV:].reshape(N_ERROR, N_CONSTANTS)
                 constants.propagate(*steps[3:5])
-            if k in self._fused:
-                adjoint = self._through_update(k, nav, *adjoint)
+            adjoint = self._through_update(k, nav.copy(), *adjoint)
             row = np.zeros(N_ADJOINT)
             row[:N_ERROR] = adjoint[0]
             pack(adjoint[1], row[N_ERROR : N_ERROR + N_PACKED])
@@ -238,12 +239,30 @@ class Smoother:
     ) -> tuple[Array, Array]:
         """Return the adjoint before an update, given that after it and the state before it."""
         update = self._nodes[k].update
+        if update is None:
+            return costate, information
+        if update.scale is not None:
+            update.scale.apply(nav)
+        if k in self._fused:
+            costate, information = self._through_measurement(k, nav, costate, information)
+        if update.scale is not None:
+            return self._turned_back(update.scale.J, costate, information)
+        return costate, information
+
+    def _turned_back(self, T: Array, costate: Array, information: Array) -> tuple[Array, Array]:
+        """Return the adjoint before errors are multiplied by T."""
+        if self._constants is not None:
+            self._constants.turn_adjoint(T)
+        return T.T @ costate, T.T @ information @ T
+
+    def _through_measurement(
+        self, k: int, nav: Array, costate: Array, information: Array
+    ) -> tuple[Array, Array]:
+        """Return the adjoint before a measurement that was fused, as `_through_update`."""
+        update = self._nodes[k].update
         assert update is not None and update.measurement is not None
         if k in self._turns:
-            T = self._turns[k]
-            costate, information = T.T @ costate, T.T @ information @ T
-            if self._constants is not None:
-                self._constants.turn_adjoint(T)
+            costate, information = self._turned_back(self._turns[k], costate, information)
         _inflate(nav, update)
         z, H, R = update.measurement.linearise(nav)
         if k in self._spans:
