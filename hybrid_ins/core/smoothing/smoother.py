@@ -244,7 +244,18 @@ class Smoother:
         if update.scale is not None:
             update.scale.apply(nav)
         if k in self._fused:
-            costate, information = self._through_measurement(k, nav, costate, information)
+            assert update.measurement is not None
+            if k in self._turns:
+                costate, information = self._turned_back(self._turns[k], costate, information)
+            _inflate(nav, update)
+            z, H, R = update.measurement.linearise(nav)
+            R, in_body = R * update.r_scale, update.measurement.in_body
+            if k in self._spans:
+                inflate_to_innovation(nav, z, H, self._spans[k])
+            if self._constants is not None:
+                self._constants.correct_adjoint(update.measurement, nav, R)
+            after = costate, information
+            costate, information = correction_adjoint(nav, z, H, R, in_body, *after)
         if update.scale is not None:
             return self._turned_back(update.scale.J, costate, information)
         return costate, information
@@ -254,25 +265,6 @@ class Smoother:
         if self._constants is not None:
             self._constants.turn_adjoint(T)
         return T.T @ costate, T.T @ information @ T
-
-    def _through_measurement(
-        self, k: int, nav: Array, costate: Array, information: Array
-    ) -> tuple[Array, Array]:
-        """Return the adjoint before a measurement that was fused, as `_through_update`."""
-        update = self._nodes[k].update
-        assert update is not None and update.measurement is not None
-        if k in self._turns:
-            costate, information = self._turned_back(self._turns[k], costate, information)
-        _inflate(nav, update)
-        z, H, R = update.measurement.linearise(nav)
-        if k in self._spans:
-            inflate_to_innovation(nav, z, H, self._spans[k])
-        if self._constants is not None:
-            self._constants.correct_adjoint(update.measurement, nav, R * update.r_scale)
-        before: tuple[Array, Array] = correction_adjoint(
-            nav, z, H, R * update.r_scale, update.measurement.in_body, costate, information
-        )
-        return before
 
     def states(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """
@@ -327,20 +319,9 @@ class Smoother:
         return nav, (first, *self._run(nav, k))
 
     def _run(self, nav: Array, k: int) -> tuple[Any, ...]:
-        """
-        Advance ``nav`` to a node; its covariance is up to date then.
-
-        Returns the flat states (n, N_NAV), the steps (n,) [s], and of each covariance step the
-        system matrix (m, 225), the length (m,) [s] and the row that it leads to (m,).
-        """
+        """Advance to a node, see `_advance`."""
         steps, readings = self._segments.readings(k)
-        dt, n = steps * 1e-9, len(steps)
-        if n == 1 and steps[0] > self._long_step_ns:
-            return _bridge(nav, float(dt[0]), readings[0], self._interval)
-        rows, F = np.empty((n, N_NAV)), np.empty((n, N_ERROR * N_ERROR))
-        lengths, at = np.empty(n), np.empty(n, np.int64)
-        m = run_and_keep(nav, dt, readings, self._interval, rows, F, lengths, at)
-        return rows, dt, F[:m], lengths[:m], at[:m]
+        return _advance(nav, steps, readings, self._interval, self._long_step_ns)
 
     def before_start(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """Yield the state at the start's sample and before it, see `run_backward`."""
@@ -372,8 +353,26 @@ def _inflate(nav: Array, update: Update) -> None:
         change_slow_error(nav, split.slow_variance, split.interval, split.claimed_growth)
 
 
+def _advance(
+    nav: Array, steps: NDArray[np.int64], readings: Array, interval: float, long_step_ns: int
+) -> tuple[Any, ...]:
+    """
+    Advance ``nav`` over the samples of a segment; its covariance is up to date then.
+
+    Returns the flat states (n, N_NAV), the steps (n,) [s], and of each covariance step the system
+    matrix (m, 225), the length (m,) [s] and the row that it leads to (m,).
+    """
+    dt, n = steps * 1e-9, len(steps)
+    if n == 1 and steps[0] > long_step_ns:
+        return _bridge(nav, float(dt[0]), readings[0], interval)
+    rows, F = np.empty((n, N_NAV)), np.empty((n, N_ERROR * N_ERROR))
+    lengths, at = np.empty(n), np.empty(n, np.int64)
+    m = run_and_keep(nav, dt, readings, interval, rows, F, lengths, at)
+    return rows, dt, F[:m], lengths[:m], at[:m]
+
+
 def _bridge(nav: Array, dt: float, reading: Array, interval: float) -> tuple[Any, ...]:
-    """Advance over missing samples, as `Smoother._run`."""
+    """Advance over missing samples, as `_advance`."""
     last = np.concatenate((nav[LAST_F], nav[LAST_W]))
     line = gap.line(last, reading, dt)
     n = len(line)
