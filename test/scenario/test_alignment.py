@@ -25,7 +25,7 @@ from hybrid_ins.core.inertial.state import (
 )
 from hybrid_ins.core.navigator.navigator import Navigator
 from hybrid_ins.core.navigator.notices import HeadingOutdated
-from hybrid_ins.core.update.measurements import PositionFix, position_model
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix, position_model
 from hybrid_ins.ros.reporting.wording import state_of, waiting_for
 from hybrid_ins.simulation.motions import (
     START_LLA,
@@ -95,17 +95,20 @@ def test_standing_still_tells_no_tilt_from_bias() -> None:
     assert after[6:8] == pytest.approx(before[9] / STANDARD_GRAVITY, rel=0.1)
 
 
-def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
-    # GIVEN a train at 25 m/s in a wide curve, so smooth that its IMU seems to stand
+@pytest.mark.parametrize("speed, fix_std", [(25.0, 0.3), (1.5, 0.02)])
+def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias(
+    speed: float, fix_std: float
+) -> None:
+    # GIVEN a train in a wide curve, so smooth that its IMU seems to stand
     t = time_grid(6.0)
     course = 0.025 * t
     motion = motion_through(
         t,
-        velocity_of(25.0 + 0.0 * t, course, 0.0 * t),
+        velocity_of(speed + 0.0 * t, course, 0.0 * t),
         np.stack((0.0 * t, 0.0 * t, course), axis=-1),
         START_LLA,
     )
-    run = scene(motion)
+    run = scene(motion, fix_std=np.full(3, fix_std))
     navigator = make_navigator("parameter")
     # WHEN it is aligned
     play(run, navigator)
@@ -114,6 +117,40 @@ def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias() -> None:
     truth = np.array([0.002, -0.003, 0.001])
     std = np.sqrt(navigator.filter.nav[COVARIANCE][DIAGONAL][12:15])
     assert np.all(np.abs(navigator.filter.nav[BIAS_G] - truth) < 4.0 * std)
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("acceleration", [1.0, 3.0])
+def test_an_imu_that_comes_up_while_the_vehicle_speeds_up(
+    acceleration: float, with_velocity: bool
+) -> None:
+    """The velocity was off by 15 m/s with a claim of 0.7, or by 4.8 with one of 0.24."""
+    # GIVEN a vehicle that speeds up, and an IMU that is switched on as it has begun to
+    t = time_grid(20.0)
+    speed = acceleration * t
+    level = np.zeros((len(t), 3))
+    run = scene(
+        motion_through(t, velocity_of(speed, 0.0 * t, 0.0 * t), level, START_LLA),
+        fix_rate=1.0,
+        fix_std=np.full(3, 0.02),
+    )
+    navigator = make_navigator("parameter")
+    # WHEN it is aligned in motion, by fixes at 1 Hz
+    claims: list[tuple[float, float]] = []
+
+    def compare(now: float) -> None:
+        if with_velocity and now in run.fix_t:
+            velocity_n = np.array([acceleration * now, 0.0, 0.0])
+            navigator.measure(VelocityFix(stamp(now), velocity_n, 0.01 * np.eye(3), np.zeros(3)))
+        if navigator.filter is not None:
+            std = total_std(navigator.filter.flat_state())[DV]
+            claims.append((run.errors(navigator, now)[1], float(np.linalg.norm(std))))
+
+    play(run, navigator, 0.3, after=compare)
+    # THEN its velocity is known from the start, and as well as it says
+    off, std = np.array(claims).T
+    assert np.all(off < 3.0 * std), (off / std).max()
+    assert off[-1] < 0.3
 
 
 def test_a_sway_at_rest_teaches_no_gyroscope_bias() -> None:

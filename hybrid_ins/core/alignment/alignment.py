@@ -2,9 +2,11 @@
 Initial alignment: level from gravity, position and velocity from the fixes, heading from a source.
 
 Works standing and in flight: levelling averages the specific force over a window, rotated into the
-window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. There
-is an initial state for every cell of headings, see `hybrid_ins.core.alignment.multiple_model`, and
-before those one for the heading that a source gives, see `hybrid_ins.core.navigator.heading_check`.
+window's last attitude by the gyroscopes; standing or moving is reflected in its uncertainty. The
+first state is of the sample behind the last fix, so that nothing has to be assumed of what the
+vehicle has done since: a filter processes the later ones of the window. There is a state for every
+cell of headings, see `hybrid_ins.core.alignment.multiple_model`, and before those one for the
+heading that a source gives, see `hybrid_ins.core.navigator.heading_check`.
 
 References
 ----------
@@ -19,21 +21,28 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.first_motion import FirstMotion, first_motion
-from hybrid_ins.core.alignment.given_heading import GivenHeading
-from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch, tilt_by_bias
+from hybrid_ins.core.alignment.given_heading import GivenHeading, carried_heading
+from hybrid_ins.core.alignment.levelling import (
+    down_direction,
+    relative_attitudes,
+    roll_pitch,
+    tilt_by_bias,
+)
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.imu.standstill import is_standing, may_be_zero, sway
+from hybrid_ins.core.imu.standstill import is_standing, sway
 from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.inertial.rotations import (
     UNKNOWN_ANGLE_STD,
     matrix_from_quat,
+    quat_from_matrix,
     quat_from_rpy,
 )
 from hybrid_ins.core.inertial.state import B_A, B_G, DP, DV, EPS, LAST_F, LAST_W, N_ERROR, NavState
@@ -156,6 +165,25 @@ class FirstStates:
     sample: Array  # (6,) the IMU sample at t_ns
 
 
+class _Window(NamedTuple):
+    """The samples that a state is levelled by, and which of them it is of."""
+
+    samples: NDArray[np.void]
+    at: int  # index of that one
+    down_b: Array  # (3,) direction of gravity in the last attitude
+    C_last_at: Array  # (3, 3) from b at that sample to b at the last
+
+    @property
+    def t_ns(self) -> int:
+        """Stamp of the state [ns]."""
+        return int(self.samples["t_ns"][self.at])
+
+    @property
+    def reading(self) -> Array:
+        """The sample that the state is of, (6,): specific force [m/s²], angular rate [rad/s]."""
+        return np.concatenate((self.samples["f"][self.at], self.samples["w"][self.at]))
+
+
 class Alignment:
     """
     Collects what the first state needs, and knows what is missing.
@@ -214,7 +242,7 @@ class Alignment:
             self._source, self._given = "auto", None
 
     def attempt(self) -> FirstStates | None:
-        """Return the first states at the last IMU sample, or None and set what is missing."""
+        """Return the first states at a recent IMU sample, or None and set what is missing."""
         self.provisional = None
         now = int(self._ring.latest(1)["t_ns"][0])
         if self._given is None and self._source == "parameter":
@@ -235,22 +263,23 @@ class Alignment:
         if not fixes:
             self.waiting = Waiting(Need.FIX)
             return None
-        reading, lever_b = np.concatenate((samples["f"][-1], samples["w"][-1])), fixes[-1].lever_b
-        motion = first_motion(fixes, self._velocity, now)
-        down_b = _down_without(biases, samples)
-        given = self._given_heading(motion, down_b)
+        window, lever_b = _level(samples, self._newest_ns(fixes), biases), fixes[-1].lever_b
+        motion = first_motion(fixes, self._velocity, window.t_ns)
+        given = self._given_heading(motion, window)
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
-            known = given or (0.0, UNKNOWN_ANGLE_STD)
-            level = self._states(samples, motion, biases, down_b, [known], lever_b)[0]
+            window = _level(samples, now, biases)
+            motion = first_motion(fixes, self._velocity, now)
+            known = self._given_heading(motion, window) or (0.0, UNKNOWN_ANGLE_STD)
+            level = self._states(window, motion, biases, [known], lever_b)[0]
             self.provisional = level.to_flat()
-            self.provisional[LAST_F], self.provisional[LAST_W] = reading[:3], reading[3:]
+            self.provisional[LAST_F], self.provisional[LAST_W] = np.split(window.reading, 2)
             return None
         yaws = [] if given is None else [given]
         yaws += [(float(yaw), HEADING_STD) for yaw in heading_grid()]
-        states = self._states(samples, motion, biases, down_b, yaws, lever_b)
-        return FirstStates(tuple(states), given is not None, now, reading)
+        states = self._states(window, motion, biases, yaws, lever_b)
+        return FirstStates(tuple(states), given is not None, window.t_ns, window.reading)
 
     def pop_outdated(self) -> list[float]:
         """Return the std [rad] of a heading that has become of no use since the last call."""
@@ -266,6 +295,11 @@ class Alignment:
                 recent.insert(0, before)
         return recent
 
+    def _newest_ns(self, fixes: Sequence[PositionFix]) -> int:
+        """Stamp [ns] of the last of what gives the first motion."""
+        position_ns = fixes[-1].t_ns
+        return position_ns if self._velocity is None else max(position_ns, self._velocity.t_ns)
+
     def _missing(self, motion: FirstMotion, given: tuple[float, float] | None) -> Waiting | None:
         """Return what the velocity or the heading waits for."""
         if not motion.has_velocity:
@@ -278,25 +312,24 @@ class Alignment:
 
     def _states(
         self,
-        samples: NDArray[np.void],
+        window: _Window,
         motion: FirstMotion,
         biases: tuple[Array, Array, Array],
-        down_b: Array,
         yaws: Sequence[tuple[float, float]],
         lever_b: Array,
     ) -> list[NavState]:
-        """Return a state at the last of ``samples`` for each heading and its σ [rad]."""
+        """Return a state for each heading of the window's last attitude and its σ [rad]."""
         bias_a, bias_g, bias_P = biases
+        samples = window.samples
         rate = samples["w"].mean(axis=0)
-        standing = motion.has_velocity and is_standing(samples)
-        standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
+        standing = motion.may_stand and is_standing(samples)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = np.hypot(RATE_STD_STANDING, sway(samples)) if standing else np.full(3, np.inf)
         states = []
         for yaw, yaw_std in yaws:
-            quat = quat_from_rpy(*roll_pitch(down_b), yaw)
-            C_nb = matrix_from_quat(quat)
+            C_nb_last = matrix_from_quat(quat_from_rpy(*roll_pitch(window.down_b), yaw))
+            C_nb = C_nb_last @ window.C_last_at
             P = np.zeros((N_ERROR, N_ERROR))
             P[DP, DP], P[DV, DV] = motion.p_cov, motion.v_cov
             P[9:, 9:] = bias_P
@@ -308,8 +341,9 @@ class Alignment:
                 bias_g = rate - C_nb.T @ np.array([ie_n, 0.0, ie_d])
                 P[B_G, :] = P[:, B_G] = 0.0
                 P[B_G, B_G] = np.diag(bias_g_std**2)
+            quat = quat_from_matrix(C_nb)
             antenna = NavState(motion.lla, motion.velocity_n, quat, bias_a, bias_g, P)
-            states.append(_at_imu(antenna, samples["w"][-1], lever_b))
+            states.append(_at_imu(antenna, window.reading[3:], lever_b))
         return states
 
     def _first_biases(self, now: int) -> tuple[Array, Array, Array]:
@@ -338,17 +372,19 @@ class Alignment:
             self._outdated.append(self._given.std)
             self._source, self._given = "auto", None
 
-    def _given_heading(self, motion: FirstMotion, down_b: Array) -> tuple[float, float] | None:
-        """Heading [rad from north] and its uncertainty, by hand or from a source that has one."""
+    def _given_heading(self, motion: FirstMotion, window: _Window) -> tuple[float, float] | None:
+        """Heading of the last attitude [rad from north] and its σ, by hand or from a source."""
         settings = self._settings
         if self._given is not None:
-            return self._given.now(down_b), self._given.std
+            return self._given.now(window.down_b), self._given.std
         if self._source == "imu" and self._imu_yaw is not None:
             return self._imu_yaw, settings.yaw_std
         if self._source == "course" and motion.speed >= settings.course_min_speed:
             velocity_n, v_cov = motion.velocity_n, motion.v_cov
             course_std = math.sqrt(max(v_cov[0, 0], v_cov[1, 1])) / motion.speed
-            return math.atan2(velocity_n[1], velocity_n[0]), math.hypot(course_std, CRAB_STD)
+            course = math.atan2(velocity_n[1], velocity_n[0])
+            heading = carried_heading(course, window.C_last_at.T, window.down_b)
+            return heading, math.hypot(course_std, CRAB_STD)
         return None
 
 
@@ -367,9 +403,11 @@ def _at_imu(antenna: NavState, rate_b: Array, lever_b: Array) -> NavState:
     )
 
 
-def _down_without(biases: tuple[Array, Array, Array], samples: NDArray[np.void]) -> Array:
-    """Direction of gravity in the last attitude, b, by samples with these biases."""
+def _level(samples: NDArray[np.void], t_ns: int, biases: tuple[Array, Array, Array]) -> _Window:
+    """Level a state at the first of ``samples`` behind a stamp [ns], or at the last of them."""
+    at = min(int(samples["t_ns"].searchsorted(t_ns)), len(samples) - 1)
     unbiased = samples.copy()
     unbiased["f"] -= biases[0]
     unbiased["w"] -= biases[1]
-    return down_direction(unbiased)
+    turned = relative_attitudes(unbiased[at:])[0]
+    return _Window(samples, at, down_direction(unbiased), turned)

@@ -89,6 +89,22 @@ class GivenHeading:
 
     def now(self, down_b: Array) -> float:
         """Return the heading now [rad from north]; ``down_b`` (3,) is the direction of gravity."""
-        roll, pitch = roll_pitch(self._C_then_now @ down_b)
-        C_nb = matrix_from_quat(quat_from_rpy(roll, pitch, self._yaw)) @ self._C_then_now
-        return heading_from_quat(quat_from_matrix(C_nb))
+        return carried_heading(self._yaw, self._C_then_now, down_b)
+
+
+def carried_heading(yaw: float, C_then_now: Array, down_b: Array) -> float:
+    """
+    Return the heading [rad from north] that one of an earlier attitude has become.
+
+    Parameters
+    ----------
+    yaw : float
+        The earlier one [rad from north].
+    C_then_now : ndarray, shape (3, 3)
+        From b now to b then.
+    down_b : ndarray, shape (3,)
+        Direction of gravity now, b.
+    """
+    roll, pitch = roll_pitch(C_then_now @ down_b)
+    C_nb = matrix_from_quat(quat_from_rpy(roll, pitch, yaw)) @ C_then_now
+    return heading_from_quat(quat_from_matrix(C_nb))

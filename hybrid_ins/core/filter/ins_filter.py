@@ -337,6 +337,13 @@ def hand_over(running: InsFilter, winner: InsFilter, by_ns: int) -> list[Measure
     return list(left.values())
 
 
+def catch_up(behind: InsFilter) -> None:
+    """Let a filter that may be behind the IMU process the samples that it has missed."""
+    missed = behind.ring.after(behind.t_ns)
+    if len(missed):
+        behind.predict_block(missed)
+
+
 def state_at_imu(behind: InsFilter, nav: Array) -> Array:
     """Return a flat state of a filter that may be behind the IMU at the ring's last sample."""
     samples = behind.ring.after(behind.t_ns)

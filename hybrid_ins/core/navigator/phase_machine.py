@@ -23,7 +23,7 @@ from hybrid_ins.core.alignment.alignment import Alignment
 from hybrid_ins.core.alignment.clock_search import OFFSET_STD, ClockSearch
 from hybrid_ins.core.alignment.multiple_model import Decision, MultipleModelBank
 from hybrid_ins.core.filter.events import Change, ClockInflation
-from hybrid_ins.core.filter.ins_filter import InsFilter, hand_over
+from hybrid_ins.core.filter.ins_filter import InsFilter, catch_up, hand_over
 from hybrid_ins.core.imu.samples import ImuRing
 from hybrid_ins.core.inertial.state import HEADING_DOUBT
 from hybrid_ins.core.navigator.clock_comparison import Comparison, compare, is_excluded, lacking_std
@@ -248,9 +248,7 @@ class PhaseMachine:
         if decision is None:
             return False
         winner, running = decision.filter, self.filter
-        missed = self._ring.after(winner.t_ns)
-        if len(missed):
-            winner.predict_block(missed)
+        catch_up(winner)
         if running is not None and not self.phase.is_provisional:
             if bank.heading_open and is_contradicted(running.state, winner.state):
                 self._notices.append(HeadingCorrected.between(running.state, winner.state))

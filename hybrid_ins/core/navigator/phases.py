@@ -18,7 +18,7 @@ from hybrid_ins.core.alignment.clock_search import MAX_OFFSET_NS, ClockSearch, p
 from hybrid_ins.core.alignment.multiple_model import MakeFilter, MultipleModelBank
 from hybrid_ins.core.filter.filter_noise import FilterNoise
 from hybrid_ins.core.filter.filter_settings import FilterSettings
-from hybrid_ins.core.filter.ins_filter import InsFilter, state_at_imu
+from hybrid_ins.core.filter.ins_filter import InsFilter, catch_up, state_at_imu
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.imu.samples import ImuRing, sample_period
 from hybrid_ins.core.inertial.state import VELOCITY, NavState
@@ -140,7 +140,9 @@ def phase_after_alignment(
         known = heading_check.prior(len(start.states))
         check_lag_ns = max(lag_ns, CHECK_LAG_NS)
         check = MultipleModelBank(start.states, begin, parts.settings, known, check_lag_ns)
-        return Running(begin(start.states[0], parts.settings), check)
+        running = begin(start.states[0], parts.settings)
+        catch_up(running)
+        return Running(running, check)
     return Searching(MultipleModelBank(start.states, begin, parts.settings, lag_ns=lag_ns))
 
 
