@@ -95,7 +95,7 @@ def test_standing_still_tells_no_tilt_from_bias() -> None:
     assert after[6:8] == pytest.approx(before[9] / STANDARD_GRAVITY, rel=0.1)
 
 
-@pytest.mark.parametrize("speed, fix_std", [(25.0, 0.3), (1.5, 0.02)])
+@pytest.mark.parametrize(("speed", "fix_std"), [(25.0, 0.3), (1.5, 0.02)])
 def test_a_smooth_ride_that_has_begun_teaches_no_gyroscope_bias(
     speed: float, fix_std: float
 ) -> None:
@@ -419,9 +419,9 @@ def test_biases_that_are_given_are_where_the_filter_begins() -> None:
     run = scene(random_motion(4.0, 7, heading=0.8), seed=7, errors=errors)
 
     def tilt(navigator: Navigator) -> float:
-        play(run, navigator, stop=1.3)
+        play(run, navigator, stop=1.0)
         assert navigator.filter is not None
-        k = int(np.argmin(np.abs(run.truth.t - 1.3)))
+        k = int(np.argmin(np.abs(run.truth.t - 1.0)))
         truth = rpy_from_quat(run.truth.quat_xyzw[k])
         return float(np.max(np.abs((rpy_from_quat(navigator.filter.nav[QUAT]) - truth)[:2])))
 

@@ -267,8 +267,8 @@ def test_late_fixes_end_where_punctual_ones_do(flight, delay) -> None:
     states = []
     for late in (lambda t: 0.0, delay):
         navigator = make_navigator("parameter", yaw=flight.yaw(0.0))
-        play(flight, navigator, stop=2.0)
-        play(flight, navigator, start=2.0, stop=20.0, delay=late, fix=lambda t: t < 19.4)
+        play(flight, navigator, stop=6.0)  # in flight: how a stand is noticed is not rewound
+        play(flight, navigator, start=6.0, stop=20.0, delay=late, fix=lambda t: t < 19.4)
         states.append(navigator.filter.nav.copy())
 
     metres = (states[0][LLA] - states[1][LLA]) * 6.4e6

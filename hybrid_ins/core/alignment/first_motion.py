@@ -22,6 +22,7 @@ ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
 SPEED_STD = 100.0  # m/s, of a velocity of which nothing is known
 CLIMB_STD = 5.0  # m/s, of the vertical velocity of which nothing is known
 HEIGHT_STD = 100.0  # m, likewise; an unknown height is considered besides, see `missing_height`
+SCATTER = 2.0  # times the variance that they claim, of fixes at a stand
 LEAST_VARIANCE = 0.01  # m²/s², of what was measured of the velocity at the start
 
 Velocity = tuple[Array, Array, Array]
@@ -118,5 +119,5 @@ def _slope(
         covariance = noise + np.eye(3) * (0.5 * ACCELERATION_STD * t[start]) ** 2
         if best is None or np.trace(covariance) < np.trace(best[1]):
             slope = centred @ offsets[start:] / (centred @ centred)
-            best = slope, covariance, noise + LEAST_VARIANCE * np.eye(3)
+            best = slope, covariance, SCATTER * noise + LEAST_VARIANCE * np.eye(3)
     return best
