@@ -49,9 +49,10 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "use_sim_time",
-                default_value="false",
-                choices=["true", "false"],
-                description="Follow /clock, as bags and simulators publish it",
+                default_value="",
+                choices=["", "true", "false"],
+                description="Follow /clock, as bags and simulators publish it; by default as the "
+                "parameter file says",
             ),
             DeclareLaunchArgument(
                 "imu_topic", default_value="imu/data", description="sensor_msgs/Imu to subscribe to"
@@ -106,7 +107,8 @@ def start(context: LaunchContext) -> list[Any]:
 
     if not Path(given("params_file")).is_file():
         raise RuntimeError(f"params_file:={given('params_file')}: no such file")
-    use_sim_time = {"use_sim_time": given("use_sim_time") == "true"}
+    clock = given("use_sim_time")
+    use_sim_time = [{"use_sim_time": clock == "true"}] if clock else []
     managed = [{"autostart": False}] if given("autostart") == "false" else []
     prefix = given("frame_prefix")
     frames = {
@@ -121,7 +123,7 @@ def start(context: LaunchContext) -> list[Any]:
         namespace=given("namespace"),
         parameters=[
             given("params_file"),
-            use_sim_time,
+            *use_sim_time,
             *managed,
             *([frames] if frames else []),
         ],
@@ -141,7 +143,7 @@ def start(context: LaunchContext) -> list[Any]:
     ]
 
 
-def rviz(namespace: str, prefix: str, use_sim_time: dict[str, bool]) -> list[Any]:
+def rviz(namespace: str, prefix: str, use_sim_time: list[dict[str, bool]]) -> list[Any]:
     """Return RViz, or a log line where it is not installed: the vehicle does not depend on it."""
     from ament_index_python.packages import (
         PackageNotFoundError,
@@ -162,6 +164,6 @@ def rviz(namespace: str, prefix: str, use_sim_time: dict[str, bool]) -> list[Any
             executable="rviz2",
             namespace=namespace,
             arguments=["-d", str(layout), "-f", f"{prefix}map"],
-            parameters=[use_sim_time],
+            parameters=use_sim_time,
         )
     ]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.offsetbox import OffsetBox
 
 _SCALE_BAR = 0.25  # of the width of the map, at most
+SMALLEST_SPAN = 1.0  # m, of a map
 _CORNERS = {
     "upper right": (1, 1),
     "upper left": (0, 1),
@@ -78,6 +79,7 @@ def finish_map(axes: Axes, positions: Sequence[Array]) -> None:
 
     axes.set(xlabel="east [m]", ylabel="north [m]", title="track, map frame")
     axes.set_aspect("equal", adjustable="datalim")
+    _widen(axes)
     axes.apply_aspect()
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     shown = np.vstack([p[:: max(1, len(p) // 2000), :2] for p in positions])
@@ -98,6 +100,14 @@ def finish_map(axes: Axes, positions: Sequence[Array]) -> None:
     box = AnchoredOffsetbox(second, child=_scale_and_north(axes, right - left), pad=0.3)
     box.patch.set(alpha=0.8, edgecolor="none")
     axes.add_artist(box)
+
+
+def _widen(axes: Axes) -> None:
+    """Show ``SMALLEST_SPAN`` at least: what lies within a vehicle that stands is no track."""
+    for limits, set_limits in ((axes.get_xlim, axes.set_xlim), (axes.get_ylim, axes.set_ylim)):
+        low, high = limits()
+        missing = max(SMALLEST_SPAN - (high - low), 0.0)
+        set_limits(low - 0.5 * missing, high + 0.5 * missing)
 
 
 def _scale_and_north(axes: Axes, width: float) -> OffsetBox:

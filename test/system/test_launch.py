@@ -201,13 +201,15 @@ class TestLive:
         with pytest.raises(RuntimeError, match=r"params_file:=/nowhere/robot\.yaml: no such file"):
             self.node(params_file="/nowhere/robot.yaml")
 
-    def test_the_parameter_files_frames_stay(self, installed: set[str], tmp_path: Path) -> None:
+    def test_the_parameter_files_frames_and_clock_stay(
+        self, installed: set[str], tmp_path: Path
+    ) -> None:
         mine = tmp_path / "robot.yaml"
         mine.touch()
 
         node = self.node(params_file=str(mine))
 
-        assert node["parameters"] == [str(mine), {"use_sim_time": False}]
+        assert node["parameters"] == [str(mine)]
 
     def test_two_vehicles_have_names_and_frames_of_their_own(self, installed: set[str]) -> None:
         node = self.node(namespace="b", name="ins_b", frame_prefix="b/", use_sim_time="true")

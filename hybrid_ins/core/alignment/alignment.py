@@ -297,8 +297,8 @@ class Alignment:
 
     def _newest_ns(self, fixes: Sequence[PositionFix]) -> int:
         """Stamp [ns] of the last of what gives the first motion."""
-        position_ns = fixes[-1].t_ns
-        return position_ns if self._velocity is None else max(position_ns, self._velocity.t_ns)
+        position_ns, velocity = fixes[-1].t_ns, self._velocity
+        return position_ns if velocity is None else max(position_ns, velocity.t_ns)
 
     def _missing(self, motion: FirstMotion, given: tuple[float, float] | None) -> Waiting | None:
         """Return what the velocity or the heading waits for."""

@@ -28,6 +28,7 @@ from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Scoring
 from hybrid_ins.evaluation.run import Run, SensorErrors, Series
 from hybrid_ins.plotting import style
+from hybrid_ins.plotting.map_view import finish_map
 from hybrid_ins.plotting.overview import overview
 
 pytest.importorskip("matplotlib")
@@ -123,6 +124,17 @@ def test_the_map_has_the_start_of_the_run_a_scale_and_north(whole: Run) -> None:
 
 
 @pytest.mark.slow
+def test_the_map_of_a_vehicle_that_stands_is_no_smaller_than_the_vehicle() -> None:
+    """Its scale bar said 1e-11 m."""
+    axes = Figure().add_subplot()
+    axes.plot([3.0, 3.0], [-2.0, -2.0 + 1e-12], label="estimate")
+
+    finish_map(axes, [np.array([[3.0, -2.0, 0.0]])])
+
+    for (low, high), at in ((axes.get_xlim(), 3.0), (axes.get_ylim(), -2.0)):
+        assert high - low > 0.5 and 0.5 * (low + high) == pytest.approx(at)
+
+
 def test_svg_is_well_formed_and_the_same_each_time(whole: Run, tmp_path: Path) -> None:
     for name in ("one.svg", "two.svg"):
         style.save(overview(whole, evaluate_run(whole)), tmp_path / name)
