@@ -114,6 +114,29 @@ def test_a_clock_that_is_set_back_does_not_bring_the_first_heading_back(flight, 
     assert len(errors) > 500 and max(errors) < 0.5
 
 
+def test_what_moves_while_a_clock_set_back_a_little_catches_up_is_uncertain() -> None:
+    # GIVEN a car WHEN the clock of all stamps is set back by 0.3 s
+    run = scene(car_drive(50.0, 1), seed=1)
+    navigator = make_navigator("parameter", yaw=run.yaw(0.0))
+    play(run, navigator, stop=30.0)
+    later = replace(run, t=run.t - 0.3, fix_t=run.fix_t - 0.3, notices=[], verdicts=[])
+    normalised = []
+
+    def note(t: float) -> None:
+        if t >= 30.0:  # before, no sample is used
+            off, std = run.errors(navigator, t + 0.3), sigma(navigator)
+            normalised.append((off[0] / std[:2].max(), off[2] / std[8]))
+
+    play(later, navigator, start=29.7, stop=40.0, after=note)
+
+    # THEN the filter goes on, and knows how little it knows
+    [notice] = later.notices
+    assert isinstance(notice, GapBridged) and notice.seconds == pytest.approx(0.3, abs=0.02)
+    assert np.max(normalised) < 4.0
+    assert sum(not verdict.accepted for verdict in later.verdicts) <= 2
+    assert run.errors(navigator, 40.3)[0] < 0.2
+
+
 @pytest.mark.parametrize(
     ("motion", "gap"), [(quadrotor_flight, 0.4), (car_drive, 1.2), (car_drive, 1.8)]
 )

@@ -30,6 +30,7 @@ from hybrid_ins.core.navigator.notices import (
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
 from hybrid_ins.core.navigator.phases import Aligning, FilterParts, Phase, Searching, speed
 from hybrid_ins.core.navigator.restart import ResetCount, UnseenTurn, heading_after
+from hybrid_ins.core.navigator.set_back import SetBackWatch
 from hybrid_ins.core.navigator.stamp_check import ImuStampCheck, MeasurementCheck, StampFault
 from hybrid_ins.core.smoothing.forward_record import RunRecord
 from hybrid_ins.core.update.gate import Verdict
@@ -84,13 +85,12 @@ class Navigator:
         zero_updates: bool = True,
         record: RunRecord | None = None,
     ) -> None:
-        self.ring = ImuRing()
-        self.stamps = ImuStampCheck(max_gap)
+        self.ring, self.stamps = ImuRing(), ImuStampCheck(max_gap)
         self.monitor = ImuMonitor(parts, zero_updates, alignment.bias_g)
         self._notices: deque[Notice] = deque()
         self.phases = PhaseMachine(parts, self.ring, self.stamps, self._notices, record)
-        self._alignment_settings = alignment
-        self._record = record
+        self._set_back = SetBackWatch(self.ring, self.phases, self._notices.append)
+        self._alignment_settings, self._record = alignment, record
         self._heights = FrozenHeightCheck(self._notices.append)
         self._measurements = MeasurementCheck(parts.speed_check)
         self.reset()
@@ -161,6 +161,7 @@ class Navigator:
         stamps = self.stamps
         if not 0 < t_ns - stamps.last_ns <= stamps.steady_ns:
             if (fault := stamps.check(t_ns)) is not None:
+                self._set_back.observe(t_ns, (fx, fy, fz, wx, wy, wz))
                 return fault
             self._on_odd_step(t_ns, np.array((fx, fy, fz, wx, wy, wz)))
         stamps.last_ns = t_ns
