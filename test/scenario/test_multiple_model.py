@@ -433,7 +433,7 @@ def standing(run: Run) -> Run:
 def test_fixes_that_wander_at_a_stand_show_their_slow_error_and_no_motion() -> None:
     # GIVEN a vehicle that stands while its fixes, which claim decimetres, wander by metres
     run = standing(draw(SCENE, 1))
-    wander = smooth_wander(np.random.default_rng(7), (len(run.fixes), 3), 0.2, 6.0, 15.0)
+    wander = smooth_wander(np.random.default_rng(3), (len(run.fixes), 3), 0.2, 6.0, 15.0)
     # WHEN nothing is known of heading and clock
     estimator = estimating(until(moved(run, wander), 35.0), **AUTO)
     # THEN neither is searched for, and what wanders is neither the vehicle nor its accelerometers
@@ -493,6 +493,24 @@ def test_another_value_while_both_are_open_begins_anew() -> None:
     estimator.change({"gnss.time_offset.value": -0.2})
 
     assert estimator.navigator.phase.bank is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_of_what_clocks_differ_in_the_share_of_motion_is_evidence(
+    monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """A car that was on a motorway from the start found a clock 0.58 s wrong, known to 0.06 s."""
+    bank = estimating(until(draw(SCENE, 4), 6.0), **AUTO).navigator.phase.bank
+    assert isinstance(bank, ClockSearch) and len(bank.filters) == len(OFFSETS_NS) * N_HEADINGS
+    monkeypatch.setattr(clock_search, "share_of_motion", lambda values: share)
+    bank.log_weights[:] = -np.log(len(bank.filters))
+    of_clock = np.linspace(-1.0, 1.0, len(OFFSETS_NS))[:, None]
+    of_heading = np.linspace(0.0, 3.0, N_HEADINGS)
+
+    evidence = bank._evidence((of_clock + of_heading).ravel())
+
+    expected = (share * of_clock + of_heading).ravel()
+    np.testing.assert_allclose(evidence, expected, rtol=0, atol=1e-12)
 
 
 def test_a_state_is_opened_to_what_a_wrong_clock_may_have_done() -> None:

@@ -37,7 +37,7 @@ from hybrid_ins.core.alignment.levelling import (
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
-from hybrid_ins.core.imu.standstill import is_standing, sway
+from hybrid_ins.core.imu.standstill import is_standing, may_be_zero, sway
 from hybrid_ins.core.inertial.earth import curvature_scale, earth_rate_n
 from hybrid_ins.core.inertial.rotations import (
     UNKNOWN_ANGLE_STD,
@@ -322,7 +322,8 @@ class Alignment:
         bias_a, bias_g, bias_P = biases
         samples = window.samples
         rate = samples["w"].mean(axis=0)
-        standing = motion.may_stand and is_standing(samples)
+        standing = motion.has_velocity and is_standing(samples)
+        standing = standing and may_be_zero(motion.velocity_n, motion.v_cov)
         tilt_std = TILT_STD_STANDING if standing else TILT_STD_MOVING
         ie_n, ie_d = earth_rate_n(motion.lla[0])
         bias_g_std = np.hypot(RATE_STD_STANDING, sway(samples)) if standing else np.full(3, np.inf)

@@ -68,6 +68,7 @@ SHAKEN_NS = 30_000_000_000
 
 MIN_SHIFT = 0.15  # s: `clock_offset` corrects smaller ones beside a running filter
 EXCLUDED = 0.01  # weight of offsets below that, at which a running filter is replaced
+TINY = 1e-300  # a weight, in place of 0
 SPEED_STD, TILT_STD = 3.0, 0.1  # m/s, rad: errors of a state that followed a wrong clock
 
 
@@ -159,6 +160,7 @@ class ClockSearch(MultipleModelBank):
         self.heading_open = len(states) > 1
         self.motion.may_rest = False  # by the IMU
         self.in_force_ns = 0
+        self._began_as = len(OFFSETS_NS) * list(range(len(states)))
         self._offsets_ns = [offset for offset in OFFSETS_NS for _ in states]
         self._prior_of_offset = dict(zip(OFFSETS_NS, np.log(offsets).tolist(), strict=True))
         self.begun_ns = self.best.t_ns
@@ -203,15 +205,21 @@ class ClockSearch(MultipleModelBank):
         elif self._fixes > self._warm_up_fixes and measurement.t_ns > self._weighed_from_ns:
             super()._weigh(verdicts)
 
-    @property
-    def _evidence(self) -> float:
+    def _evidence(self, log_likelihood: Array) -> Array:
         """
-        See `MultipleModelBank`; beside a filter that runs it is the share of motion.
+        See `MultipleModelBank`; of what clocks differ in, under one heading, the share of motion.
 
         Where a shaken IMU cruises, each hypothesis compares the fixes with another stretch of the
-        same noise: its likelihood is chance, see `clock_offset`.
+        same noise: its likelihood is chance, see `clock_offset`. A wrong clock may hide the motion
+        from the likeliest: while the heading is open, too, any that has seen one counts.
         """
-        return 1.0 if self.heading_open else float(share_of_motion(self.best.clock.values))
+        weights = np.exp(self.log_weights)
+        total = np.bincount(self._began_as, weights)
+        mean = np.bincount(self._began_as, weights * log_likelihood) / np.maximum(total, TINY)
+        of_heading = mean[self._began_as]
+        seen_by = self.filters if self.heading_open else [self.best]
+        share = max(float(share_of_motion(one.clock.values)) for one in seen_by)
+        return np.asarray(of_heading + share * (log_likelihood - of_heading))
 
     @property
     def shift_is_certain(self) -> bool:

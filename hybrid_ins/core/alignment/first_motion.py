@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid_ins.core.imu.standstill import may_be_zero
 from hybrid_ins.core.inertial.earth import curvature_scale, displacement
 from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
@@ -22,15 +21,7 @@ ACCELERATION_STD = 2.0  # m/s², of a vehicle that may manoeuvre
 SPEED_STD = 100.0  # m/s, of a velocity of which nothing is known
 CLIMB_STD = 5.0  # m/s, of the vertical velocity of which nothing is known
 HEIGHT_STD = 100.0  # m, likewise; an unknown height is considered besides, see `missing_height`
-SCATTER = 2.0  # times the variance that they claim, of fixes at a stand
-LEAST_VARIANCE = 0.01  # m²/s², of what was measured of the velocity at the start
-
-Velocity = tuple[Array, Array, Array]
-"""
-Velocity now [m/s, NED], its covariance, and that of its measurement [m²/s²].
-
-The last does not contain by how much the vehicle may have changed its velocity since.
-"""
+LEAST_VARIANCE = 0.01  # m²/s², of a receiver's velocity at the start
 
 
 class FirstMotion(NamedTuple):
@@ -41,7 +32,6 @@ class FirstMotion(NamedTuple):
     velocity_n: Array  # (3,) m/s
     v_cov: Array  # (3, 3) m²/s²
     has_velocity: bool  # otherwise the velocity is zero, with the variance of any
-    may_stand: bool  # what was measured of the velocity is no more than its noise
 
     @property
     def speed(self) -> float:
@@ -77,29 +67,26 @@ def first_motion(
     known = _slope(fixes, lla, p_cov, bool(heights))
     if velocity is not None and abs(now - velocity.t_ns) < 1e9:
         known = _measured(velocity, known)
-    velocity_n, v_cov, noise = known or (np.zeros(3), *2 * (SPEED_STD**2 * np.eye(3),))
+    velocity_n, v_cov = known or (np.zeros(3), SPEED_STD**2 * np.eye(3))
     age = (now - last.t_ns) * 1e-9
     p_cov = p_cov + v_cov * age**2 + np.eye(3) * (0.5 * ACCELERATION_STD * age**2) ** 2
-    may_stand = known is not None and may_be_zero(velocity_n, noise)
-    lla = lla + velocity_n * age / scale
-    return FirstMotion(lla, p_cov, velocity_n, v_cov, known is not None, may_stand)
+    return FirstMotion(lla + velocity_n * age / scale, p_cov, velocity_n, v_cov, known is not None)
 
 
-def _measured(velocity: VelocityFix, slope: Velocity | None) -> Velocity:
-    """Velocity by the receiver; what it lacks is that of a slope."""
+def _measured(velocity: VelocityFix, slope: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    """Velocity [m/s, NED] and its covariance by the receiver; what it lacks is that of a slope."""
     velocity_n, variance = velocity.velocity_n.copy(), np.diag(velocity.covariance_n).copy()
     if not math.isfinite(velocity_n[2]):
         velocity_n[2] = 0.0 if slope is None else slope[0][2]
         variance[2] = CLIMB_STD**2 if slope is None else slope[1][2, 2]
-    covariance = np.diag(np.maximum(np.nan_to_num(variance), LEAST_VARIANCE))
-    return velocity_n, covariance, covariance
+    return velocity_n, np.diag(np.maximum(np.nan_to_num(variance), LEAST_VARIANCE))
 
 
 def _slope(
     fixes: Sequence[PositionFix], lla: Array, p_cov: Array, has_heights: bool
-) -> Velocity | None:
+) -> tuple[Array, Array] | None:
     """
-    Velocity now from the fixes over the best of all spans.
+    Velocity now [m/s, NED] and its covariance from the fixes over the best of all spans.
 
     The slope is the velocity at the span's middle: a short span is noisy, a long one outdated.
     ``lla`` (3,) is the last position, with a height where that has none: then nothing is known of
@@ -108,7 +95,7 @@ def _slope(
     last = fixes[-1]
     t = np.array([(f.t_ns - last.t_ns) * 1e-9 for f in fixes])
     offsets = np.nan_to_num(displacement(lla, np.array([f.lla for f in fixes])))
-    best: Velocity | None = None
+    best: tuple[Array, Array] | None = None
     for start in range(len(fixes) - 1):
         centred = t[start:] - t[start:].mean()
         if t[start] > -SHORTEST_SPAN:
@@ -118,6 +105,5 @@ def _slope(
             noise[2, 2] = CLIMB_STD**2
         covariance = noise + np.eye(3) * (0.5 * ACCELERATION_STD * t[start]) ** 2
         if best is None or np.trace(covariance) < np.trace(best[1]):
-            slope = centred @ offsets[start:] / (centred @ centred)
-            best = slope, covariance, SCATTER * noise + LEAST_VARIANCE * np.eye(3)
+            best = centred @ offsets[start:] / (centred @ centred), covariance
     return best

@@ -184,6 +184,7 @@ class MultipleModelBank:
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
         self._log_prior = self.log_weights.copy()
         self.heading_open = len(states) > 1
+        self._began_as = list(range(len(states)))  # which state each hypothesis began with
         self._offsets_ns = [0] * len(states)  # added to the stamps of aiding measurements
         self._first_ns = 0  # aiding measurements must be younger than that
         self._lag_ns, self._lever_b = lag_ns, settings.lever_b
@@ -309,7 +310,7 @@ class MultipleModelBank:
             if (self.motion.counts or not self.heading_open) and not hidden:
                 self._weigh(verdicts)
         for k in _excluded(self.log_weights, self.filters)[::-1].tolist():
-            del self.filters[k], self._offsets_ns[k], self._decided[k]
+            del self.filters[k], self._began_as[k], self._offsets_ns[k], self._decided[k]
             self.log_weights = np.delete(self.log_weights, k)
             self._log_prior = np.delete(self._log_prior, k)
         return weighed
@@ -325,14 +326,13 @@ class MultipleModelBank:
         # Where even the best hypothesis has a large NIS the noise is wrong: differences mean less.
         self._nis_scale += (nis[self._best] / dof - self._nis_scale) / NIS_MEMORY
         log_likelihood = -0.5 * (nis / max(1.0, self._nis_scale) + log_det)
-        self.log_weights += self._evidence * log_likelihood
+        self.log_weights += self._evidence(log_likelihood)
         self.log_weights -= self.log_weights.max()
         self.log_weights -= math.log(np.exp(self.log_weights).sum())
 
-    @property
-    def _evidence(self) -> float:
-        """Share of the log-likelihoods that is evidence and not chance."""
-        return 1.0
+    def _evidence(self, log_likelihood: Array) -> Array:
+        """Return what of the log-likelihoods is evidence and not chance."""
+        return log_likelihood
 
     def heading(self) -> tuple[float, float]:
         """Return the mixture's heading relative to the best's, and its standard deviation [rad]."""
