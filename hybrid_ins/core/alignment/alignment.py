@@ -21,19 +21,13 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid_ins.core.alignment.first_motion import FirstMotion, first_motion
 from hybrid_ins.core.alignment.given_heading import GivenHeading, carried_heading
-from hybrid_ins.core.alignment.levelling import (
-    down_direction,
-    relative_attitudes,
-    roll_pitch,
-    tilt_by_bias,
-)
+from hybrid_ins.core.alignment.levelling import Levelled, levelled, roll_pitch, tilt_by_bias
 from hybrid_ins.core.alignment.multiple_model import HEADING_STD, heading_grid
 from hybrid_ins.core.imu.health import ImuFault, find_fault
 from hybrid_ins.core.imu.samples import ImuRing
@@ -165,25 +159,6 @@ class FirstStates:
     sample: Array  # (6,) the IMU sample at t_ns
 
 
-class _Window(NamedTuple):
-    """The samples that a state is levelled by, and which of them it is of."""
-
-    samples: NDArray[np.void]
-    at: int  # index of that one
-    down_b: Array  # (3,) direction of gravity in the last attitude
-    C_last_at: Array  # (3, 3) from b at that sample to b at the last
-
-    @property
-    def t_ns(self) -> int:
-        """Stamp of the state [ns]."""
-        return int(self.samples["t_ns"][self.at])
-
-    @property
-    def reading(self) -> Array:
-        """The sample that the state is of, (6,): specific force [m/s²], angular rate [rad/s]."""
-        return np.concatenate((self.samples["f"][self.at], self.samples["w"][self.at]))
-
-
 class Alignment:
     """
     Collects what the first state needs, and knows what is missing.
@@ -263,13 +238,13 @@ class Alignment:
         if not fixes:
             self.waiting = Waiting(Need.FIX)
             return None
-        window, lever_b = _level(samples, self._newest_ns(fixes), biases), fixes[-1].lever_b
+        window, lever_b = levelled(samples, self._newest_ns(fixes), *biases[:2]), fixes[-1].lever_b
         motion = first_motion(fixes, self._velocity, window.t_ns)
         given = self._given_heading(motion, window)
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
-            window = _level(samples, now, biases)
+            window = levelled(samples, now, *biases[:2])
             motion = first_motion(fixes, self._velocity, now)
             known = self._given_heading(motion, window) or (0.0, UNKNOWN_ANGLE_STD)
             level = self._states(window, motion, biases, [known], lever_b)[0]
@@ -312,7 +287,7 @@ class Alignment:
 
     def _states(
         self,
-        window: _Window,
+        window: Levelled,
         motion: FirstMotion,
         biases: tuple[Array, Array, Array],
         yaws: Sequence[tuple[float, float]],
@@ -373,7 +348,7 @@ class Alignment:
             self._outdated.append(self._given.std)
             self._source, self._given = "auto", None
 
-    def _given_heading(self, motion: FirstMotion, window: _Window) -> tuple[float, float] | None:
+    def _given_heading(self, motion: FirstMotion, window: Levelled) -> tuple[float, float] | None:
         """Heading of the last attitude [rad from north] and its σ, by hand or from a source."""
         settings = self._settings
         if self._given is not None:
@@ -402,13 +377,3 @@ def _at_imu(antenna: NavState, rate_b: Array, lever_b: Array) -> NavState:
         velocity_n=antenna.velocity_n + moving,
         P=T @ antenna.P @ T.T,
     )
-
-
-def _level(samples: NDArray[np.void], t_ns: int, biases: tuple[Array, Array, Array]) -> _Window:
-    """Level a state at the first of ``samples`` behind a stamp [ns], or at the last of them."""
-    at = min(int(samples["t_ns"].searchsorted(t_ns)), len(samples) - 1)
-    unbiased = samples.copy()
-    unbiased["f"] -= biases[0]
-    unbiased["w"] -= biases[1]
-    turned = relative_attitudes(unbiased[at:])[0]
-    return _Window(samples, at, down_direction(unbiased), turned)

@@ -10,6 +10,7 @@ References
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,38 @@ from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rotvec
 
 Array = NDArray[np.float64]
+
+
+class Levelled(NamedTuple):
+    """A window of samples that a state is levelled by, and which of them it is of."""
+
+    samples: NDArray[np.void]
+    at: int  # index of that one
+    down_b: Array  # (3,) direction of gravity in the last attitude
+    C_last_at: Array  # (3, 3) from b at that sample to b at the last
+
+    @property
+    def t_ns(self) -> int:
+        """Stamp of the state [ns]."""
+        return int(self.samples["t_ns"][self.at])
+
+    @property
+    def reading(self) -> Array:
+        """The sample that the state is of, (6,): specific force [m/s²], angular rate [rad/s]."""
+        return np.concatenate((self.samples["f"][self.at], self.samples["w"][self.at]))
+
+
+def levelled(samples: NDArray[np.void], t_ns: int, bias_a: Array, bias_g: Array) -> Levelled:
+    """
+    Level a state at the first of ``samples`` behind a stamp [ns], or at the last of them.
+
+    ``bias_a`` and ``bias_g``, shape (3,), are theirs [m/s², rad/s].
+    """
+    at = min(int(samples["t_ns"].searchsorted(t_ns)), len(samples) - 1)
+    unbiased = samples.copy()
+    unbiased["f"] -= bias_a
+    unbiased["w"] -= bias_g
+    return Levelled(samples, at, down_direction(unbiased), relative_attitudes(unbiased[at:])[0])
 
 
 def down_direction(samples: NDArray[np.void]) -> Array:
