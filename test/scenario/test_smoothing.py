@@ -115,7 +115,8 @@ def test_late_fixes_are_smoothed_as_those_in_time() -> None:
     (stamps, in_time), (late_stamps, late) = smoothed(run, **given), smoothed(run, 0.4, **given)
     # THEN the last 19 s differ by less than half a deviation: the filter started one fix later
     assert np.array_equal(stamps, late_stamps)
-    assert np.abs(in_time[1100:, :3] - late[1100:, :3]).max() < 0.02
+    apart = np.abs(in_time[1100:, :3] - late[1100:, :3]).max()
+    assert apart < 0.5 * np.sqrt(in_time[1100:, 7].max())
 
 
 @pytest.mark.slow
