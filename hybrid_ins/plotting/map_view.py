@@ -104,10 +104,11 @@ def finish_map(axes: Axes, positions: Sequence[Array]) -> None:
 
 def _widen(axes: Axes) -> None:
     """Show ``SMALLEST_SPAN`` at least: what lies within a vehicle that stands is no track."""
-    for limits, set_limits in ((axes.get_xlim, axes.set_xlim), (axes.get_ylim, axes.set_ylim)):
-        low, high = limits()
-        missing = max(SMALLEST_SPAN - (high - low), 0.0)
-        set_limits(low - 0.5 * missing, high + 0.5 * missing)
+    low, high = axes.dataLim.get_points()
+    if np.max(high - low) < SMALLEST_SPAN:
+        centre = 0.5 * (low + high)
+        axes.update_datalim([centre - 0.5 * SMALLEST_SPAN, centre + 0.5 * SMALLEST_SPAN])
+        axes.autoscale_view()
 
 
 def _scale_and_north(axes: Axes, width: float) -> OffsetBox:
