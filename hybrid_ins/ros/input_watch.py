@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hybrid_ins.ros.estimator.estimator import Estimator
-from hybrid_ins.ros.messages import interface
+from hybrid_ins.ros.messages.interface import INPUT_TYPES
 from hybrid_ins.ros.output.message_types import OUTPUTS
 from hybrid_ins.ros.output.output_topics import OutputTopics
 from hybrid_ins.ros.reporting.diagnostics import status
@@ -23,7 +23,6 @@ SILENCE = 0.9  # s: a second of the timer without a sample
 IMU, FIX = "imu/data", "gnss/fix"
 LAUNCH_ARGUMENTS = {IMU: "imu_topic", FIX: "fix_topic"}
 ESTIMATES = tuple(f"/{name.lstrip('/')}" for name in OUTPUTS)  # of any ins_node
-KINDS = {topic.name: topic.type_name for topic in interface.SUBSCRIBED}
 DRIVER_STOPPED = "restart the driver, check the cable; until they come the state is lost"
 RECEIVER_STOPPED = (
     "while the IMU's come: restart the receiver's driver, check the cable; until they come the "
@@ -165,7 +164,7 @@ class InputWatch:
 
     def _since_the_start(self, name: str) -> Callable[[], str]:
         """Return what says why nothing has come on a topic yet."""
-        node, kind = self._node, KINDS[name]
+        node, kind = self._node, INPUT_TYPES[name]
 
         def describe() -> str:
             publishers = node.count_publishers(node.resolve_topic_name(name))
@@ -176,7 +175,7 @@ class InputWatch:
     def _others(self, kind: str) -> list[str]:
         """Return the topics of a type that others publish, but no estimate of another ins_node."""
         node = self._node
-        ours = {node.resolve_topic_name(name) for name in (*KINDS, *OUTPUTS)}
+        ours = {node.resolve_topic_name(name) for name in (*INPUT_TYPES, *OUTPUTS)}
         return sorted(
             name
             for name, kinds in node.get_topic_names_and_types()

@@ -244,8 +244,7 @@ class Alignment:
         missing = self._missing(motion, given)
         if missing is not None:
             self.waiting = missing
-            window = levelled(samples, now, *biases[:2])
-            motion = first_motion(fixes, self._velocity, now)
+            window, motion = window.at_last(), first_motion(fixes, self._velocity, now)
             known = self._given_heading(motion, window) or (0.0, UNKNOWN_ANGLE_STD)
             level = self._states(window, motion, biases, [known], lever_b)[0]
             self.provisional = level.to_flat()

@@ -26,8 +26,8 @@ class Levelled(NamedTuple):
 
     samples: NDArray[np.void]
     at: int  # index of that one
-    down_b: Array  # (3,) direction of gravity in the last attitude
-    C_last_at: Array  # (3, 3) from b at that sample to b at the last
+    down_b: Array  # (3,) direction of gravity in the last attitude, a unit vector
+    C_last: Array  # (N, 3, 3) from b at each sample to b at the last
 
     @property
     def t_ns(self) -> int:
@@ -39,36 +39,30 @@ class Levelled(NamedTuple):
         """The sample that the state is of, (6,): specific force [m/s²], angular rate [rad/s]."""
         return np.concatenate((self.samples["f"][self.at], self.samples["w"][self.at]))
 
+    @property
+    def C_last_at(self) -> Array:
+        """The matrix (3, 3) from b at that sample to b at the last."""
+        return np.asarray(self.C_last[self.at])
+
+    def at_last(self) -> Levelled:
+        """Return the same for a state of the last sample."""
+        return self._replace(at=len(self.samples) - 1)
+
 
 def levelled(samples: NDArray[np.void], t_ns: int, bias_a: Array, bias_g: Array) -> Levelled:
     """
-    Level a state at the first of ``samples`` behind a stamp [ns], or at the last of them.
+    Level a state by the mean specific force; [1]_ eq. 5.101.
 
+    It is of the first of ``samples`` (``SAMPLE_DTYPE``) behind a stamp [ns], or of the last one.
     ``bias_a`` and ``bias_g``, shape (3,), are theirs [m/s², rad/s].
     """
     at = min(int(samples["t_ns"].searchsorted(t_ns)), len(samples) - 1)
     unbiased = samples.copy()
     unbiased["f"] -= bias_a
     unbiased["w"] -= bias_g
-    return Levelled(samples, at, down_direction(unbiased), relative_attitudes(unbiased[at:])[0])
-
-
-def down_direction(samples: NDArray[np.void]) -> Array:
-    """
-    Direction of gravity in the last attitude, from the mean specific force; [1]_ eq. 5.101.
-
-    Parameters
-    ----------
-    samples : ndarray of ``SAMPLE_DTYPE``
-        Without biases.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Unit vector, b.
-    """
-    total = np.einsum("kij,kj->i", relative_attitudes(samples), samples["f"])
-    return np.asarray(-total / np.linalg.norm(total))
+    C_last = relative_attitudes(unbiased)
+    total = np.einsum("kij,kj->i", C_last, unbiased["f"])
+    return Levelled(samples, at, -total / np.linalg.norm(total), C_last)
 
 
 def tilt_by_bias(C_nb: Array) -> Array:

@@ -20,11 +20,11 @@ from hybrid_ins.core.inertial.rotations import matrix_from_quat
 from hybrid_ins.core.inertial.state import DP, DV, EPS, LAST_F, LAST_W, N_ERROR, QUAT, VELOCITY
 from hybrid_ins.core.navigator.notices import GapBridged
 from hybrid_ins.core.navigator.phase_machine import PhaseMachine
+from hybrid_ins.core.navigator.stamp_check import JUMP_CONFIRMED
 
 Array = NDArray[np.float64]
 
 PERIOD_SAMPLES = 64  # that show the IMU's period
-FEWEST = 5  # refused samples in a row that show a clock which was set back
 STEADY = 0.5, 2.0  # times the IMU's period, that theirs is
 
 
@@ -73,7 +73,7 @@ class SetBackWatch:
         if not self._count or ring.count != self._used or t_ns <= self._last_ns:
             self._used, self._first_ns, self._count = ring.count, t_ns, 0
         self._count, self._last_ns = self._count + 1, t_ns
-        if self._count < FEWEST:
+        if self._count < JUMP_CONFIRMED:
             return 0.0
         used_ns = ring.latest(PERIOD_SAMPLES)["t_ns"]
         period_ns = (t_ns - self._first_ns) / (self._count - 1)

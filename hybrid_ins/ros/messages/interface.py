@@ -216,4 +216,5 @@ SERVICES = (
     Service("fromLLArray", "robot_localization/srv/FromLLArray", "`fromLL` for many points"),
 )
 
+INPUT_TYPES = {topic.name: topic.type_name for topic in SUBSCRIBED}
 QUALITY = {topic.name: topic.quality for topic in (*SUBSCRIBED, *PUBLISHED)}

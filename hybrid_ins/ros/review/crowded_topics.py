@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from hybrid_ins.ros.messages.conversions import Refused
 from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.review.topic_review import TopicReview
 
 INPUT, OUTPUT = ("imu/data", "gnss/fix", "gnss/velocity"), ("odometry", "odometry/local")
 LEASE = 25  # s: for 20 s DDS lists the publishers of a process that was killed
@@ -18,32 +18,21 @@ REMEDIES = dict.fromkeys(INPUT, "stop or remap all but one") | dict.fromkeys(
 )
 
 
-class CrowdedTopics:
+class CrowdedTopics(TopicReview):
     """
     Warns, once for each topic, of several publishers.
 
     Those of one node name may be a driver that was killed and started again, until DDS forgets it.
-
-    Parameters
-    ----------
-    node : Node
-        Of rclpy.
-    inputs : InputLog
     """
 
     def __init__(self, node: Any, inputs: InputLog) -> None:
-        self._node = node
-        self._inputs = inputs
-        self._found: set[str] = set()
+        super().__init__(node, inputs)
         self._seconds: Counter[str] = Counter()  # with several publishers, by topic
 
     def find(self) -> None:
         """Count the publishers of each topic; called once a second."""
         node = self._node
-        for name, remedy in REMEDIES.items():
-            topic = node.resolve_topic_name(name)
-            if topic in self._found:
-                continue
+        for name, topic in self._untold(REMEDIES):
             if node.count_publishers(topic) < 2:
                 del self._seconds[topic]
                 continue
@@ -52,12 +41,6 @@ class CrowdedTopics:
             nodes = {f"{info.node_namespace}/{info.node_name}" for info in infos} - {GONE}
             if len(nodes) < 2 and self._seconds[topic] < LEASE:
                 continue
-            self._found.add(topic)
             names = ", ".join(info.node_name for info in infos)
-            self._inputs.count_and_warn(
-                name,
-                Refused(
-                    f"{name}: several publishers",
-                    f"{topic} has {len(infos)} publishers ({names}): {remedy}",
-                ),
-            )
+            text = f"{topic} has {len(infos)} publishers ({names}): {REMEDIES[name]}"
+            self._tell(name, topic, "several publishers", text)

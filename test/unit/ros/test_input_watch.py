@@ -69,6 +69,12 @@ class Watched(Drive):
             self.diagnostics.clear()
             self.watch.on_second()
 
+    def hear_imu(self, seconds: int) -> None:
+        """Let seconds pass in which messages of the IMU alone come."""
+        for _ in range(seconds):
+            self.watch.imu_messages += 1
+            self.wait(1)
+
     def lines(self) -> list[str]:
         return [f"{level}: {text}" for level, text in self.log if "messages" in text]
 
@@ -102,8 +108,7 @@ def test_without_samples_the_state_is_lost_until_they_return(
     flown.play(5.0, 6.0)
     told = [r.content for r in flown.estimator.pop_reports() if r.topic == "validity"]
     assert told and told[-1].text.startswith("position good, velocity good")
-    flown.watch.imu_messages += 1
-    flown.wait(1)
+    flown.hear_imu(1)
     assert flown.lines()[-1] == "info: /imu/data: messages come, after 35 s"
 
 
@@ -114,15 +119,12 @@ def test_a_receiver_that_dies_is_logged_while_the_imu_goes_on(
     flown = Watched(monkeypatch)
     flown.fly(0.0, 2.0)
     flown.wait(1)
-    for _ in range(20):
-        flown.watch.imu_messages += 1
-        flown.wait(1)
+    flown.hear_imu(20)
 
     (line,) = flown.lines()
     assert line.startswith("warn: no messages on /gnss/fix for 10 s: while the IMU's come")
-    flown.watch.imu_messages += 1
     flown.watch.fixes += 1
-    flown.wait(1)
+    flown.hear_imu(1)
     assert flown.lines()[1:] == ["info: /gnss/fix: messages come, after 20 s"]
     flown.wait(30)
     assert not any("/gnss/fix" in line for line in flown.lines()[2:])
@@ -132,9 +134,7 @@ def test_messages_of_no_use_are_told_from_none(monkeypatch: pytest.MonkeyPatch) 
     flown = Watched(monkeypatch)
     flown.fly(0.0, 2.0)
     flown.wait(1)
-    for _ in range(4):
-        flown.watch.imu_messages += 1
-        flown.wait(1)
+    flown.hear_imu(4)
 
     assert "no message on /imu/data was of use for 4 s" in flown.last("imu").text
     assert flown.last("validity").level == 2

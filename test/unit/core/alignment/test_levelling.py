@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid_ins.core.alignment.levelling import down_direction, roll_pitch, tilt_by_bias
+from hybrid_ins.core.alignment.levelling import levelled as level_by
+from hybrid_ins.core.alignment.levelling import roll_pitch, tilt_by_bias
 from hybrid_ins.core.imu.samples import SAMPLE_DTYPE
 from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.core.inertial.rotations import matrix_from_quat, quat_from_rpy, skew
@@ -27,7 +28,8 @@ def test_the_tilt_of_a_level_is_that_which_its_bias_makes(roll, pitch, yaw, bias
     samples = np.zeros(20, SAMPLE_DTYPE)
     samples["t_ns"] = np.arange(20) * 10_000_000
     samples["f"] = -C_nb.T @ GRAVITY_N + bias  # the bias is unknown, estimated as zero
-    levelled = matrix_from_quat(quat_from_rpy(*roll_pitch(down_direction(samples)), yaw))
+    down_b = level_by(samples, 0, np.zeros(3), np.zeros(3)).down_b
+    levelled = matrix_from_quat(quat_from_rpy(*roll_pitch(down_b), yaw))
     error = tilt_by_bias(levelled) @ bias
     truth = (np.eye(3) - skew(error)) @ levelled
     tilt = np.cross(truth.T @ [0.0, 0.0, 1.0], C_nb.T @ [0.0, 0.0, 1.0])
