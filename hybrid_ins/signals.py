@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as exceptions, so that what is open is completed or removed."""
+"""Signals that end a program as exceptions, so that what is open is completed or removed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,26 @@ AGAIN = 0.01  # s, after which a signal comes again
 
 
 class Terminated(BaseException):
-    """SIGTERM: unwinds like Ctrl-C, so that every open bag is completed."""
+    """
+    SIGTERM or SIGHUP: unwinds like Ctrl-C, so that every open bag is completed.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
 
 
 @contextmanager
 def raised(*, once: bool = False) -> Iterator[None]:
     """
-    Within the block, Ctrl-C raises `KeyboardInterrupt`, and SIGTERM `Terminated`.
+    Within the block, Ctrl-C raises `KeyboardInterrupt`, SIGTERM and SIGHUP `Terminated`.
+
+    SIGHUP comes where a terminal or its connection closes; ``nohup`` ignores it, and so do we then.
 
     Compiled code calls some functions of numba, and turns what is raised there into a SystemError;
     and Python ignores what is raised where an object ends, as in the callback of a weak reference.
@@ -34,13 +47,13 @@ def raised(*, once: bool = False) -> Iterator[None]:
         Ignore signals after the first, until the block ends.
     """
     timers: list[threading.Timer] = []
-    kinds = {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: Terminated}
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def leave(number: int, frame: FrameType | None) -> None:
         if frame is None or frame.f_globals.get("__name__") != CALLED_BY_COMPILED_CODE:
             for other in previous if once else ():
                 signal.signal(other, signal.SIG_IGN)
-            raise kinds[signal.Signals(number)]
+            raise KeyboardInterrupt if number == signal.SIGINT else Terminated(number)
         come_again(number)
 
     def come_again(number: int) -> None:
@@ -49,18 +62,22 @@ def raised(*, once: bool = False) -> Iterator[None]:
         timers[-1].start()
 
     def notice(unraisable: Any) -> None:
-        number = next((n for n, kind in kinds.items() if unraisable.exc_type is kind), None)
-        if number is None:
-            previous_hook(unraisable)
+        if unraisable.exc_type is KeyboardInterrupt:
+            come_again(signal.SIGINT)
+        elif isinstance(unraisable.exc_value, Terminated):
+            come_again(unraisable.exc_value.number)
         else:
-            come_again(number)
+            previous_hook(unraisable)
 
     previous_hook = sys.unraisablehook
-    previous = {number: signal.getsignal(number) for number in kinds}
+    previous = {number: signal.getsignal(number) for number in numbers}
     if threading.current_thread() is not threading.main_thread():
         previous = {}  # whoever runs us keeps the signals
-    elif previous[signal.SIGINT] is not signal.default_int_handler:
-        del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
+    else:
+        if previous[signal.SIGINT] is not signal.default_int_handler:
+            del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
+        if previous[signal.SIGHUP] is signal.SIG_IGN:
+            del previous[signal.SIGHUP]
     for number in previous:
         signal.signal(number, leave)
     if previous:

@@ -43,7 +43,7 @@ def worker_processes(count: int) -> Iterator[Executor]:
 @contextmanager
 def ended_in_order() -> Iterator[None]:
     """
-    Within the block, SIGTERM first unwinds what such a process has open, and then ends it.
+    Within the block, a signal first unwinds what such a process has open, and then ends it.
 
     Elsewhere, as in a thread or in the program's own process, the block is as any other.
     """
@@ -53,17 +53,18 @@ def ended_in_order() -> Iterator[None]:
     try:
         with signals.raised(once=True):
             yield
-    except signals.Terminated:
-        os._exit(128 + signal.SIGTERM)  # an exception would only end this piece of work
+    except signals.Terminated as ended:
+        os._exit(128 + ended.number)  # an exception would only end this piece of work
 
 
 def _follow_the_parent() -> None:
     """
-    Leave Ctrl-C, which reaches all processes of a terminal, to the one that started them.
+    Leave Ctrl-C and SIGHUP, which reach all processes of a terminal, to the one that started them.
 
     And end with that one, also where it is killed.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 

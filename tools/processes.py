@@ -78,7 +78,7 @@ class Processes:
             # Ctrl-C in a terminal reaches a whole process group; this process then decides when
             # and in which order its children end.
             start_new_session=True,
-            preexec_fn=_end_with_parent,
+            preexec_fn=_begin_session,
         )
         self._running.append(process)
         return process
@@ -108,5 +108,7 @@ class Processes:
             self.stop(self._running[-1])
 
 
-def _end_with_parent() -> None:
+def _begin_session() -> None:
+    """Let the process that a child is end with its parent, and hear SIGHUP despite ``nohup``."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -17,4 +17,5 @@ def _report(kind: type[BaseException], error: BaseException, trace: TracebackTyp
 
 sys.excepthook = _report
 if getattr(current_process(), "_inheriting", False):  # loaded by a process beside the program's
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is the program's to report
+    for number in (signal.SIGINT, signal.SIGHUP):  # those of a terminal are the program's to report
+        signal.signal(number, signal.SIG_IGN)

@@ -1,6 +1,7 @@
 """The shell around every program: option parser, messages on stderr, exit status."""
 
 import argparse
+import errno
 import io
 import logging
 import os
@@ -18,7 +19,7 @@ from hybrid_ins.errors import InputError
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
-EXIT_TERMINATED = 143
+EXIT_BY_SIGNAL = 128  # and its number
 
 
 def parser(name: str, description: str, example: str = "") -> argparse.ArgumentParser:
@@ -70,7 +71,8 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
     -------
     int
         The body's status; 2 after bad input or a file-system error, 130 after Ctrl-C, 143 after
-        SIGTERM. Anything else that the body raises is a defect and keeps its traceback.
+        SIGTERM, 129 after SIGHUP. Anything else that the body raises is a defect and keeps its
+        traceback.
 
     """
     name = getattr(args, "program_name", Path(sys.argv[0]).name)
@@ -96,9 +98,9 @@ def run(body: Callable[[argparse.Namespace], int | None], args: argparse.Namespa
         except KeyboardInterrupt:
             print(f"{name}: interrupted", file=sys.stderr)
             return EXIT_INTERRUPTED
-        except signals.Terminated:
+        except signals.Terminated as ended:
             print(f"{name}: terminated", file=sys.stderr)
-            return EXIT_TERMINATED
+            return EXIT_BY_SIGNAL + ended.number
 
 
 def is_read() -> bool:
@@ -110,8 +112,8 @@ class _Output:
     """
     A standard stream that ignores that its reader is gone (``ins_evaluate … | head``).
 
-    Or that it was closed from the start (``>&-``), when Python has None in its place. A program
-    that cannot print still writes its result.
+    Or its terminal; or that it was closed from the start (``>&-``), when Python has None in its
+    place. A program that cannot print still writes its result.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -132,7 +134,9 @@ class _Output:
     def _unless_closed(self, action: Callable[..., Any], *arguments: Any) -> int:
         try:
             return action(*arguments) or 0
-        except BrokenPipeError:
+        except OSError as error:
+            if error.errno not in (errno.EPIPE, errno.EIO):
+                raise
             self.is_read = False
             nothing = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nothing, self._stream.fileno())  # also what is still buffered

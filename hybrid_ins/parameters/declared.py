@@ -18,7 +18,7 @@ _FRAMES = (
         "first accepted fix",
         lengths=(0, 3),
         low=-12000.0,
-        high=1e7,
+        high=1e6,
     ),
     Parameter(
         "publish_tf", True, "Publish the transforms map→odom→base_frame, where tf2 is installed"

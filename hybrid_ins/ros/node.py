@@ -263,7 +263,7 @@ class InsNode(LifecycleNode):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node until Ctrl-C or SIGTERM."""
+    """Run the node until Ctrl-C, SIGTERM, or SIGHUP unless that is ignored (``nohup``)."""
     arguments = list(sys.argv if argv is None else ["ins_node", *argv])
     if {"-h", "--help"} & set(arguments[1:]):
         print(node_parameters.help_text())
@@ -281,8 +281,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if starting:  # nothing else ends a compilation of a minute
             raise KeyboardInterrupt
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, stop)
     node = None
     try:
         node = InsNode()

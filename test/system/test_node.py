@@ -538,7 +538,7 @@ def test_what_ros_refuses_ends_the_start_with_one_line(
     assert "Traceback" not in done.stderr and "internal error" not in done.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_first_compilation_is_ended_by_a_signal(
     processes: Processes, tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -1,6 +1,7 @@
 """What a user installs, by colcon or by pip, is complete and starts."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -37,6 +38,7 @@ ROSDEP_KEYS = {
     "tqdm": "python3-tqdm",
     "zstandard": "mcap-ros2-support",  # the mcap that it brings requires it
 }
+OPTIONAL_MESSAGES = {"gps_msgs", "robot_localization"}  # the node runs without them
 SHARED_FILES = sorted(
     str(path.relative_to(ROOT))
     for folder in ("config", "launch", "models")
@@ -185,6 +187,17 @@ class TestPip:
 
         assert runtime == set(ROSDEP_KEYS)
         assert set(ROSDEP_KEYS.values()) <= keys
+
+    def test_every_message_package_is_a_dependency(self) -> None:
+        manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+        keys = {element.text for element in manifest.iter("exec_depend")}
+        imported = {
+            package
+            for path in (ROOT / "hybrid_ins").rglob("*.py")
+            for package in re.findall(r"from (\w+)\.(?:msg|srv) import", path.read_text())
+        }
+
+        assert imported - keys == OPTIONAL_MESSAGES
 
     def test_installed_wheel_has_programs_and_finds_its_files(
         self, wheel: Path, tmp_path: Path

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -342,7 +343,8 @@ sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
 
 @pytest.mark.parametrize("script", [INTERRUPTED, ENDING], ids=["compiled code", "end of an object"])
 @pytest.mark.parametrize(
-    ("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")]
+    ("name", "status", "said"),
+    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "terminated")],
 )
 def test_a_signal_that_would_be_lost_comes_again(
     name: str, status: int, said: str, script: str
@@ -354,11 +356,49 @@ def test_a_signal_that_would_be_lost_comes_again(
         capture_output=True,
         text=True,
         timeout=60,
+        preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_DFL),  # not as behind nohup
         check=False,
     )
 
     assert done.stderr == f"ins_test: {said}\n"
     assert done.returncode == status
+
+
+HUNG_UP = """
+import os, signal, sys
+from hybrid_ins.cli import program
+
+def body(args):
+    sys.stdin.read()  # until the terminal is closed
+    os.kill(os.getpid(), signal.SIGHUP)
+    print("the rest", file=sys.stderr)
+    print("the rest")
+
+sys.exit(program.run(body, program.parser("ins_test", "").parse_args([])))
+"""
+
+
+@pytest.mark.parametrize(("handler", "status"), [("SIG_IGN", 0), ("SIG_DFL", 129)])
+def test_a_terminal_that_closes_ends_a_program_unless_nohup_keeps_it(
+    handler: str, status: int
+) -> None:
+    keyboard, screen = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", HUNG_UP],
+        env=os.environ | ENVIRONMENT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=screen,
+        text=True,
+        preexec_fn=partial(signal.signal, signal.SIGHUP, getattr(signal, handler)),
+    )
+    os.close(screen)
+    os.close(keyboard)
+
+    printed, _ = process.communicate(timeout=60)
+
+    assert process.returncode == status
+    assert printed == ("the rest\n" if status == 0 else "")
 
 
 @pytest.mark.parametrize("closed", ["stdout", "stderr", "both", "none"])

@@ -83,7 +83,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_work_that_is_not_finished_is_removed_with_the_program(
     number: signal.Signals, tmp_path: Path
 ) -> None:
@@ -97,7 +97,7 @@ def test_work_that_is_not_finished_is_removed_with_the_program(
         env=os.environ | {"PYTHONPATH": search},
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=partial(signal.signal, signal.SIGINT, signal.default_int_handler),
+        preexec_fn=_hear_signals,
     )
     try:
         assert _appears(tmp_path / "started")
@@ -109,6 +109,12 @@ def test_work_that_is_not_finished_is_removed_with_the_program(
 
     if number != signal.SIGKILL:
         assert said in ("ins_test: interrupted\n", "ins_test: terminated\n")
+
+
+def _hear_signals() -> None:
+    """Undo what ``&`` and ``nohup`` leave ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _appears(path: Path) -> bool:
