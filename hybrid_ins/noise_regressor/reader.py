@@ -209,10 +209,10 @@ class NoiseReader:
             return None, "the model failed"
         if not np.all(np.isfinite(q) & (q >= 0.0)):
             return None, "the model answered with no variance"
+        if sampling_rate(t_ns) < 0.99 * TURNS_SEEN_HZ:
+            q = np.append(q[:3], np.full(3, self._gyroscope))
         q = np.maximum(q, quantisation_step(readings) ** 2 / 12.0)
         q = np.concatenate((self._turn @ q[:3], self._turn @ q[3:]))
-        if sampling_rate(t_ns) < 0.99 * TURNS_SEEN_HZ:
-            q[3:] = self._gyroscope
         if np.any(q > self._high):
             return None, "noise beyond noise.q_*_max"
         return np.maximum(q, self._low), ""

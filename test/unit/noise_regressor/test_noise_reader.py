@@ -187,11 +187,15 @@ def test_levels_are_floored_at_the_lowest_that_is_believed() -> None:
     assert q == pytest.approx(np.repeat((1e-3, 1e-5), 3))
 
 
+@pytest.mark.parametrize("rate", [RATE, 50.0])
 @pytest.mark.parametrize("mount", [NO_TURN, MOUNT], ids=["straight", "turned"])
-def test_levels_are_floored_at_the_noise_of_the_quantisation(mount: Array) -> None:
+def test_levels_are_floored_at_the_noise_of_the_quantisation(mount: Array, rate: float) -> None:
+    """Those of slow gyroscopes, too: the constant of 1e-7 counted below 100 Hz."""
     step = np.repeat((0.06, 0.004), 3)
     coarse = np.round(readings() / step) * step
-    q = reader(mount, answer=0.0).read(ring_of(coarse, mount), 1).q
+    made = reader(mount, answer=0.0, q_gyroscope=1e-7)
+    made.regressor.rate_range = (20.0, 1000.0)
+    q = made.read(ring_of(coarse, mount, rate), 1).q
 
     assert q == pytest.approx(step**2 / 12.0, rel=1e-6)
 
