@@ -98,7 +98,7 @@ class AidingMessages:
                 "aiding: absurd velocity",
                 f"{velocity} m/s is too fast for a vehicle: check the driver's unit (m/s)",
             )
-        covariance = np.where(np.outer(given, given), covariance, 0.0)
+        covariance = _between(covariance, given)
         covariance += np.diag(
             np.where(given, np.maximum(self.velocity_std_min**2 - variance, 0.0), 1.0)
         )
@@ -172,6 +172,19 @@ def _twist(message: Message) -> tuple[Array, Array]:
     linear = message.twist.twist.linear
     covariance = np.array(message.twist.covariance, float).reshape(6, 6)[:3, :3]
     return np.array([linear.x, linear.y, linear.z], float), covariance
+
+
+def _between(covariance: Array, given: NDArray[np.bool_]) -> Array:
+    """
+    Return the covariance (3, 3) of the axes that are given; zero in rows and columns of others.
+
+    The symmetric part counts, and the diagonal alone where no errors have such correlations.
+    """
+    found = np.where(np.outer(given, given), 0.5 * covariance + 0.5 * covariance.T, 0.0)
+    known = found[np.ix_(given, given)]
+    if np.isfinite(known).all() and np.linalg.eigvalsh(known)[0] > 0.0:
+        return found
+    return np.diag(np.where(given, covariance.diagonal(), 0.0))
 
 
 def _usable(velocity: Array, variance: Array) -> NDArray[np.bool_]:

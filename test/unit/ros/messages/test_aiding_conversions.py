@@ -83,6 +83,16 @@ def test_a_velocity_is_turned_into_b_with_its_cross_terms() -> None:
     np.testing.assert_allclose(found.covariance_b, expected)
 
 
+@pytest.mark.parametrize("cross", [math.nan, math.inf, 1.0, -1.0])
+def test_cross_terms_that_no_errors_have_do_not_count(cross: float) -> None:
+    """They ended the program, or left the wheels' scale without a variance."""
+    found = MESSAGES.odometry(odometry((0.04, 0.09, 1e6), cross=cross))
+
+    assert isinstance(found, BodyVelocity)
+    np.testing.assert_allclose(found.covariance_b[:2, :2], np.diag([0.04, 0.09]))
+    assert np.isfinite(found.covariance_b).all()
+
+
 def test_the_point_whose_velocity_is_measured_is_relative_to_the_imu() -> None:
     values = {**parameters.defaults(), "aiding.velocity_position": [1.0, 2.0, 3.0]}
     messages = AidingMessages.from_parameters(values, np.array([0.1, 0.2, 0.3]))
