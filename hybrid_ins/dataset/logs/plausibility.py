@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_ins.core.inertial.earth import STANDARD_GRAVITY
 from hybrid_ins.dataset.logs.clock_match import (
     GRID,
     LEAST_OVERLAP,
     LEAST_SPEED,
     clock_offset,
-    gnss_turn_rate,
     imu_turn_rate,
     mean_over,
     positions,
@@ -203,9 +203,12 @@ def turn_factor(imu: ImuLog, gnss: GnssLog) -> float | None:
     if min(imu.t[-1] - imu.t[0], gnss.t[-1] - gnss.t[0]) < LEAST_OVERLAP:
         return None
     t_imu, turn_imu = imu_turn_rate(imu)
-    t, course_rate, moving = gnss_turn_rate(gnss)
-    moving &= (t > t_imu[0]) & (t < t_imu[-1])
-    a, b = np.interp(t, t_imu, turn_imu)[moving], course_rate[moving]
+    t, speed, course_rate = speed_and_turn(gnss)
+    # The gyroscope's turn is that about the specific force, which leans into a turn with the
+    # vehicle, or without it: of a turn on the level it sees the cosine.
+    lean = np.arctan2(mean_over(t, speed * course_rate), STANDARD_GRAVITY)
+    moving = (speed > LEAST_SPEED) & (t > t_imu[0]) & (t < t_imu[-1])
+    a, b = np.interp(t, t_imu, turn_imu)[moving], (course_rate * np.cos(lean))[moving]
     if len(b) * GRID < LEAST_OVERLAP or np.sqrt(np.mean(b**2)) < LEAST_TURNS:
         return None
     # The course is the noisier one, and a body may turn later: both at half a hertz.

@@ -583,3 +583,25 @@ def test_a_steady_gyroscope_shows_no_factor() -> None:
     )
     with np.errstate(all="raise"):
         assert turn_factor(two, gnss) is None
+
+
+def test_a_vehicle_that_leans_into_its_turns_has_right_rates() -> None:
+    """GIVEN turns at 25 m/s with 50° of bank WHEN compared with the course THEN they agree."""
+    _, fixes = drive(60.0)
+    t = np.arange(0.0, 120.0, 0.02)
+    speed, turn = 25.0, 0.5 * np.sign(np.sin(2.0 * np.pi * t / 40.0))
+    course = np.cumsum(turn) * 0.02
+    bank = np.arctan2(speed * turn, 9.80665)
+    force = np.column_stack([0.0 * t, 0.0 * t, 9.80665 / np.cos(bank)])
+    rate = np.column_stack([0.0 * t, turn * np.sin(bank), turn * np.cos(bank)])
+    imu = ImuLog(Path("imu"), NOON + t, force, rate, True)
+    at = slice(0, None, 10)
+    north, east = (np.cumsum(speed * f(-course)) * 0.02 for f in (np.cos, np.sin))
+    count = len(t[at])
+    place = np.tile(fixes.lla[0], (count, 1))
+    place[:, 0] += north[at] / 6.37e6
+    place[:, 1] += east[at] / (6.37e6 * np.cos(fixes.lla[0, 0]))
+    covariance = diagonal(np.full((count, 3), 0.1))
+    gnss = GnssLog(Path("gnss"), NOON + t[at], place, covariance, np.zeros(count, np.int8))
+
+    assert turn_factor(imu, gnss) == pytest.approx(1.0, abs=0.1)
