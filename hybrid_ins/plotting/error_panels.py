@@ -112,7 +112,8 @@ def _zoom(axes: Axes, error: Array | None, sigma: Array | None) -> None:
     if largest > 8.0 * usual > 0.0:
         linear = 2.0 * _round_up(usual)
         axes.set_yscale("symlog", linthresh=linear, linscale=_LINEAR_SHARE)
-        ticks = [0.0, 0.5 * linear, linear, *_decades(linear, largest)]
+        decades = _decades(linear, largest)  # where none has room, the end of the axis tells
+        ticks = [0.0, 0.5 * linear, *([linear, *decades] if decades else [_round_down(largest)])]
         axes.set_yticks(sorted({sign * tick + 0.0 for tick in ticks for sign in (-1.0, 1.0)}))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
@@ -125,6 +126,12 @@ def _round_up(value: float) -> float:
     """Return the next of 1, 2, 5, 10, ... above `value`."""
     decade = 10.0 ** math.floor(math.log10(value))
     return next(decade * step for step in (1, 2, 5, 10) if decade * step >= value)
+
+
+def _round_down(value: float) -> float:
+    """Return the last of 1, 2, 5, 10, ... up to `value`."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next(decade * step for step in (5, 2, 1) if decade * step <= value)
 
 
 def _decades(above: float, largest: float) -> list[float]:

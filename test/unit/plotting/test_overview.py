@@ -28,6 +28,7 @@ from hybrid_ins.evaluation.evaluate import evaluate_run
 from hybrid_ins.evaluation.result import Scoring
 from hybrid_ins.evaluation.run import Run, SensorErrors, Series
 from hybrid_ins.plotting import style
+from hybrid_ins.plotting.error_panels import _zoom
 from hybrid_ins.plotting.map_view import finish_map
 from hybrid_ins.plotting.overview import overview
 
@@ -171,6 +172,20 @@ def test_a_wide_headline_ends_within_the_picture_and_short_reasons_are_whole(who
     assert len(headline.get_text()) > 150
     assert headline.get_window_extent().x1 < figure.bbox.x1
     assert "rejected: innovation beyond the gate (" in texts(figure)
+
+
+@pytest.mark.parametrize("most", [2.2, 3.0, 9.0, 40.0, 300.0])
+def test_a_logarithmic_part_has_a_tick_near_its_end(most: float) -> None:
+    """GIVEN errors of 0.2 m, and of metres in an outage WHEN drawn THEN a label tells how many."""
+    figure = Figure()
+    axes = figure.subplots()
+    errors = np.full((100, 1), 0.2)
+    errors[50:60] = most
+
+    _zoom(axes, errors, None)
+
+    assert 0.08 * most < max(axes.get_yticks()) <= 1.1 * most
+    assert max(axes.get_yticks()) > 0.4
 
 
 def test_a_long_title_ends_before_the_legend_beside_it() -> None:
