@@ -14,6 +14,7 @@ REP-105 (frames).
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hybrid_ins.core.compilation import kernel
@@ -21,13 +22,17 @@ from hybrid_ins.core.inertial.strapdown import half_rotation, multiply, rotation
 
 Array = NDArray[np.float64]
 
-# The state: the pose in odom, the velocity there and the rate in the base frame at its time, the
-# variances that each axis' position and the yaw have gathered since the start, and scratch.
+# The state: the pose in odom, the velocity there and the rate in the base frame at its time, what
+# covariance height and the rest have gathered since the start, and scratch.
 _QUAT, _RATE = slice(3, 7), slice(10, 13)
-_SCRATCH = slice(15, 33)
-N_LOCAL = 33
+_HEIGHT = 13
+_XX, _XY, _YY = 14, 15, 16
+_XD, _YD, _XE, _YE = 17, 18, 19, 20  # of the position with d and e
+_DD, _DE, _EE = 21, 22, 23
+_SCRATCH = slice(24, 42)
+N_LOCAL = 42
 VELOCITY_ERROR_TIME = 1.0  # s, that an error of the velocity lives: from fix to fix
-HEADING_WALK = 1e-7  # rad²/s, of the yaw rate's error besides the bias: scale, noise
+HEADING_WALK = 1e-7  # rad²/s, of d besides that of e
 LEAST_VARIANCE = 1e-6  # m², rad²: consumers invert covariances
 
 
@@ -35,7 +40,7 @@ def start() -> Array:
     """Return the state before the first sample, shape (N_LOCAL,): odom's origin."""
     state = np.zeros(N_LOCAL)
     state[6] = 1.0
-    state[13:15] = LEAST_VARIANCE
+    state[[_HEIGHT, _XX, _YY, _DD]] = LEAST_VARIANCE
     return state
 
 
@@ -112,11 +117,12 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     for i in range(4):
         out[3 + i] = sign * quat[i]
 
-    state[13] += VELOCITY_ERROR_TIME * dt * (odometry[49] + odometry[56] + odometry[63]) / 1.5
-    state[14] += HEADING_WALK * dt
+    _gather(state, dt, velocity, odometry)
     for i in range(7, 43):
         out[i] = 0.0
-    out[7], out[14], out[21], out[42] = state[13], state[13], state[13], state[14]
+    out[7], out[8], out[14], out[21] = state[_XX], state[_XY], state[_YY], state[_HEIGHT]
+    out[12], out[18], out[42] = state[_XD], state[_YD], state[_DD]
+    out[13], out[37], out[38] = out[8], out[12], out[18]
     # Roll and pitch as in the map, about odom's axes.
     a, b, d = odometry[28], odometry[29], odometry[35]
     out[28] = c * c * a - 2.0 * c * s * b + s * s * d
@@ -125,6 +131,36 @@ def advance(state, dt, odometry, out):  # type: ignore[no-untyped-def]
     out[35] = s * s * a + 2.0 * c * s * b + c * c * d
     for i in range(43, 85):
         out[i] = odometry[i]
+
+
+@register_jitable
+def _gather(state, dt, velocity, odometry):  # type: ignore[no-untyped-def]
+    """Let covariances grow over a step that ends with a velocity [m/s] in odom."""
+    if dt > 0.0:
+        across = (-dt * velocity[1], dt * velocity[0])  # m per radian that the motion points wrong
+        x, y = state[_XD] - state[_XE], state[_YD] - state[_YE]
+        wrong = state[_DD] - 2.0 * state[_DE] + state[_EE]
+        state[_XX] += across[0] * (2.0 * x + across[0] * wrong)
+        state[_XY] += across[0] * y + across[1] * (x + across[0] * wrong)
+        state[_YY] += across[1] * (2.0 * y + across[1] * wrong)
+        for i in range(2):
+            state[_XD + i] += across[i] * (state[_DD] - state[_DE])
+            state[_XE + i] += across[i] * (state[_DE] - state[_EE])
+    noise = VELOCITY_ERROR_TIME * dt * (odometry[49] + odometry[56] + odometry[63]) / 1.5
+    state[_XX] += noise
+    state[_YY] += noise
+    state[_HEIGHT] += noise
+    growth, left = odometry[42] - state[_EE], 0.0  # another filter has an error of its own
+    if dt > 0.0 and state[_EE] > 0.0:
+        left = min(1.0, odometry[42] / state[_EE])
+    state[_XE] *= left
+    state[_YE] *= left
+    state[_DE] *= left
+    if left == 1.0:
+        state[_DD] += growth
+        state[_DE] += growth
+    state[_DD] += HEADING_WALK * dt
+    state[_EE] = odometry[42]
 
 
 @kernel()
