@@ -20,18 +20,21 @@ class FloodGuard:
     """
     Refuses messages of a topic beyond ``MOST`` per second of the IMU's time.
 
-    Where that stands still, since no sample is usable, the messages' own stamps count.
+    While that stands still, since no sample comes or is usable, the messages' own stamps count.
     """
 
     def __init__(self) -> None:
-        self._start_ns = self._start_stamp_ns = 0
+        self._start_ns = 0
+        self._now_ns = self._stamp_ns = 0  # the IMU's last stamp, and the first message's there
         self._counts: Counter[str] = Counter()
 
     def check(self, topic: str, now_ns: int, stamp_ns: int) -> Refused | None:
         """Return why one more message is refused, or None; stamps of IMU and message [ns]."""
-        since_ns = now_ns - self._start_ns or abs(stamp_ns - self._start_stamp_ns)
-        if not 0 <= since_ns < WINDOW_NS:
-            self._start_ns, self._start_stamp_ns = now_ns, stamp_ns
+        if now_ns != self._now_ns:
+            self._now_ns, self._stamp_ns = now_ns, stamp_ns
+        since_ns = now_ns - self._start_ns
+        if not 0 <= since_ns < WINDOW_NS or abs(stamp_ns - self._stamp_ns) >= WINDOW_NS:
+            self._start_ns, self._stamp_ns = now_ns, stamp_ns
             self._counts.clear()
         self._counts[topic] += 1
         return TOO_MANY if self._counts[topic] > MOST else None

@@ -25,3 +25,12 @@ def test_fixes_beside_an_imu_that_gives_nothing_usable_are_no_flood() -> None:
     assert not any(guard.check("gnss/fix", 0, k * SECOND // 5) for k in range(1000))
     admitted = sum(guard.check("gnss/fix", 0, 300 * SECOND) is None for _ in range(6 * MOST))
     assert admitted == MOST
+
+
+def test_fixes_after_the_end_of_the_imu_are_no_flood() -> None:
+    guard = FloodGuard()
+    stamps = [5 * SECOND + k * SECOND // 5 for k in range(1000)]
+    ended = 7 * SECOND + SECOND // 2  # within a second that has begun
+    assert not any(guard.check("gnss/fix", min(stamp, ended), stamp) for stamp in stamps)
+    admitted = sum(guard.check("gnss/fix", ended, stamps[-1]) is None for _ in range(6 * MOST))
+    assert admitted <= MOST
