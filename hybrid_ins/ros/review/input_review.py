@@ -17,6 +17,7 @@ from hybrid_ins.ros.placement.sensor_placement import SensorPlacement
 from hybrid_ins.ros.reporting import diagnostics
 from hybrid_ins.ros.reporting.input_log import InputLog
 from hybrid_ins.ros.reporting.lasting import LastingConditions
+from hybrid_ins.ros.review.alternating_fixes import AlternatingFixes
 from hybrid_ins.ros.review.antenna_correction import AntennaCorrection
 from hybrid_ins.ros.review.axes_monitor import AxesMonitor
 from hybrid_ins.ros.review.fix_refusals import FixRefusals
@@ -57,6 +58,7 @@ class InputReview:
         self._antenna = AntennaCorrection(navigator, placement, inputs)
         self._refusals = FixRefusals(navigator, inputs)
         self._scatter = FixScatter(inputs)
+        self._alternating = AlternatingFixes(inputs)
         self._units = InputUnits(inputs)
         self._lasting = LastingConditions(inputs.log)
 
@@ -91,6 +93,7 @@ class InputReview:
         """Note what happened to the navigator."""
         if isinstance(notice, Verdict):
             self._scatter.on_verdict(notice)
+            self._alternating.on_verdict(notice)
 
     def note_second(self) -> None:
         """Note what has lasted for another second."""

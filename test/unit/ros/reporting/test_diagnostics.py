@@ -70,6 +70,7 @@ def test_the_accelerometers_factor_alone_is_no_condition() -> None:
         (0.3, 1.0, 1.0, True),
         (0.12, 1.0, 1.0, True),
         (0.01, 0.3, 1.0, True),
+        (0.01, 0.04, 1.0, True),  # of which one decimal would say 0.0 m
         (0.01, 0.3, 0.4, False),
         (0.3, 0.0, 1.0, False),
     ],
@@ -90,7 +91,7 @@ def test_receivers_are_blamed_for_drifts_of_clearly_more_than_their_claim(
 
     text = found.get("fixes drift by more than they claim", "")
     assert bool(found) is is_blamed and text.startswith("fixes drift" if is_blamed else "")
-    assert (f"{drift:.1f} m although they claim {claimed:.2g} m" in text) is is_blamed
+    assert (f"drift by about {drift} m although they claim {claimed:.2g} m" in text) is is_blamed
 
 
 @pytest.mark.parametrize(
