@@ -73,7 +73,7 @@ def with_course(velocity_n: Array) -> Array:
     A receiver that rounds these two changes north and east with either, one that rounds north and
     east changes these.
     """
-    north, east, _ = velocity_n
+    north, east, _ = velocity_n + 0.0  # without the sign of a zero, which would be a course
     course, speed = math.atan2(east, north), math.hypot(north, east)
     return np.array([*velocity_n, round(course, 6), round(speed, 6)])
 

@@ -25,6 +25,8 @@ AHEAD_NS = 1_000_000_000  # a measurement may be that far ahead of the IMU, beyo
 JUMP_CONFIRMED = 5  # samples in a row that make a jump of the stamps a long gap, or a new time base
 STAMPS_KEPT = 64  # of measurements, to find repeated ones
 MOVING = 1.0  # m/s, at which a receiver cannot report the same position twice
+STANDING = 0.2  # m/s: below, a velocity that stays the same is that of a stand
+WITHOUT_POSITION_NS = 2_000_000_000  # that a receiver may be, and report one velocity meanwhile
 STAMPED_AHEAD = "stamped ahead of the IMU"  # the reason of one that is further ahead
 PUBLISHED_AGAIN = "published again with a new stamp"  # the reason of a repeated measurement
 
@@ -153,6 +155,9 @@ class MeasurementCheck:
         self._seen: deque[tuple[str, int]] = deque(maxlen=STAMPS_KEPT)
         self._position_ns = 0  # stamp of the last position
         self._moved = 0.0  # m, while the receiver repeated that
+        self._new_ns = self._spacing_ns = 0  # of the last position that was none of these
+        self._same_since_ns = 0  # stamp of the first of velocities that are the same
+        self._is_velocity_held = False
 
     def forget_stamps(self) -> None:
         """Forget the stamps of earlier measurements: the next come by another clock."""
@@ -199,8 +204,11 @@ class MeasurementCheck:
         if isinstance(fix, PositionFix):
             if self._is_held(fix, again, speed):
                 return Verdict.rejected(fix, "same position while moving")
+            self._spacing_ns, self._new_ns = fix.t_ns - (self._new_ns or fix.t_ns), fix.t_ns
             claimed_std = math.sqrt(horizontal_variance(fix.claimed))
             self.motion.observe(fix.t_ns, fix.lla, claimed_std)
+        elif self._holds_velocity(fix.t_ns, again, speed):
+            return Verdict.rejected(fix, "same velocity while no position comes")
         return None
 
     def _is_held(self, fix: PositionFix, again: bool, speed: float) -> bool:
@@ -216,6 +224,20 @@ class MeasurementCheck:
             self._moved += speed * (fix.t_ns - self._position_ns) * 1e-9
         self._position_ns = fix.t_ns
         return moves or self._moved > left_behind(fix)
+
+    def _holds_velocity(self, t_ns: int, again: bool, speed: float) -> bool:
+        """
+        Return whether a receiver without a position repeats a velocity, until that changes.
+
+        It holds the last one, or sends zeros: without satellites it measures none.
+        """
+        if not again:
+            self._same_since_ns, self._is_velocity_held = t_ns, False
+        elif self._new_ns and speed > STANDING:
+            since_ns = max(self._same_since_ns, self._new_ns)
+            patience_ns = max(WITHOUT_POSITION_NS, 2 * self._spacing_ns)
+            self._is_velocity_held |= t_ns - since_ns >= patience_ns
+        return self._is_velocity_held
 
     def _check_velocities(self, fix: PositionFix | VelocityFix) -> Verdict | None:
         """Refuse a velocity while those of its driver contradict the positions."""

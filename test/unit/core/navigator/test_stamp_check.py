@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hybrid_ins.core.fix_checks.fix_speed import SpeedCheck
 from hybrid_ins.core.navigator.stamp_check import (
@@ -11,7 +12,7 @@ from hybrid_ins.core.navigator.stamp_check import (
     MeasurementCheck,
     StampFault,
 )
-from hybrid_ins.core.update.measurements import PositionFix
+from hybrid_ins.core.update.measurements import PositionFix, VelocityFix
 
 MS = 1_000_000  # ns
 
@@ -84,3 +85,55 @@ def test_a_position_that_claims_little_is_left_behind_later() -> None:
     assert receiver.refused(0.0, 10.0) == 0
     assert receiver.refused(5.0, 1.0) == 5
     assert receiver.refused(0.0, 10.0) == 50
+
+
+class VelocitiesWithoutPositions:
+    """A receiver at 5 Hz whose positions end, and the checks of its velocities."""
+
+    def __init__(self) -> None:
+        self.check = MeasurementCheck(SpeedCheck(100.0, 3.0))
+        self.t_ns = 1_000_000 * MS
+        for k in range(10):
+            self.t_ns += 200 * MS
+            lla = np.array([0.8 + 1e-7 * k, 0.1, 100.0])
+            fix = PositionFix(self.t_ns, lla, np.eye(3), np.zeros(3))
+            assert self.check.check(fix, ImuStampCheck(2.0), 5.0) is None
+            assert self.refused([(3.0 + 0.01 * k, 4.0, 0.0)], 5.0) == 0
+
+    def refused(self, velocities: list[tuple[float, float, float]], speed: float) -> int:
+        """Return how many of the next are refused, at a speed [m/s] of the filter."""
+        count = 0
+        for velocity in velocities:
+            self.t_ns += 200 * MS
+            fix = VelocityFix(self.t_ns, np.array(velocity), 0.01 * np.eye(3), np.zeros(3))
+            verdict = self.check.check(fix, ImuStampCheck(2.0), speed)
+            count += verdict is not None and "while no position comes" in verdict.reason
+        return count
+
+
+@pytest.mark.parametrize("held", [(3.09, 4.0, 0.0), (0.0, 0.0, 0.0)], ids=["the last", "zero"])
+def test_a_velocity_that_is_held_without_positions_is_refused(held: tuple[float, ...]) -> None:
+    receiver = VelocitiesWithoutPositions()
+    signs = [held, (held[0], held[1], -0.0)]
+
+    assert receiver.refused(signs * 5, 5.0) in (0, 1)  # for 2 s
+    assert receiver.refused(signs * 50, 5.0) == 100
+    assert receiver.refused([held], 0.0) == 1  # until it changes
+    assert receiver.refused([(3.0, 4.0, 0.1)], 5.0) == 0
+
+
+def test_velocities_that_change_or_are_those_of_a_stand_are_used_without_positions() -> None:
+    receiver = VelocitiesWithoutPositions()
+
+    assert receiver.refused([(3.0, 4.0 + 0.01 * k, 0.0) for k in range(100)], 5.0) == 0
+    assert receiver.refused([(0.0, 0.0, 0.0)] * 100, 0.05) == 0
+
+
+def test_a_constant_velocity_is_used_beside_positions() -> None:
+    receiver = VelocitiesWithoutPositions()
+
+    for k in range(100):
+        lla = np.array([0.8 + 1e-7 * k, 0.1, 100.0])
+        fix = PositionFix(receiver.t_ns + MS, lla, np.eye(3), np.zeros(3))
+        assert receiver.check.check(fix, ImuStampCheck(2.0), 5.0) is None
+        assert receiver.refused([(3.0, 4.0, 0.0)], 5.0) == 0
