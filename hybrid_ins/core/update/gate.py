@@ -133,7 +133,8 @@ class Gate(ShallowCopy):
     A state is believed no longer than it has been confirmed for: after a pause one measurement
     decides where it is, and if that was the outlier, the following ones need to agree for as long
     as it was followed, not for ``patience``. One above the threshold has to wait then for another
-    one that agrees with it.
+    one that agrees with it, for which the covariance is inflated: it was too small during the
+    pause, and so would be the errors of attitude and biases that such an innovation was laid to.
 
     A jump is out of proportion to what the measurement claims, even where it scatters by less, and
     to the innovations before it: a receiver that claims centimetres and scatters by decimetres does
@@ -245,13 +246,16 @@ class Gate(ShallowCopy):
         consistent_ns = last.consistent_ns if last and are_consistent(last.z, z, R) else t_ns
         patience_ns = min(self._patience_ns, self._confirmed_ns(first_ns))
         long_consistent = t_ns - consistent_ns > patience_ns // 3
+        is_confirmed = seen.is_pause and last is not None and consistent_ns != t_ns
         if plain.nis <= plain.threshold:
             marginal = plain.nis > MARGINAL * plain.threshold and long_consistent
             if not (marginal and is_gnss):
                 self._end_run(kind)
                 return plain
-        elif not is_gnss or (
-            t_ns - consistent_ns < patience_ns and t_ns - first_ns < 3 * patience_ns
+        elif not is_gnss or not (
+            is_confirmed
+            or t_ns - consistent_ns >= patience_ns
+            or t_ns - first_ns >= 3 * patience_ns
         ):
             return self._continue_run(plain, seen, consistent_ns)
         self._end_run(kind)

@@ -261,12 +261,16 @@ PAUSE = 20.0  # s, in which an INS may drift by more than any of these innovatio
 
 def test_after_a_pause_a_fix_above_the_threshold_waits_for_one_that_agrees(gate: Gate) -> None:
     alone = judge(gate, 20.0, 30.0, PAUSE)
+    twin = copy.copy(gate)
     right = judge(copy.copy(gate), 20.2, 0.5, PAUSE)
     second = judge(gate, 20.2, 30.5, PAUSE)
 
     assert not alone.accepted and alone.reason and not alone.disagrees
     assert right.accepted and right.weight == 1.0
-    assert second.accepted and not second.inflated
+    assert second.inflated and second.weight == 1.0
+    assert not second.receiver_jumped and not second.is_ambiguous  # it was the state
+    disagreeing = judge(copy.copy(twin), 20.2, -30.5, PAUSE)
+    assert not disagreeing.accepted
 
 
 def test_a_state_that_rests_on_one_fix_is_left_sooner(gate: Gate) -> None:
