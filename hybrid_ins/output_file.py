@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
+from typing import TypeGuard
 
 from hybrid_ins.errors import InputError
 
@@ -89,10 +90,16 @@ def _is_device(target: Path) -> bool:
     return os.access(target, os.F_OK) and not (target.is_file() or target.is_dir())
 
 
+def is_full(error: BaseException | None) -> TypeGuard[OSError]:
+    """Return whether an error says that there is no room for more of a file."""
+    full = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    return isinstance(error, OSError) and error.errno in full
+
+
 def cannot_be_written(path: Path, error: OSError) -> InputError:
     """Return the error of an output that the system refuses, by the name that the user gave."""
     remedy = "choose a folder that can be written"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+    if is_full(error):
         remedy = "make room, or choose another folder"
     return InputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}")
 

@@ -20,7 +20,7 @@ from hybrid_ins.bags.mcap_reader import Channel
 from hybrid_ins.bags.mcap_writer import McapWriter, is_own
 from hybrid_ins.bags.messages import LATCHED, TYPES, Message, absolute, is_standard
 from hybrid_ins.errors import InputError
-from hybrid_ins.output_file import cannot_be_written, check_output, private_name
+from hybrid_ins.output_file import cannot_be_written, check_output, is_full, private_name
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -108,6 +108,8 @@ class BagWriter:
             self.close()
         elif self._is_open:
             self._abandon()
+        if is_full(error):  # as it was for temporary files beside the bag
+            raise cannot_be_written(self.path, error) from None
 
     def close(self) -> None:
         """Complete the bag and put it in its place; closing twice is harmless."""

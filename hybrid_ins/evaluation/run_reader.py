@@ -57,7 +57,8 @@ def read_run(
     topics = topics or Topics()
     notes: list[str] = []
     with BagReader(estimate_path) as reader:
-        bag = _Bag(reader, topics)
+        bag, present = _Bag(reader, topics), set(reader.topics)
+        _require_estimate(reader, topics.odometry)
         positions, frames = _trajectory(bag, topics.odometry, "--odometry", topics.datum, notes)
         estimate = _of_known_heading(reader, topics.odometry, positions, notes)
         truth = truth_frames = None
@@ -73,12 +74,15 @@ def read_run(
         notes += _lasting(bag, topics.diagnostics)
     if truth_path is not None:
         with BagReader(truth_path) as reader:
-            bag = _Bag(reader, topics)
+            bag, present = _Bag(reader, topics), present | set(reader.topics)
             truth, truth_frames = _trajectory(
                 bag, topics.truth, "--truth-topic", topics.truth_datum, notes
             )
             fixes = fixes if len(fixes) else _fixes(bag, topics.fix)
             true_sensor_errors = _sensor_errors(bag, topics, "/truth")
+    for name, usual in ((topics.fix, Topics.fix), (topics.verdict, Topics.verdict)):
+        if name != usual and absolute(name) not in present:
+            raise InputError(f"{estimate_path}: no topic {absolute(name)}")
     if truth_frames is not None and truth_frames != frames:
         notes.append(
             f"the estimate is of {frames[1]!r} in {frames[0]!r}, the truth of {truth_frames[1]!r} "
@@ -97,6 +101,16 @@ def read_run(
         absolute(topics.truth),
         positions if len(positions) > len(estimate) else None,
     )
+
+
+def _require_estimate(reader: BagReader, topic: str) -> None:
+    """Raise `InputError` where a bag is a recording that nothing has estimated from."""
+    has_imu = type_names.IMU in reader.topics.values()
+    if topic == Topics.odometry and topic not in reader.topics and has_imu:
+        raise InputError(
+            f"{reader.path}: has IMU messages and no {topic}: a recording, not an estimate: run "
+            "ins_replay on it and evaluate the result, or name another estimate with --odometry"
+        )
 
 
 class _Bag:

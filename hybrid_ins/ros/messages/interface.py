@@ -137,7 +137,8 @@ PUBLISHED = (
         "odometry/local",
         type_names.ODOMETRY,
         OUTPUT,
-        "the same in `odom`: continuous, without jumps when a fix corrects the estimate",
+        "the same in `odom`: continuous, without jumps when a fix corrects the estimate; the "
+        "pose's covariance grows with the way since the start",
     ),
     Topic(
         "gnss/filtered",

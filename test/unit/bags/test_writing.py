@@ -1,5 +1,6 @@
 """Bags are complete or absent, whatever ends their writer."""
 
+import errno
 import os
 import resource
 import shutil
@@ -136,6 +137,15 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, caplog: pytest.LogCapture
     assert "bag.mcap.part: is incomplete" in caplog.text
     assert not (tmp_path / "bag.mcap").exists()
     assert count(tmp_path / "bag.mcap.part") > 1000
+
+
+def test_no_room_for_temporary_files_names_the_bag_and_the_remedy(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match=r"bag.mcap: cannot be written .full.: make room"),
+        BagWriter(tmp_path / "bag.mcap", keep_partial=False),
+    ):
+        raise OSError(errno.ENOSPC, "full")
+    assert not list(tmp_path.iterdir())
 
 
 def test_topics_of_one_type_and_of_several(tmp_path: Path) -> None:

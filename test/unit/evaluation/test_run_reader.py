@@ -18,6 +18,8 @@ from support.recordings import (
 )
 
 from hybrid_ins.bags.messages import new_message
+from hybrid_ins.errors import InputError
+from hybrid_ins.evaluation.run import Topics
 from hybrid_ins.evaluation.run_reader import read_run
 
 
@@ -102,3 +104,21 @@ def test_what_diagnostics_warned_of_for_long_is_a_note(tmp_path: Path) -> None:
         "diagnostics, for 15 of 15 s: it seems to be 1.40 s",
         "diagnostics, for 11 of 15 s: the IMU disagrees",
     ]
+
+
+def test_a_recording_is_no_estimate(tmp_path: Path) -> None:
+    """It was said to have no Odometry, although it had the truth's."""
+    with bag(tmp_path / "recording", flight(TRUTH)) as out:
+        out.write("/imu/data", new_message("sensor_msgs/msg/Imu"), int(stamps(1.0)))
+
+    with pytest.raises(InputError, match="a recording, not an estimate: run ins_replay"):
+        read_run(tmp_path / "recording")
+
+
+@pytest.mark.parametrize("topics", [Topics(fix="/nosuch"), Topics(verdict="nosuch")])
+def test_a_topic_that_is_named_and_missing_is_an_error(tmp_path: Path, topics: Topics) -> None:
+    with bag(tmp_path / "run", flight(TRUTH)) as out:
+        write_track(out, "/odometry", flight(FAST))
+
+    with pytest.raises(InputError, match="no topic /nosuch"):
+        read_run(tmp_path / "run", topics=topics)
