@@ -53,6 +53,8 @@ STAMP_COST = 7.0  # nats of evidence that stamps scatter: clock and heading look
 AGE_STDS = np.array([0.2, 0.6])  # s, of the age of velocities
 VELOCITY_DECADES = np.array([[1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 1.0, 2.0]])  # horizontal, vertical
 BESIDE_VELOCITY = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
+POSITION_DECADES = np.array([0.7, 1.5, 2.2, 3.0])  # of the factor on R of positions alone
+BESIDE_POSITION = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
 VELOCITY_COST = 4.0  # nats of evidence that velocities are old, or err by more than they claim
 HEIGHT_DECADES = np.array([0.6, 1.2, 1.8, 2.4, 3.0])  # of the factor on R of heights alone
 BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.5])  # of the accelerometer's factor beside that
@@ -88,6 +90,14 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
         _beside(
             BESIDE_VELOCITY,
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
+        ),
+        _beside(
+            BESIDE_POSITION,
+            {
+                _FIXES: POSITION_DECADES,
+                _HORIZONTAL: -POSITION_DECADES,
+                _VERTICAL: -POSITION_DECADES,
+            },
         ),
         _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
         *(_beside(decades, {_SLOW_HEIGHT: stds}) for stds, decades in SLOW_HEIGHT_STDS),

@@ -97,6 +97,8 @@ STAND_NS = 1_500_000_000  # after a standstill update, in which the vehicle stil
 _HYPOTHESES_OF_IMU = WIDE_HYPOTHESES.copy()  # about R there are none for what is no fix
 _HYPOTHESES_OF_IMU[2] = 1.0
 _ROOTS_OF_VELOCITY = roots_by_axis(*10.0 ** WIDE_HYPOTHESES[ON_VELOCITY])
+# A wrong heading or clock looks like old velocities; not like fixes whose positions scatter alone.
+_ROOTS_IN_SEARCH = roots_by_axis(*10.0 ** np.minimum(WIDE_HYPOTHESES[ON_VELOCITY], 0.0))
 _ROOTS_OF_POSITION = roots_by_axis(np.ones(WIDTH), 10.0 ** WIDE_HYPOTHESES[ON_HEIGHT])
 _ROOTS_OF_OTHERS = np.ones((N_ERROR, WIDTH))
 
@@ -256,7 +258,7 @@ class NoiseMultipleModelBank(ShallowCopy):
             roots, in_force = _ROOTS_OF_POSITION, roots_by_axis(*correction.factors_by_axis)[:m]
         elif correction.kind == VelocityFix.kind:
             stamp_stds, in_force = AGE_STD, roots_by_axis(*correction.factors_by_axis)[:m]
-            roots = roots if correction.of_stamp is None else _ROOTS_OF_VELOCITY
+            roots = _ROOTS_IN_SEARCH if correction.of_stamp is None else _ROOTS_OF_VELOCITY
         self._values = self._values.copy()
         if before is None or not 0.0 <= T <= MAX_INTERVAL:
             T, before = 0.0, np.zeros((N_ROWS, WIDTH))
