@@ -250,6 +250,31 @@ def test_velocities_that_lag_or_scatter_are_found_beside_right_positions(
     assert searched.found.horizontal_velocity == searched.found.vertical_velocity == 1.0
 
 
+@pytest.mark.parametrize("std", [0.05, 0.3, 0.5])
+@pytest.mark.parametrize("is_search", [False, True])
+def test_positions_that_scatter_beside_right_velocities_have_no_slow_error(
+    std: float, is_search: bool
+) -> None:
+    """They were published 10 m off: with the velocities, which were right, no R was left."""
+    # GIVEN a car whose positions claim 0.05 m and scatter by 1, 6 or 10 times that
+    run, rng = draw(replace(DRIVE, duration=60.0), 2), np.random.default_rng(3)
+    stamps, fixes = run.samples["t_ns"][run.scored].tolist(), []
+    for t_ns, lla, velocity_n in zip(stamps, run.lla, run.velocity_n, strict=True):
+        lla = lla + std * rng.standard_normal(3) / curvature_scale(lla)
+        fixes.append(PositionFix(t_ns, lla, 25e-4 * np.eye(3), np.zeros(3)))
+        measured = velocity_n + 0.1 * rng.standard_normal(3)
+        fixes.append(VelocityFix(t_ns, measured, 0.01 * np.eye(3), np.zeros(3)))
+    # WHEN the filter runs
+    ins, _ = fly(replace(run, fixes=tuple(fixes)), scatter=not is_search)
+    # THEN it is R of the positions that is raised, and that alone
+    found = ins.noise.found
+    assert found.fixes == pytest.approx((std / 0.05) ** 2, rel=0.7)
+    of_velocities = np.array([found.horizontal_velocity, found.vertical_velocity])
+    np.testing.assert_allclose(found.fixes * of_velocities, 1.0, atol=0.7)
+    assert found.slow_std == 0.0
+    assert total_std(ins.nav)[:3].max() < std
+
+
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:
     # GIVEN fixes that claim decimetres, and are off by 4 m for a quarter of a minute
     run = draw(replace(SCENE, duration=60.0), 2)
