@@ -80,7 +80,7 @@ def test_a_claim_that_contains_a_slow_error_is_no_evidence_on_it() -> None:
 
 def test_a_slow_error_has_the_second_moment_of_what_is_probable() -> None:
     rng = np.random.default_rng(4)
-    weights = rng.uniform(size=COUNT) * np.where(SLOW_HEIGHT > 0.0, 3.0, 1.0)
+    weights = rng.uniform(size=COUNT) * np.where(SLOW + SLOW_HEIGHT > 0.0, 3.0, 1.0)
     weights /= weights.sum()
     factors, lowest = np.ones(12), np.ones(8)
 
