@@ -280,8 +280,8 @@ def noise_conditions(navigator: Navigator) -> dict[str, str]:
         size = f"{drift:.1f}" if drift >= 0.1 else f"{drift:.1g}"
         found["fixes drift by more than they claim"] = (
             f"{what} drift by about {size} m although they claim {claimed:.2g} m: the "
-            "published covariance contains it; check the receiver, its corrections and "
-            "gnss.antenna_position, or set gnss.position_std_min"
+            "published covariance contains what changes within minutes; check the receiver, its "
+            "corrections and gnss.antenna_position, or set gnss.position_std_min"
         )
     return found
 
