@@ -266,13 +266,14 @@ def test_positions_that_scatter_beside_right_velocities_have_no_slow_error(
         fixes.append(VelocityFix(t_ns, measured, 0.01 * np.eye(3), np.zeros(3)))
     # WHEN the filter runs
     ins, _ = fly(replace(run, fixes=tuple(fixes)), scatter=not is_search)
-    # THEN it is R of the positions that is raised, and that alone
+    # THEN it is R of the positions that is raised, and that alone, and what the claim is worth then
+    # is published, since nothing bounds a slow error any better
     found = ins.noise.found
     assert found.fixes == pytest.approx((std / 0.05) ** 2, rel=0.7)
     of_velocities = np.array([found.horizontal_velocity, found.vertical_velocity])
     np.testing.assert_allclose(found.fixes * of_velocities, 1.0, atol=0.7)
     assert found.slow_std == 0.0
-    assert total_std(ins.nav)[:3].max() < std
+    assert total_std(ins.nav)[:3].max() < 1.3 * std
 
 
 def test_jumps_that_are_not_claimed_are_published_and_those_of_the_state_are_not() -> None:

@@ -138,12 +138,18 @@ class FilterNoise:
         """
         Return the variance of errors that positions have shown before a stamp [ns], (3,) m², NED.
 
-        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force.
+        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force. A claim
+        that was too small by a factor, beside velocities that are right, is worth that many times
+        more, and bounds a slow error no better.
         """
-        of_jumps = self.jumps.variance(t_ns)
-        if not any(self.slow_error.past):
+        of_jumps, found = self.jumps.variance(t_ns), self.found
+        excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0
+        if not any(self.slow_error.past) and excess <= 0.0:
             return of_jumps
-        return np.maximum(of_jumps, self.slow_error.past_variance - slow_variance)
+        across, upward = self.split.claimed_stds
+        claimed = np.array([across, across, upward if math.isfinite(upward) else across])
+        possible = np.maximum(self.slow_error.past_variance, max(excess, 0.0) * claimed**2)
+        return np.maximum(of_jumps, possible - slow_variance)
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
