@@ -78,6 +78,7 @@ class FilterNoise:
         self.considers_scale = self._explained = False
         self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_stds=(math.inf, math.inf))
         self.slow_error, self.jumps = SlowError(), PositionJumps()
+        self._runs = False  # it is that of the filter that runs, and of none of a search
         self._suspected: tuple[Correction, Array] | None = None
         self._restarted = False
         self._note_levels()
@@ -117,7 +118,7 @@ class FilterNoise:
         if len(fix.claimed) == 2:
             for bank in self._banks():
                 bank.forget_heights(fix.t_ns)
-        found = self.found
+        found, self._runs = self.found, scatter.in_force
         shown = found.slow_std, found.slow_height_std
         is_told = scatter.in_force or (self.factors is not None and self.factors.stands(fix.t_ns))
         lasts = is_told and found.slow_probability > PROBABLE
@@ -143,13 +144,13 @@ class FilterNoise:
         more, and bounds a slow error no better.
         """
         of_jumps, found = self.jumps.variance(t_ns), self.found
-        excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0
-        if not any(self.slow_error.past) and excess <= 0.0:
-            return of_jumps
-        across, upward = self.split.claimed_stds
-        claimed = np.array([across, across, upward if math.isfinite(upward) else across])
-        possible = np.maximum(self.slow_error.past_variance, max(excess, 0.0) * claimed**2)
-        return np.maximum(of_jumps, possible - slow_variance)
+        excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0 if self._runs else 0.0
+        possible = self.slow_error.past_variance
+        if excess > 0.0:
+            across, upward = self.split.claimed_stds
+            claimed = np.array([across, across, upward if math.isfinite(upward) else across])
+            possible = np.maximum(possible, excess * claimed**2)
+        return np.maximum(of_jumps, possible - slow_variance) if possible.any() else of_jumps
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""

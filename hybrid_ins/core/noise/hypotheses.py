@@ -55,7 +55,6 @@ VELOCITY_DECADES = np.array([[1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 1.0, 2.0]])  # hor
 BESIDE_VELOCITY = np.array([-1.5, 0.0, 1.0, 2.0, 3.0])  # of the accelerometer's factor beside that
 POSITION_DECADES = np.array([0.7, 1.5, 2.2, 3.0])  # of the factor on R of positions alone
 BESIDE_POSITION = np.array([-1.5, 0.0, 1.0, 2.0])  # of the accelerometer's factor beside that
-SLOW_POSITION_STDS = np.array([0.3, 1.0, 3.0, 10.0])  # m, of a slow error beside that
 VELOCITY_COST = 4.0  # nats of evidence that velocities are old, or err by more than they claim
 HEIGHT_DECADES = np.array([0.6, 1.2, 1.8, 2.4, 3.0])  # of the factor on R of heights alone
 BESIDE_HEIGHT = np.array([-1.5, 0.0, 1.5])  # of the accelerometer's factor beside that
@@ -78,17 +77,10 @@ def _beside(decades: Array, values: dict[int, Array]) -> Array:
     return columns
 
 
-def _of_positions(decades: Array, on_r: Array, others: dict[int, Array] | None = None) -> Array:
-    """Return columns whose factor on R has these decades for positions, and none for velocities."""
-    values = {_FIXES: on_r, _HORIZONTAL: -on_r, _VERTICAL: -on_r}
-    return _beside(decades, values | (others or {}))
-
-
 _GRID = np.stack(
     [grid.ravel() for grid in np.meshgrid(DECADES, RATE_DECADES, GNSS_DECADES, indexing="ij")]
 )
 _slow_and_white = np.meshgrid(SLOW_WHITE_STDS, SLOW_WHITE_DECADES, indexing="ij")
-_slow_positions = np.meshgrid(SLOW_POSITION_STDS, POSITION_DECADES, indexing="ij")
 _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_model_step`
     (
         np.pad(_GRID, ((0, _ROWS - len(_GRID)), (0, 0))),
@@ -99,14 +91,20 @@ _COLUMNS = np.hstack(  # those with a slow error are the last, see `multiple_mod
             BESIDE_VELOCITY,
             {_HORIZONTAL: VELOCITY_DECADES[0], _VERTICAL: VELOCITY_DECADES[1]},
         ),
-        _of_positions(BESIDE_POSITION, POSITION_DECADES),
+        _beside(
+            BESIDE_POSITION,
+            {
+                _FIXES: POSITION_DECADES,
+                _HORIZONTAL: -POSITION_DECADES,
+                _VERTICAL: -POSITION_DECADES,
+            },
+        ),
         _beside(BESIDE_HEIGHT, {_HEIGHT: HEIGHT_DECADES}),
         *(_beside(decades, {_SLOW_HEIGHT: stds}) for stds, decades in SLOW_HEIGHT_STDS),
         *(_beside(decades, {_SLOW: stds}) for stds, decades in SLOW_STDS),
         _beside(
             np.zeros(1), {_SLOW: _slow_and_white[0].ravel(), _FIXES: _slow_and_white[1].ravel()}
         ),
-        _of_positions(np.zeros(1), _slow_positions[1].ravel(), {_SLOW: _slow_positions[0].ravel()}),
     )
 )
 _OF_VELOCITY = np.any(_COLUMNS[[_AGE, _VERTICAL]] > 0.0, axis=0)
