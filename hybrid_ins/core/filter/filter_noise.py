@@ -20,7 +20,7 @@ from hybrid_ins.core.noise.multiple_model import NoiseMultipleModelBank, StateCo
 from hybrid_ins.core.noise.position_jumps import PositionJumps
 from hybrid_ins.core.noise.position_scatter import PositionScatter, Split
 from hybrid_ins.core.noise.process_noise import Correction, NoiseEstimate, NoiseModel, ProcessNoise
-from hybrid_ins.core.noise.slow_error import SlowError
+from hybrid_ins.core.noise.slow_error import Shares, SlowError
 from hybrid_ins.core.noise.weights import NoiseFactors
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import Measurement, PositionFix, VelocityFix
@@ -78,9 +78,8 @@ class FilterNoise:
         self.considers_scale = self._explained = False
         self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_stds=(math.inf, math.inf))
         self.slow_error, self.jumps = SlowError(), PositionJumps()
-        self._runs = False  # it is that of the filter that runs, and of none of a search
         self._suspected: tuple[Correction, Array] | None = None
-        self._restarted = False
+        self._restarted = self._runs = False  # it is of the filter that runs, not of a search
         self._note_levels()
 
     def __copy__(self) -> FilterNoise:
@@ -137,20 +136,14 @@ class FilterNoise:
 
     def past_variance(self, slow_variance: Array, t_ns: int) -> Array:
         """
-        Return the variance of errors that positions have shown before a stamp [ns], (3,) m², NED.
+        Return the variance of errors that positions have shown up to a stamp [ns], (3,) m², NED.
 
-        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force. A claim
-        that was too small by a factor, beside velocities that are right, is worth that many times
-        more, and bounds a slow error no better.
+        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force.
         """
-        of_jumps, found = self.jumps.variance(t_ns), self.found
-        excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0 if self._runs else 0.0
         possible = self.slow_error.past_variance
-        if excess > 0.0:
-            across, upward = self.split.claimed_stds
-            claimed = np.array([across, across, upward if math.isfinite(upward) else across])
-            possible = np.maximum(possible, excess * claimed**2)
-        return np.maximum(of_jumps, possible - slow_variance) if possible.any() else of_jumps
+        if self._runs:
+            possible = np.maximum(possible, _beyond_claim(self.found, self.split.claimed_stds))
+        return np.maximum(self.jumps.variance(t_ns), possible - slow_variance)
 
     def levels(self) -> Array:
         """Per-sample variances in force: accelerometer x y z, gyroscope x y z, (6,), b frame."""
@@ -289,3 +282,18 @@ class FilterNoise:
         for bank in self._banks():
             bank.restart(keep_weights=keep_weights)
         self._note_levels()
+
+
+def _beyond_claim(found: NoiseFactors, claimed_stds: Shares) -> Array:
+    """
+    Return by how much positions beside right velocities are worse than they claim [m²], (3,), NED.
+
+    A claim that was too small by a factor bounds no slow error either.
+    """
+    excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0
+    if excess <= 0.0:
+        return np.zeros(3)
+    across, upward = claimed_stds
+    return np.asarray(
+        excess * np.square((across, across, upward if math.isfinite(upward) else across))
+    )
