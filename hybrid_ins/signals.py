@@ -15,6 +15,18 @@ CALLED_BY_COMPILED_CODE = "numba.core.serialize"
 AGAIN = 0.01  # s, after which a signal comes again
 
 
+def that_end() -> list[signal.Signals]:
+    """Return the signals that end a program: SIGHUP, of a terminal that closes, unless ignored."""
+    is_kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # by ``nohup``
+    return [signal.SIGINT, signal.SIGTERM, *([] if is_kept else [signal.SIGHUP])]
+
+
+def leave_to_the_parent() -> None:
+    """Ignore Ctrl-C and SIGHUP, which reach all processes of a terminal."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+
+
 class Terminated(BaseException):
     """
     SIGTERM or SIGHUP: unwinds like Ctrl-C, so that every open bag is completed.
@@ -35,8 +47,6 @@ def raised(*, once: bool = False) -> Iterator[None]:
     """
     Within the block, Ctrl-C raises `KeyboardInterrupt`, SIGTERM and SIGHUP `Terminated`.
 
-    SIGHUP comes where a terminal or its connection closes; ``nohup`` ignores it, and so do we then.
-
     Compiled code calls some functions of numba, and turns what is raised there into a SystemError;
     and Python ignores what is raised where an object ends, as in the callback of a weak reference.
     A signal that arrives there comes again.
@@ -47,7 +57,6 @@ def raised(*, once: bool = False) -> Iterator[None]:
         Ignore signals after the first, until the block ends.
     """
     timers: list[threading.Timer] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def leave(number: int, frame: FrameType | None) -> None:
         if frame is None or frame.f_globals.get("__name__") != CALLED_BY_COMPILED_CODE:
@@ -70,14 +79,11 @@ def raised(*, once: bool = False) -> Iterator[None]:
             previous_hook(unraisable)
 
     previous_hook = sys.unraisablehook
-    previous = {number: signal.getsignal(number) for number in numbers}
+    previous: dict[int, Any] = {number: signal.getsignal(number) for number in that_end()}
     if threading.current_thread() is not threading.main_thread():
         previous = {}  # whoever runs us keeps the signals
-    else:
-        if previous[signal.SIGINT] is not signal.default_int_handler:
-            del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
-        if previous[signal.SIGHUP] is signal.SIG_IGN:
-            del previous[signal.SIGHUP]
+    elif previous[signal.SIGINT] is not signal.default_int_handler:
+        del previous[signal.SIGINT]  # ignored, as behind `&` of a shell
     for number in previous:
         signal.signal(number, leave)
     if previous:

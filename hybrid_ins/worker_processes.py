@@ -63,8 +63,7 @@ def _follow_the_parent() -> None:
 
     And end with that one, also where it is killed.
     """
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    signals.leave_to_the_parent()
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 

@@ -1,10 +1,11 @@
 """The programs: each module parses its options and makes one call."""
 
-import signal
 import sys
 from multiprocessing import current_process
 from pathlib import Path
 from types import TracebackType
+
+from hybrid_ins import signals
 
 
 def _report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
@@ -17,5 +18,4 @@ def _report(kind: type[BaseException], error: BaseException, trace: TracebackTyp
 
 sys.excepthook = _report
 if getattr(current_process(), "_inheriting", False):  # loaded by a process beside the program's
-    for number in (signal.SIGINT, signal.SIGHUP):  # those of a terminal are the program's to report
-        signal.signal(number, signal.SIG_IGN)
+    signals.leave_to_the_parent()  # which reports them

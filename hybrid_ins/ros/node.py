@@ -41,7 +41,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from hybrid_ins import kernels, parameters
+from hybrid_ins import kernels, parameters, signals
 from hybrid_ins.errors import InputError
 from hybrid_ins.noise_regressor.reader import find_regressor
 from hybrid_ins.ros import node_arguments, node_parameters
@@ -281,9 +281,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if starting:  # nothing else ends a compilation of a minute
             raise KeyboardInterrupt
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, stop)
+    for number in signals.that_end():
+        signal.signal(number, stop)
     node = None
     try:
         node = InsNode()

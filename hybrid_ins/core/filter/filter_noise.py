@@ -79,7 +79,7 @@ class FilterNoise:
         self.split = Split(np.empty(0), np.empty(0), 0.0, claimed_stds=(math.inf, math.inf))
         self.slow_error, self.jumps = SlowError(), PositionJumps()
         self._suspected: tuple[Correction, Array] | None = None
-        self._restarted = self._runs = False  # it is of the filter that runs, not of a search
+        self._restarted = False
         self._note_levels()
 
     def __copy__(self) -> FilterNoise:
@@ -117,7 +117,7 @@ class FilterNoise:
         if len(fix.claimed) == 2:
             for bank in self._banks():
                 bank.forget_heights(fix.t_ns)
-        found, self._runs = self.found, scatter.in_force
+        found = self.found
         shown = found.slow_std, found.slow_height_std
         is_told = scatter.in_force or (self.factors is not None and self.factors.stands(fix.t_ns))
         lasts = is_told and found.slow_probability > PROBABLE
@@ -134,15 +134,15 @@ class FilterNoise:
             return found.horizontal_velocity, found.vertical_velocity
         return (1.0, found.heights) if isinstance(measurement, PositionFix) else (1.0, 1.0)
 
-    def past_variance(self, slow_variance: Array, t_ns: int) -> Array:
+    def past_variance(self, slow_variance: Array, t_ns: int, *, is_running: bool) -> Array:
         """
         Return the variance of errors that positions have shown up to a stamp [ns], (3,) m², NED.
 
-        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force.
+        Of slow errors what exceeds ``slow_variance``, (3,) [m²], that of the one in force; what a
+        claim lacks counts in the filter that runs alone.
         """
-        possible = self.slow_error.past_variance
-        if self._runs:
-            possible = np.maximum(possible, _beyond_claim(self.found, self.split.claimed_stds))
+        found = self.found if is_running else NoiseFactors()
+        possible = _possible_variance(self.slow_error, found, self.split.claimed_stds)
         return np.maximum(self.jumps.variance(t_ns), possible - slow_variance)
 
     def levels(self) -> Array:
@@ -284,16 +284,17 @@ class FilterNoise:
         self._note_levels()
 
 
-def _beyond_claim(found: NoiseFactors, claimed_stds: Shares) -> Array:
+def _possible_variance(past: SlowError, found: NoiseFactors, claimed_stds: Shares) -> Array:
     """
-    Return by how much positions beside right velocities are worse than they claim [m²], (3,), NED.
+    Return the variance of a slow error that there may be [m²], (3,), NED.
 
-    A claim that was too small by a factor bounds no slow error either.
+    A claim that was too small by a factor, beside velocities that are right, is worth that many
+    times more, and bounds a slow error no better.
     """
-    excess = min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0
-    if excess <= 0.0:
+    excess = max(min(found.fixes, 1.0 / found.horizontal_velocity) - 1.0, 0.0)
+    if not excess and not any(past.past):
         return np.zeros(3)
     across, upward = claimed_stds
-    return np.asarray(
-        excess * np.square((across, across, upward if math.isfinite(upward) else across))
-    )
+    stds = np.array([across, across, upward if math.isfinite(upward) else across])
+    beyond = excess * np.square(stds, out=np.zeros(3), where=np.isfinite(stds))
+    return np.maximum(past.past_variance, beyond)

@@ -366,7 +366,9 @@ def _consider(nav: Array, known: MeasurementUpdate, t_ns: int) -> None:
     nav[ANTENNA_VARIANCE] = known.lever_arm.considered(nav)
     nav[ATTITUDE_COVARIANCE] = known.scale_errors.considered + known.lever_arm.of_attitude
     nav[HEADING_CONSIDERED] += known.heading.considered(nav)
-    nav[PAST_VARIANCE] = known.noise.past_variance(nav[SLOW_VARIANCE], t_ns)
+    nav[PAST_VARIANCE] = known.noise.past_variance(
+        nav[SLOW_VARIANCE], t_ns, is_running=known.scatter.in_force
+    )
 
 
 def _move(nav: Array, moved: StateCorrection) -> None:

@@ -133,8 +133,8 @@ class Gate(ShallowCopy):
     A state is believed no longer than it has been confirmed for: after a pause one measurement
     decides where it is, and if that was the outlier, the following ones need to agree for as long
     as it was followed, not for ``patience``. One above the threshold has to wait then for another
-    one that agrees with it, for which the covariance is inflated: it was too small during the
-    pause, and so would be the errors of attitude and biases that such an innovation was laid to.
+    one that agrees with it, for which the covariance is inflated unless it is a jump: it was too
+    small during the pause, and would lay the innovation to attitude and biases.
 
     A jump is out of proportion to what the measurement claims, even where it scatters by less, and
     to the innovations before it: a receiver that claims centimetres and scatters by decimetres does
@@ -246,7 +246,8 @@ class Gate(ShallowCopy):
         consistent_ns = last.consistent_ns if last and are_consistent(last.z, z, R) else t_ns
         patience_ns = min(self._patience_ns, self._confirmed_ns(first_ns))
         long_consistent = t_ns - consistent_ns > patience_ns // 3
-        is_confirmed = seen.is_pause and last is not None and consistent_ns != t_ns
+        is_confirmed = seen.is_pause and last is not None and not last.jump
+        is_confirmed = is_confirmed and consistent_ns != t_ns
         if plain.nis <= plain.threshold:
             marginal = plain.nis > MARGINAL * plain.threshold and long_consistent
             if not (marginal and is_gnss):
@@ -300,7 +301,7 @@ class Gate(ShallowCopy):
         if measurement.sensor != GNSS or jump:
             reason, disagrees = "innovation beyond the gate", jump and not of_state
             return replace(plain, accepted=False, reason=reason, jump=jump, disagrees=disagrees)
-        if is_pause and not of_state:
+        if is_pause:
             return replace(plain, accepted=False, reason=UNCONFIRMED, jump=True)
         jumped, surprises = False, False
         if kind == "position" and run.certain and self._was_believed(run.first_ns):

@@ -18,6 +18,7 @@ from hybrid_ins.ros.messages.conversions import (
     FLIP,
     Message,
     Refused,
+    floor_covariance,
     imu_yaw,
     time_of,
     unusable_stamp,
@@ -98,10 +99,9 @@ class AidingMessages:
                 "aiding: absurd velocity",
                 f"{velocity} m/s is too fast for a vehicle: check the driver's unit (m/s)",
             )
-        covariance = _between(covariance, given)
-        covariance += np.diag(
-            np.where(given, np.maximum(self.velocity_std_min**2 - variance, 0.0), 1.0)
-        )
+        covariance = _of_axes(covariance, given)
+        lacking = np.where(given, np.maximum(self.velocity_std_min**2 - variance, 0.0), 0.0)
+        covariance += np.diag(lacking)
         velocity[~given] = np.nan
         return BodyVelocity(t_ns, velocity * np.diag(FLIP), FLIP @ covariance @ FLIP, self.point_b)
 
@@ -174,17 +174,14 @@ def _twist(message: Message) -> tuple[Array, Array]:
     return np.array([linear.x, linear.y, linear.z], float), covariance
 
 
-def _between(covariance: Array, given: NDArray[np.bool_]) -> Array:
+def _of_axes(covariance: Array, given: NDArray[np.bool_]) -> Array:
     """
-    Return the covariance (3, 3) of the axes that are given; zero in rows and columns of others.
+    Return a covariance (3, 3) fit for use of the axes that are given; others have 1 m²/s².
 
-    The symmetric part counts, and the diagonal alone where no errors have such correlations.
+    The diagonal alone counts where no errors have such correlations.
     """
-    found = np.where(np.outer(given, given), 0.5 * covariance + 0.5 * covariance.T, 0.0)
-    known = found[np.ix_(given, given)]
-    if np.isfinite(known).all() and np.linalg.eigvalsh(known)[0] > 0.0:
-        return found
-    return np.diag(np.where(given, covariance.diagonal(), 0.0))
+    variances = np.diag(np.where(given, covariance.diagonal(), 1.0))
+    return floor_covariance(np.where(np.outer(given, given), covariance, variances), 0.0, variances)
 
 
 def _usable(velocity: Array, variance: Array) -> NDArray[np.bool_]:

@@ -5,7 +5,6 @@ Receivers whose fixes scatter by far more than they claim, so that most are reje
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,33 +12,18 @@ from numpy.typing import NDArray
 from hybrid_ins.core.noise.fix_differences import OF_WHITE, third_differences
 from hybrid_ins.core.update.gate import Verdict
 from hybrid_ins.core.update.measurements import PositionFix
-from hybrid_ins.ros.messages.conversions import Refused
-from hybrid_ins.ros.reporting.input_log import InputLog
+from hybrid_ins.ros.review.fix_review import FIXES_KEPT, FixReview
 
 Array = NDArray[np.float64]
 
-FIXES_KEPT = 40  # fixes
 REJECTED = 0.4  # share of the fixes, from which the receiver is suspected
 EXCESS = 5.0  # times the claimed standard deviation
 JERK = 3.0  # m/s³, of a vehicle
-NEXT_WARNING = 200  # fixes
 WENT_BACK_NS = 5_000_000_000  # by more than fixes are late: the stamps have another time base
 
 
-class FixScatter:
-    """
-    Compares the scatter of fixes, from one to the next, with what they claim.
-
-    Parameters
-    ----------
-    inputs : InputLog
-        Warns.
-    """
-
-    def __init__(self, inputs: InputLog) -> None:
-        self._inputs = inputs
-        self._fixes: deque[tuple[int, Array, float, bool]] = deque(maxlen=FIXES_KEPT)
-        self._quiet = 0  # fixes until the next warning
+class FixScatter(FixReview[tuple[int, Array, float, bool]]):
+    """Compares the scatter of fixes, from one to the next, with what they claim."""
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Note the verdict on a fix that was compared with the state."""
@@ -61,15 +45,11 @@ class FixScatter:
         scatter = self._scatter()
         claimed = float(np.median([sigma for _, _, sigma, _ in self._fixes]))
         if scatter > EXCESS * claimed:
-            self._quiet = NEXT_WARNING
-            self._inputs.count_and_warn(
-                "gnss/fix",
-                Refused(
-                    "gnss: claimed accuracy is not kept",
-                    f"{rejected} of {FIXES_KEPT} fixes rejected: they scatter by {scatter:.2g} m "
-                    f"from one to the next, σ {claimed:.2g} m is used: set gnss.position_std_min "
-                    f"to {_rounded_up(scatter):g}",
-                ),
+            self._warn(
+                "gnss: claimed accuracy is not kept",
+                f"{rejected} of {FIXES_KEPT} fixes rejected: they scatter by {scatter:.2g} m "
+                f"from one to the next, σ {claimed:.2g} m is used: set gnss.position_std_min "
+                f"to {_rounded_up(scatter):g}",
             )
 
     def _scatter(self) -> float:

@@ -99,7 +99,7 @@ def test_what_state_and_receiver_disagreed_by_is_published_unless_the_imu_was_fa
     )
     noise.learn_verdict(verdict, correction(BEGIN_NS), 1e-4 * np.eye(3))
 
-    variance = noise.past_variance(np.zeros(3), BEGIN_NS)
+    variance = noise.past_variance(np.zeros(3), BEGIN_NS, is_running=True)
 
     assert variance[:2].sum() == pytest.approx(0.0 if is_faulty else 25.0)
     assert noise.slow_error.stds == (0.0, 0.0)  # the filter follows the fixes as before
@@ -110,7 +110,7 @@ def test_of_past_errors_what_exceeds_the_present_one_is_published(
 ) -> None:
     noise.slow_error = SlowError(past=(2.0, 2.0), t_ns=BEGIN_NS)
 
-    variance = noise.past_variance(np.array([1.0, 1.0, 25.0]), BEGIN_NS)
+    variance = noise.past_variance(np.array([1.0, 1.0, 25.0]), BEGIN_NS, is_running=True)
 
     assert variance == pytest.approx([3.0, 3.0, 0.0])
 

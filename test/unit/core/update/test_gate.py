@@ -273,6 +273,13 @@ def test_after_a_pause_a_fix_above_the_threshold_waits_for_one_that_agrees(gate:
     assert not disagreeing.accepted
 
 
+def test_a_jump_after_a_pause_has_to_last_also_where_the_next_one_agrees(gate: Gate) -> None:
+    """No error of an INS is 3 km in 20 s: two wrong fixes do not take the state with them."""
+    verdicts = [judge(gate, 20.0 + 0.2 * k, 3000.0, PAUSE + 0.2 * k) for k in range(5)]
+
+    assert not any(verdict.accepted for verdict in verdicts)
+
+
 def test_a_state_that_rests_on_one_fix_is_left_sooner(gate: Gate) -> None:
     """GIVEN a pause that an outlier ended WHEN fixes agree elsewhere THEN a second is enough."""
     assert judge(gate, 20.0, 1.0, PAUSE).accepted
